@@ -1,0 +1,3 @@
+"""Capture, decode and replay Modbus."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,46 @@
+"""What is worth telling about a wire beside its transactions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class EventKind(StrEnum):
+    """What happened. Stands in the log and in filters, so a value keeps its meaning."""
+
+    SKIPPED = "skipped"
+    """Bytes that were captured and could not be read as Modbus."""
+    BAD_CHECK = "bad-check"
+    """A frame whose CRC or LRC is wrong."""
+    FOREIGN = "foreign"
+    """Well-formed, but of another protocol."""
+    GAP = "gap"
+    """Bytes that are known to be missing from the capture."""
+    OVERLAP = "overlap"
+    """A retransmission whose bytes differ from the first copy."""
+    DISCARDED = "discarded"
+    """What a bound of this program threw away."""
+    OPENED = "opened"
+    CLOSED = "closed"
+    UNREADABLE = "unreadable"
+    """A packet or link type this program cannot look into."""
+    CUT = "cut"
+    """The capture file ends in the middle of a record, or the capture kept only part of a packet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WireEvent:
+    """Something on a link that is no transaction."""
+
+    ts_ns: int
+    link: str
+    kind: EventKind
+    message: str
+    """One sentence for a reader."""
+    source: str = ""
+    destination: str = ""
+    raw: bytes = b""
+    """The bytes concerned, where there are any."""
+    missing: int = 0
+    """How many bytes a gap lost."""

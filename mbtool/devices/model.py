@@ -1,0 +1,165 @@
+"""A device profile: what a vendor's manual says, as data."""
+
+# The TOML of docs/devices.md maps one to one onto these types: a file's keys are the fields. Checks
+# that one field alone cannot show (areas that overlap, points outside their area) are in loading.py.
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+import msgspec
+
+from mbtool.modbus.tables import Table
+
+Address = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
+Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
+Quantity = Annotated[int, msgspec.Meta(ge=1, le=0xFFFF)]
+ExceptionCode = Annotated[int, msgspec.Meta(ge=1, le=0xFF)]
+
+
+class Radix(StrEnum):
+    """How the vendor writes the number in a reference."""
+
+    DECIMAL = "decimal"
+    HEX = "hex"
+
+
+class Access(StrEnum):
+    """What a master may do with an area."""
+
+    READ = "r"
+    READ_WRITE = "rw"
+
+
+class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A part of a profile; an unknown key is an error."""
+
+
+class Area(_Part):
+    """A range of addresses that the device has, and how its manual writes them."""
+
+    name: str
+    table: Table
+    first: Address
+    last: Address
+    access: Access
+    prefix: str = ""
+    base: int = 0
+    """The number that the manual gives to address 0: reference = base + address."""
+    radix: Radix = Radix.DECIMAL
+    width: int = 0
+    """Digits of the reference, padded with zeros."""
+    suffix: str = ""
+
+    def reference(self, address: int) -> str:
+        """Write an address the vendor's way: HR400001, 0102H, X1F."""
+        return f"{self.prefix}{self.number(address)}{self.suffix}"
+
+    def number(self, address: int) -> str:
+        number = self.base + address
+        digits = f"{number:X}" if self.radix is Radix.HEX else str(number)
+        return digits.rjust(self.width, "0")
+
+    def holds(self, table: Table, address: int, quantity: int = 1) -> bool:
+        return self.table is table and self.first <= address and address + quantity - 1 <= self.last
+
+
+class FunctionRule(_Part):
+    """A function that the device has."""
+
+    limit: Quantity | None = None
+    """The largest quantity, where the manual states one that is not the standard's."""
+    title: str | None = None
+    """The maker's name for a function of his own."""
+
+
+class Exceptions(_Part):
+    """Which exception code the device gives for what (FACTS of the manual, not the standard's)."""
+
+    function: ExceptionCode = 1
+    """A function it lacks."""
+    address: ExceptionCode = 2
+    """An address, or address + quantity, outside its areas."""
+    value: ExceptionCode = 3
+    """A quantity, byte count or value that is not allowed."""
+    documented: list[ExceptionCode] = msgspec.field(default_factory=lambda: [1, 2, 3])
+    """Every code that the manual lists."""
+
+
+class PointType(StrEnum):
+    """How a point's value stands in its registers or bits."""
+
+    BIT = "bit"
+    UINT16 = "uint16"
+    INT16 = "int16"
+    HEX16 = "hex16"
+    """A code that its manual writes in hexadecimal."""
+    UINT32 = "uint32"
+    INT32 = "int32"
+    FLOAT32 = "float32"
+    BIT_FIELD = "bit-field"
+    """A register with one bit for each channel."""
+    NIBBLE_FIELD = "nibble-field"
+    """A register with four bits for each channel."""
+
+
+class Point(_Part):
+    """A value that the manual names."""
+
+    name: str
+    table: Table
+    address: Address
+    type: PointType = PointType.UINT16
+    count: Quantity = 1
+    """How many such points follow one another; {n} in the name counts them from `counted_from`."""
+    stride: Quantity = 1
+    """From one of them to the next, in addresses."""
+    counted_from: int = 1
+    unit: str | None = None
+    scale: float = 1.0
+    first_channel: int = 1
+    """The channel of the lowest bit or nibble of a field."""
+    channels: int = 8
+    """How many channels a field has."""
+    texts: dict[str, str] = {}  # noqa: RUF012 - msgspec copies it
+    """What a value means, by the value as a decimal string."""
+    default: Word | None = None
+    """What the device holds before anyone writes it."""
+    minimum: int | None = None
+    maximum: int | None = None
+    note: str | None = None
+
+
+class Profile(_Part):
+    """One device, or one model of a family."""
+
+    name: str
+    title: str
+    vendor: str
+    transports: list[str]
+    """rtu, ascii, tcp."""
+    source: str
+    """The manual."""
+    areas: list[Area]
+    functions: dict[str, FunctionRule]
+    """By function code in two hexadecimal digits."""
+    exceptions: Exceptions = msgspec.field(default_factory=Exceptions)
+    points: list[Point] = []  # noqa: RUF012 - msgspec copies it
+    behaviour: str | None = None
+    """The name of what data cannot say, in slave/behaviours.py."""
+    model_code: Word | None = None
+    any_unit: bool = False
+    """The device answers whatever unit a Modbus/TCP request names."""
+    notes: list[str] = []  # noqa: RUF012 - msgspec copies it
+
+    def rule(self, function: int) -> FunctionRule | None:
+        """The rule of a function that the device has, else None."""
+        return self.functions.get(f"{function:02X}")
+
+    def area(self, table: Table, address: int, quantity: int = 1) -> Area | None:
+        """The area that holds all of a range, else None."""
+        for area in self.areas:
+            if area.holds(table, address, quantity):
+                return area
+        return None

@@ -1,0 +1,31 @@
+"""A transaction in the words of its device: what the log, jsonl and Python show."""
+
+from __future__ import annotations
+
+import msgspec
+
+from mbtool.modbus.transaction import Transaction
+
+
+class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The value of a named point."""
+
+    name: str
+    reference: str
+    """Where it stands, in the vendor's notation."""
+    value: float
+    text: str
+    """The value as the manual would put it: `CH1 CH2 CH6 CH8 enabled`, `27.5 s`."""
+    unit: str | None = None
+
+
+class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=True):
+    """A transaction and what it means for its device."""
+
+    device: str | None = None
+    """The profile's name."""
+    reference: str | None = None
+    """What is addressed, in the vendor's notation: `HR400001..400002`."""
+    points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
+    findings: list[str] = []  # noqa: RUF012 - msgspec copies an empty list per record
+    """Codes of broken rules (docs/findings.md)."""

@@ -1,0 +1,104 @@
+"""What a splitter gives: application data units, and the bytes it could not read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from mbtool.core import Direction, EventKind
+
+MAX_PDU = 253
+MAX_RTU_ADU = 256
+MAX_TCP_ADU = 260
+MAX_ASCII_ADU = 513
+
+
+class Transport(StrEnum):
+    """How a PDU travels."""
+
+    RTU = "rtu"
+    ASCII = "ascii"
+    TCP = "tcp"
+    RTU_TCP = "rtu-tcp"
+
+
+class DirectionBy(StrEnum):
+    """What decided an ADU's direction."""
+
+    PORT = "port"
+    """The TCP port, or the tap that heard it: certain."""
+    PENDING = "pending"
+    """It answers the request that waits for an answer."""
+    IDLE = "idle"
+    """No request waits, and it has the form of a request."""
+    FORM = "form"
+    """Its form fits one direction only."""
+
+
+class Verdict(StrEnum):
+    """What was noticed about a frame, or about the transaction it became part of."""
+
+    GLUED = "glued"
+    """No silence parts it from its neighbour in the capture."""
+    SPLIT = "split"
+    """A silence longer than t3.5 stands inside it."""
+    RESYNCHRONISED = "resynchronised"
+    """The splitter had lost its place and found it here."""
+    NOISE_BEFORE = "noise-before"
+    """Unreadable bytes precede it without a silence."""
+    T1_5_BROKEN = "t1.5-broken"
+    """A silence longer than t1.5 stands inside it."""
+    MALFORMED_REQUEST = "malformed-request"
+    """The request's body does not have the form of its function."""
+    MALFORMED_RESPONSE = "malformed-response"
+    """The response's body does not have the form of its function, or not of the request's."""
+    OTHER_TRANSACTION_ID = "other-transaction-id"
+    """The answer carries another transaction id than the only request it can belong to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checksum:
+    """A CRC or LRC as received and as it should be."""
+
+    received: int
+    computed: int
+
+    @property
+    def ok(self) -> bool:
+        return self.received == self.computed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adu:
+    """One application data unit: a PDU and what the line adds to it."""
+
+    start_ns: int
+    """The time of its first byte."""
+    end_ns: int
+    """The time of the byte that completed it."""
+    transport: Transport
+    direction: Direction
+    direction_by: DirectionBy
+    confidence: float
+    """How sure the direction is, 0 to 1."""
+    unit: int
+    pdu: bytes
+    raw: bytes
+    """All its bytes as captured."""
+    transaction_id: int | None = None
+    """Modbus/TCP only."""
+    checksum: Checksum | None = None
+    """Absent on Modbus/TCP."""
+    verdicts: tuple[Verdict, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """Bytes that are no ADU, with the reason."""
+
+    ts_ns: int
+    """The time of the first of them."""
+    kind: EventKind
+    reason: str
+    """One sentence for a reader."""
+    raw: bytes

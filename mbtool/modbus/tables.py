@@ -1,0 +1,22 @@
+"""The four tables of the Modbus data model (V1.1b3, section 4.3)."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Table(StrEnum):
+    """Which table an address belongs to."""
+
+    COILS = "coils"
+    DISCRETE_INPUTS = "discrete_inputs"
+    HOLDING_REGISTERS = "holding_registers"
+    INPUT_REGISTERS = "input_registers"
+
+    @property
+    def is_bits(self) -> bool:
+        return self in (Table.COILS, Table.DISCRETE_INPUTS)
+
+    @property
+    def is_writable(self) -> bool:
+        return self in (Table.COILS, Table.HOLDING_REGISTERS)
