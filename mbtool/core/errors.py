@@ -3,7 +3,7 @@
 # Example scenarios:
 #
 #   UsageError     `--on rtu:/dev/ttyUSB0@fast`, `--device 5=no-such-profile`, `--where "unit ="`
-#   ProfileError   a profile whose area ends before it begins (file, key, value, what would be right)
+#   ProfileError   a profile whose area ends before it begins (file, key, what would be right)
 #   InputError     a capture that is absent, unreadable or of another kind
 #   CutError       a capture that ends in the middle of a record; raised after the last whole one
 #   LinkError      a port that is absent, busy or forbidden; an address in use

@@ -26,7 +26,7 @@ class EventKind(StrEnum):
     UNREADABLE = "unreadable"
     """A packet or link type this program cannot look into."""
     CUT = "cut"
-    """The capture file ends in the middle of a record, or the capture kept only part of a packet."""
+    """The file ends in the middle of a record, or the capture kept only part of a packet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -115,7 +115,9 @@ def _parse_serial(text: str, scheme: str, rest: str) -> SerialLink:
     if not at:
         port, settings = rest, ""
     if not port:
-        raise UsageError(f"link {text!r}: no port is named, for example {scheme}:/dev/ttyUSB0@19200-8E1")
+        raise UsageError(
+            f"link {text!r}: no port is named, for example {scheme}:/dev/ttyUSB0@19200-8E1"
+        )
     if "," in port:
         raise UsageError(f"link {text!r}: two taps on one line are not supported; name one port")
     if settings:

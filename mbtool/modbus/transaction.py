@@ -62,7 +62,7 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """How many equal requests before this one went unanswered."""
     request_raw: bytes | None = None
     response_raw: bytes | None = None
-    verdicts: list[Verdict] = []  # noqa: RUF012 - msgspec copies an empty list per record
+    verdicts: list[Verdict] = []
     direction_by: DirectionBy
     confidence: float
 

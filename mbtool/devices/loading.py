@@ -1,0 +1,306 @@
+"""Reads device profiles: built-in ones by name, a user's own by path."""
+
+# A profile file is TOML; docs/devices.md lists its keys. A file may name another in `extends` (a
+# built-in name, or a path from where the file stands) and then says only what differs:
+#
+#   functions, exceptions   merged key by key
+#   areas, points           added; one with the name of an extended one takes its place
+#   notes                   added
+#   any other key           takes the place of the extended one
+#
+# Each file is checked key by key before it is merged, so that an error names the file it is in.
+#
+# Limits: a file of at most 1 MiB; at most 8 files extend one another.
+
+from __future__ import annotations
+
+import difflib
+import functools
+import json
+import re
+import reprlib
+import tomllib
+import typing
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from mbtool.core.errors import ProfileError, UsageError
+from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile
+from mbtool.devices.validation import validate
+
+MAX_FILE_BYTES = 1 << 20
+MAX_EXTENDED = 8
+
+_BUILT_IN = Path(__file__).parent / "profiles"
+
+_T = TypeVar("_T", bound=msgspec.Struct)
+
+
+def builtin_profiles() -> list[str]:
+    """The names of the built-in profiles, in order. Reads no file."""
+    # A file whose name begins with an underscore is for others to extend: no device by itself.
+    return sorted(path.stem for path in _BUILT_IN.glob("[!_]*.toml"))
+
+
+def load_profile(name_or_path: str) -> Profile:
+    """Load a built-in profile by its name, or a TOML file by its path.
+
+    Raises ProfileError for what stands in a file, UsageError where there is none.
+    """
+    if name_or_path in builtin_profiles():
+        return _load_builtin(name_or_path)
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        return _load_file(path)
+    raise UsageError(_unknown_name(name_or_path))
+
+
+def profile_to_json(profile: Profile) -> bytes:
+    """A profile whole, with all that it extends, as the log attaches it."""
+    return msgspec.json.encode(profile)
+
+
+def profile_from_json(data: bytes, file: str) -> Profile:
+    """Read what profile_to_json wrote; `file` names it in errors. Raises ProfileError."""
+    try:
+        keys = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ProfileError(file, "JSON", f"cannot be read: {error}") from error
+    if not isinstance(keys, dict):
+        raise ProfileError(file, "JSON", "expected an object")
+    return _finish(_parse_parts(keys, file), file)
+
+
+@functools.cache
+def _load_builtin(name: str) -> Profile:
+    return _load_file(_BUILT_IN / f"{name}.toml")
+
+
+def _load_file(path: Path) -> Profile:
+    return _finish(_read(path, depth=1), str(path))
+
+
+def _finish(keys: dict[str, Any], file: str) -> Profile:
+    profile = _convert(Profile, keys, file, "")
+    validate(profile, file)
+    return profile
+
+
+def _unknown_name(name: str) -> str:
+    known = builtin_profiles()
+    near = difflib.get_close_matches(name.lower(), known, n=2, cutoff=0.5)
+    guess = f"did you mean {' or '.join(near)}? " if near else ""
+    return (
+        f"profile {name!r}: {guess}The built-in ones are {', '.join(known)}; "
+        "a file of your own is named by its path, for example ./pump.toml"
+    )
+
+
+# Reading a file -------------------------------------------------------------------------------
+
+
+def _read(path: Path, depth: int) -> dict[str, Any]:
+    """The parts of a file and of all that it extends."""
+    file = str(path)
+    keys = _read_toml(path)
+    extends = keys.pop("extends", None)
+    own = _parse_parts(keys, file)
+    if extends is None:
+        return own
+    if not isinstance(extends, str):
+        raise ProfileError(
+            file, "extends", f"expected a profile's name or path, not {_shown(extends)}"
+        )
+    if depth == MAX_EXTENDED:
+        raise ProfileError(
+            file, "extends", f"more than {MAX_EXTENDED} files extend one another; is it a circle?"
+        )
+    extended = _BUILT_IN / f"{extends}.toml"
+    if "/" in extends or not extended.is_file():
+        extended = path.parent / extends
+    if not extended.is_file():
+        raise ProfileError(
+            file, "extends", f"no profile {extends!r}; name a built-in one or a file beside this one"
+        )
+    return _merge(_read(extended, depth + 1), own)
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UsageError(f"profile {str(path)!r} cannot be read: {reason}") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise ProfileError(str(path), "size", f"more than {MAX_FILE_BYTES} bytes are no profile")
+    try:
+        return tomllib.loads(data.decode())
+    except UnicodeDecodeError as error:
+        raise ProfileError(str(path), f"byte {error.start}", "not UTF-8, so not TOML") from error
+    except RecursionError as error:
+        raise ProfileError(str(path), "TOML", "nested too deep") from error
+    except ValueError as error:
+        problem, at, place = str(error).rpartition(" (at ")
+        raise ProfileError(
+            str(path),
+            place.rstrip(")") if at else "TOML",
+            f"not TOML: {problem if at else error}",
+        ) from error
+
+
+def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    merged = extended | own
+    for key in ("functions", "exceptions"):
+        if key in extended and key in own:
+            merged[key] = extended[key] | own[key]
+    for key in ("areas", "points"):
+        if key in extended and key in own:
+            by_name = {part.name: part for part in extended[key]}
+            by_name.update((part.name, part) for part in own[key])
+            merged[key] = list(by_name.values())
+    if "notes" in extended and "notes" in own:
+        merged["notes"] = extended["notes"] + own["notes"]
+    return merged
+
+
+# Checking key by key --------------------------------------------------------------------------
+
+
+def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
+    """The same keys with areas, functions and points made; the rest only known to be keys."""
+    _refuse_unknown(Profile, keys, file, "")
+    parts = dict(keys)
+    if "areas" in keys:
+        parts["areas"] = _parse_list(Area, keys["areas"], file, "areas")
+    if "points" in keys:
+        parts["points"] = _parse_list(Point, keys["points"], file, "points")
+    if "functions" in keys:
+        parts["functions"] = _parse_functions(keys["functions"], file)
+    if "exceptions" in keys:
+        _convert(Exceptions, keys["exceptions"], file, "exceptions")
+    if not isinstance(keys.get("notes", []), list):
+        raise ProfileError(file, "notes", f"expected a list, not {_shown(keys['notes'])}")
+    return parts
+
+
+def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
+    if not isinstance(value, list):
+        raise ProfileError(file, key, f"expected [[{key}]] tables, not {_shown(value)}")
+    parts = []
+    for index, item in enumerate(value):
+        name = item.get("name") if isinstance(item, dict) else None
+        label = f'{key} "{name}"' if isinstance(name, str) else f"{key}[{index}]"
+        parts.append(_convert(cls, item, file, label))
+    return parts
+
+
+def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
+    if not isinstance(value, dict):
+        raise ProfileError(file, "functions", f"expected a table, not {_shown(value)}")
+    rules = {}
+    for code, rule in value.items():
+        if re.fullmatch("[0-7][0-9A-Fa-f]", code) is None or int(code, 16) == 0:
+            raise ProfileError(
+                file,
+                f"functions.{code}",
+                "a function code is two hexadecimal digits, 01 to 7F, for example 10 for 16",
+            )
+        rules[code.upper()] = _convert(FunctionRule, rule, file, f"functions.{code}")
+    return rules
+
+
+def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
+    """Make one part of a profile, or say which of its keys is wrong and why."""
+    if not isinstance(value, dict):
+        raise ProfileError(file, key, f"expected a table, not {_shown(value)}")
+    _refuse_unknown(cls, value, file, key)
+    for field in msgspec.structs.fields(cls):
+        if field.required and field.name not in value:
+            raise ProfileError(file, _join(key, field.name), "this key is missing")
+    fields = dict(value)
+    if "texts" in value:
+        fields["texts"] = _parse_texts(value["texts"], file, _join(key, "texts"))
+    if cls is FunctionRule and "answer" in value:
+        fields["answer"] = _convert(AnswerWord, value["answer"], file, _join(key, "answer"))
+    try:
+        return msgspec.convert(fields, cls)
+    except msgspec.ValidationError as error:
+        where, problem = _explain(str(error), cls, fields)
+        raise ProfileError(file, _join(key, where), problem) from error
+
+
+def _refuse_unknown(cls: type[msgspec.Struct], value: dict[str, Any], file: str, key: str) -> None:
+    known = cls.__struct_fields__
+    for name in value:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            advice = f"did you mean {near[0]!r}?" if near else f"the keys are {', '.join(known)}"
+            raise ProfileError(file, _join(key, name), f"unknown key; {advice}")
+
+
+def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
+    if not isinstance(value, dict):
+        raise ProfileError(file, key, f"expected a table of value and text, not {_shown(value)}")
+    texts = {}
+    for number, text in value.items():
+        try:
+            texts[int(number, 0)] = text
+        except ValueError:
+            raise ProfileError(
+                file, f"{key}.{number}", "the key is no number; write 3 or 0x0E30"
+            ) from None
+        if not isinstance(text, str):
+            raise ProfileError(file, f"{key}.{number}", f"expected a text, not {_shown(text)}")
+    return texts
+
+
+# msgspec's message: "Expected `int` <= 65535 - at `$.first`".
+_MESSAGE = re.compile(r"(?P<problem>.*?)(?:, got .*?)?(?: - at `\$\.?(?P<path>[^`]*)`)?")
+_STEP = re.compile(r"(\w+)|\[(\d+)\]")
+_WORDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+}
+
+
+def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, str]:
+    """The key concerned, and what is wrong with it in words."""
+    match = _MESSAGE.fullmatch(message)
+    if match is None or not match["path"]:
+        return "", message
+    for name, index in _STEP.findall(match["path"]):
+        value = value[name] if name else value[int(index)]
+    choices = _choices(cls, match["path"])
+    if choices:
+        return match["path"], f"expected one of {', '.join(choices)}, not {_shown(value)}"
+    problem = re.sub(
+        r"`(\w+)( \| null)?`", lambda type_: _WORDS.get(type_[1], type_[1]), match["problem"]
+    )
+    return match["path"], f"{problem[0].lower()}{problem[1:]}, not {_shown(value)}"
+
+
+def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
+    """The values of the enumeration that a key takes, if it takes one."""
+    hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
+    for kind in (hint, *typing.get_args(hint)):
+        if isinstance(kind, type) and issubclass(kind, StrEnum):
+            return list(kind)
+    return []
+
+
+def _join(key: str, name: str) -> str:
+    return f"{key}.{name}" if key and name else key or name
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return reprlib.repr(value)

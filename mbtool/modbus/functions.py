@@ -1,0 +1,182 @@
+"""The functions of Modbus: names, tables, limits and layouts, in one table."""
+
+# MODBUS Application Protocol V1.1b3, the section beside each entry. Codes 65-72 and 100-110 are for
+# users to define (section 5.1); they and all that no entry knows are kept as bytes.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from mbtool.modbus.layouts import (
+    Bits,
+    Bytes,
+    Choice,
+    FileAnswers,
+    FileGroups,
+    Layout,
+    Objects,
+    Registers,
+    Words,
+)
+from mbtool.modbus.tables import Table
+
+EXCEPTION_BIT = 0x80
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Function:
+    """What the standard says about one function code."""
+
+    name: str
+    short: str
+    """For narrow columns."""
+    request: Layout
+    response: Layout
+    table: Table | None = None
+    """What it addresses."""
+    limit: int = 1
+    """The largest quantity it may name."""
+    writes: bool = False
+    serial_only: bool = False
+
+
+ADDRESS = ("address", 2)
+QUANTITY = ("quantity", 2)
+VALUE = ("value", 2)
+
+_READ = Layout(ADDRESS, QUANTITY)
+_WRITE_ONE = Layout(ADDRESS, VALUE)
+_MASKS = Layout(ADDRESS, ("and_mask", 2), ("or_mask", 2))
+_DIAGNOSTICS = Layout(("sub_function", 2), tail=Words())
+_EMPTY = Layout()
+
+FUNCTIONS: dict[int, Function] = {
+    0x01: Function(  # 6.1
+        name="read coils", short="read coils", table=Table.COILS, limit=2000,
+        request=_READ, response=Layout(tail=Bits()),
+    ),
+    0x02: Function(  # 6.2
+        name="read discrete inputs", short="read discrete", table=Table.DISCRETE_INPUTS, limit=2000,
+        request=_READ, response=Layout(tail=Bits()),
+    ),
+    0x03: Function(  # 6.3
+        name="read holding registers", short="read holding",
+        table=Table.HOLDING_REGISTERS, limit=125,
+        request=_READ, response=Layout(tail=Registers()),
+    ),
+    0x04: Function(  # 6.4
+        name="read input registers", short="read input", table=Table.INPUT_REGISTERS, limit=125,
+        request=_READ, response=Layout(tail=Registers()),
+    ),
+    0x05: Function(  # 6.5
+        name="write single coil", short="write coil", table=Table.COILS, writes=True,
+        request=_WRITE_ONE, response=_WRITE_ONE,
+    ),
+    0x06: Function(  # 6.6
+        name="write single register", short="write register", table=Table.HOLDING_REGISTERS,
+        writes=True, request=_WRITE_ONE, response=_WRITE_ONE,
+    ),
+    0x07: Function(  # 6.7
+        name="read exception status", short="read exc status", serial_only=True,
+        request=_EMPTY, response=Layout(("status", 1)),
+    ),
+    0x08: Function(  # 6.8
+        name="diagnostics", short="diagnostics", serial_only=True,
+        request=_DIAGNOSTICS, response=_DIAGNOSTICS,
+    ),
+    0x0B: Function(  # 6.9
+        name="get comm event counter", short="event counter", serial_only=True,
+        request=_EMPTY, response=Layout(("status", 2), ("event_count", 2)),
+    ),
+    0x0C: Function(  # 6.10
+        name="get comm event log", short="event log", serial_only=True,
+        request=_EMPTY, response=Layout(tail=Bytes()),
+    ),
+    0x0F: Function(  # 6.11
+        name="write multiple coils", short="write coils", table=Table.COILS,
+        limit=1968, writes=True,
+        request=Layout(ADDRESS, QUANTITY, tail=Bits(quantity="quantity")), response=_READ,
+    ),
+    0x10: Function(  # 6.12
+        name="write multiple registers", short="write registers", table=Table.HOLDING_REGISTERS,
+        limit=123, writes=True,
+        request=Layout(ADDRESS, QUANTITY, tail=Registers()), response=_READ,
+    ),
+    0x11: Function(  # 6.13
+        name="report server id", short="report server id", serial_only=True,
+        request=_EMPTY, response=Layout(tail=Bytes()),
+    ),
+    0x14: Function(  # 6.14
+        name="read file record", short="read file",
+        request=Layout(tail=FileGroups(with_data=False)), response=Layout(tail=FileAnswers()),
+    ),
+    0x15: Function(  # 6.15
+        name="write file record", short="write file", writes=True,
+        request=Layout(tail=FileGroups(with_data=True)),
+        response=Layout(tail=FileGroups(with_data=True)),
+    ),
+    0x16: Function(  # 6.16
+        name="mask write register", short="mask write", table=Table.HOLDING_REGISTERS, writes=True,
+        request=_MASKS, response=_MASKS,
+    ),
+    0x17: Function(  # 6.17
+        name="read/write multiple registers", short="read/write", table=Table.HOLDING_REGISTERS,
+        limit=125, writes=True,
+        request=Layout(
+            ADDRESS, QUANTITY, ("write_address", 2), ("write_quantity", 2), tail=Registers(),
+        ),
+        response=Layout(tail=Registers()),
+    ),
+    0x18: Function(  # 6.18; the first register is the count of those that follow
+        name="read fifo queue", short="read fifo", limit=31,
+        request=Layout(ADDRESS), response=Layout(tail=Registers("fifo", count_width=2)),
+    ),
+    0x2B: Function(  # 6.19 to 6.21
+        name="encapsulated interface transport", short="encapsulated",
+        request=Layout(tail=Choice("mei_type", {
+            0x0D: Layout(tail=Bytes(count_width=0)),
+            0x0E: Layout(("read_code", 1), ("object_id", 1)),
+        })),
+        response=Layout(tail=Choice("mei_type", {
+            0x0D: Layout(tail=Bytes(count_width=0)),
+            0x0E: Layout(
+                ("read_code", 1), ("conformity", 1), ("more_follows", 1), ("next_object_id", 1),
+                tail=Objects(),
+            ),
+        })),
+    ),
+}  # fmt: skip
+
+WRITE_LIMIT_17H = 121
+"""How many registers function 17H writes at most (6.17)."""
+
+
+class ExceptionCode(IntEnum):
+    """Exception codes (V1.1b3, section 7). Devices give others too; they are kept as numbers."""
+
+    ILLEGAL_FUNCTION = 0x01
+    ILLEGAL_DATA_ADDRESS = 0x02
+    ILLEGAL_DATA_VALUE = 0x03
+    SERVER_DEVICE_FAILURE = 0x04
+    ACKNOWLEDGE = 0x05
+    SERVER_DEVICE_BUSY = 0x06
+    NEGATIVE_ACKNOWLEDGE = 0x07
+    """Of older editions."""
+    MEMORY_PARITY_ERROR = 0x08
+    GATEWAY_PATH_UNAVAILABLE = 0x0A
+    GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
+
+
+def function_name(code: int) -> str:
+    """The standard's name, or `function 41H`."""
+    function = FUNCTIONS.get(code)
+    return function.name if function is not None else f"function {code:02X}H"
+
+
+def exception_name(code: int) -> str:
+    """The standard's name, or `exception 11H`."""
+    try:
+        return ExceptionCode(code).name.lower().replace("_", " ")
+    except ValueError:
+        return f"exception {code:02X}H"

@@ -1,0 +1,132 @@
+"""Protocol data units: parsed into named fields, and encoded from them."""
+
+# Field names, by function (functions.py has the layouts):
+#
+#     address quantity                01-04, 0F, 10, 17 (what it reads)
+#     values                          registers or bits, where there are several; 08: its data words
+#     value                           05, 06
+#     write_address write_quantity    17
+#     and_mask or_mask                16
+#     sub_function                    08
+#     status event_count data         07, 0B, 0C, 11
+#     groups                          14, 15: see layouts.FileGroups and layouts.FileAnswers
+#     fifo                            18: its count and its registers
+#     mei_type ... objects            2B
+#     exception_code                  every exception response
+#
+# A function that the table does not know has the one field `data`.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbtool.core import Direction
+from mbtool.modbus.adu import MAX_PDU, Transport
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, Function
+from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
+
+_EXCEPTION = Layout(("exception_code", 1))
+_UNKNOWN = Layout(tail=Bytes(count_width=0))
+
+
+@dataclass(frozen=True, slots=True)
+class Pdu:
+    """A parsed PDU. It holds what could be read, also of one that breaks its form."""
+
+    code: int
+    """As on the wire, with the exception bit."""
+    fields: Fields
+    problem: str | None
+    """How it breaks the form of its function, if it does."""
+
+    @property
+    def function(self) -> int:
+        return self.code & ~EXCEPTION_BIT
+
+    @property
+    def exception_code(self) -> int | None:
+        return self.number("exception_code")
+
+    def number(self, name: str) -> int | None:
+        """An integer field, or None where the PDU has none of this name."""
+        value = self.fields.get(name)
+        return value if isinstance(value, int) else None
+
+    def numbers(self, name: str = "values") -> tuple[int, ...] | None:
+        """Registers or bits, or None where the PDU has none of this name."""
+        value = self.fields.get(name)
+        return value if isinstance(value, tuple) else None  # type: ignore[return-value]
+
+
+def parse_pdu(pdu: bytes, direction: Direction) -> Pdu:
+    """Parse one PDU of known direction. Never raises."""
+    if not pdu:
+        return Pdu(0, {}, "no function code")
+    fields, problem = _layout(pdu[0], direction).parse(pdu)
+    if problem is None and len(pdu) > MAX_PDU:
+        problem = f"{len(pdu)} bytes, where a PDU has at most {MAX_PDU}"
+    return Pdu(pdu[0], fields, problem)
+
+
+def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
+    """Make a PDU. Raises ValueError where a field is missing, does not fit, or is too much.
+
+    Counts that follow from values are computed and need not be given: byte counts always,
+    `quantity` of 0F and 10 and `write_quantity` of 17 where they are left out.
+    """
+    if not 0 <= code <= 0xFF:
+        raise ValueError(f"function code {code} is not in 0..255")
+    values = fields.get("values")
+    if direction is Direction.REQUEST and isinstance(values, tuple | list):
+        if code in (0x0F, 0x10):
+            fields.setdefault("quantity", len(values))
+        elif code == 0x17:
+            fields.setdefault("write_quantity", len(values))
+    pdu = bytes([code]) + _layout(code, direction).encode(fields)
+    if len(pdu) > MAX_PDU:
+        raise ValueError(f"{len(pdu)} bytes, where a PDU has at most {MAX_PDU}")
+    return pdu
+
+
+def exception_pdu(function: int, exception_code: int) -> bytes:
+    """An exception response."""
+    return bytes([function | EXCEPTION_BIT, exception_code])
+
+
+def pdu_length(pdu: bytes, direction: Direction) -> int | None:
+    """How long a PDU is by its structure, from its first bytes.
+
+    None where more bytes are needed to know. 0 where its function has no known form.
+    """
+    if not pdu:
+        return None
+    code = pdu[0]
+    if code not in FUNCTIONS and not (direction is Direction.RESPONSE and code & EXCEPTION_BIT):
+        return 0
+    return _layout(code, direction).length(pdu)
+
+
+def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
+    """The unit and the PDU of a whole ADU."""
+    match transport:
+        case Transport.TCP:
+            return raw[6], raw[7:]
+        case Transport.RTU | Transport.RTU_TCP:
+            return raw[0], raw[1:-2]
+        case Transport.ASCII:
+            binary = bytes.fromhex(raw[1 : len(raw) - 2].decode("ascii"))
+            return binary[0], binary[1:-1]
+
+
+def function_of(code: int) -> Function | None:
+    """The table's entry for a code with or without the exception bit."""
+    return FUNCTIONS.get(code & ~EXCEPTION_BIT)
+
+
+def _layout(code: int, direction: Direction) -> Layout:
+    if direction is Direction.RESPONSE and code & EXCEPTION_BIT:
+        return _EXCEPTION
+    function = FUNCTIONS.get(code)
+    if function is None:
+        return _UNKNOWN
+    return function.response if direction is Direction.RESPONSE else function.request
