@@ -1,0 +1,52 @@
+"""A byte queue that knows when each byte arrived."""
+
+from __future__ import annotations
+
+from collections import deque
+
+
+class TimedBuffer:
+    """Bytes of one link, consumed from the front; bytes of one append share their time."""
+
+    __slots__ = ("_data", "_marks", "_taken")
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._taken = 0
+        """How many bytes have ever left the front."""
+        self._marks: deque[tuple[int, int]] = deque()
+        """Time by the number of bytes ever appended up to and with it."""
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def append(self, data: bytes, ts_ns: int) -> None:
+        if data:
+            self._data += data
+            self._marks.append((self._taken + len(self._data), ts_ns))
+
+    @property
+    def first_ns(self) -> int:
+        """The time of the first byte; the buffer must not be empty."""
+        return self._marks[0][1]
+
+    def ns_at(self, index: int) -> int:
+        """The time of the byte at an index from the front."""
+        place = self._taken + index
+        for end, ts_ns in self._marks:
+            if place < end:
+                return ts_ns
+        raise IndexError(index)
+
+    def peek(self, size: int) -> bytes:
+        """The first bytes, left in place; fewer where there are fewer."""
+        return bytes(self._data[:size])
+
+    def take(self, size: int) -> bytes:
+        """Remove and return the first bytes."""
+        taken = bytes(self._data[:size])
+        del self._data[:size]
+        self._taken += len(taken)
+        while self._marks and self._marks[0][0] <= self._taken:
+            self._marks.popleft()
+        return taken
