@@ -1,0 +1,57 @@
+"""What vendors mean: device profiles, and transactions in their words."""
+
+from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
+from mbtool.devices.findings import RULES, finding_text
+from mbtool.devices.loading import (
+    builtin_profiles,
+    load_profile,
+    profile_from_json,
+    profile_to_json,
+)
+from mbtool.devices.model import (
+    Access,
+    AnswerWord,
+    Area,
+    Exceptions,
+    FunctionRule,
+    Point,
+    PointType,
+    Profile,
+    Radix,
+    WordOrder,
+)
+from mbtool.devices.named import NamedTransaction, PointValue
+from mbtool.devices.naming import Namer
+from mbtool.devices.references import parse_reference, write_reference
+from mbtool.devices.wording import describe, describe_points
+
+__all__ = [
+    "RULES",
+    "Access",
+    "AnswerWord",
+    "Area",
+    "Assignment",
+    "Assignments",
+    "Exceptions",
+    "FunctionRule",
+    "NamedTransaction",
+    "Namer",
+    "Point",
+    "PointType",
+    "PointValue",
+    "Profile",
+    "Radix",
+    "Who",
+    "WordOrder",
+    "builtin_profiles",
+    "describe",
+    "describe_points",
+    "finding_text",
+    "load_profile",
+    "parse_assignment",
+    "parse_reference",
+    "parse_who",
+    "profile_from_json",
+    "profile_to_json",
+    "write_reference",
+]

@@ -99,9 +99,6 @@ def _unknown_name(name: str) -> str:
     )
 
 
-# Reading a file -------------------------------------------------------------------------------
-
-
 def _read(path: Path, depth: int) -> dict[str, Any]:
     """The parts of a file and of all that it extends."""
     file = str(path)
@@ -123,7 +120,9 @@ def _read(path: Path, depth: int) -> dict[str, Any]:
         extended = path.parent / extends
     if not extended.is_file():
         raise ProfileError(
-            file, "extends", f"no profile {extends!r}; name a built-in one or a file beside this one"
+            file,
+            "extends",
+            f"no profile {extends!r}; name a built-in one or a file beside this one",
         )
     return _merge(_read(extended, depth + 1), own)
 
@@ -165,9 +164,6 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     if "notes" in extended and "notes" in own:
         merged["notes"] = extended["notes"] + own["notes"]
     return merged
-
-
-# Checking key by key --------------------------------------------------------------------------
 
 
 def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:

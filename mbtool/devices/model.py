@@ -21,6 +21,8 @@ ExceptionCode = Annotated[int, msgspec.Meta(ge=1, le=0xFF)]
 Texts = dict[int, str]
 """What a value means, by the value."""
 
+WORD_BITS = 16
+
 
 class Radix(StrEnum):
     """How the vendor writes the number in a reference."""
@@ -36,11 +38,13 @@ class Access(StrEnum):
     READ_WRITE = "rw"
 
 
-class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class _Part(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
+):
     """A part of a profile; an unknown key is an error."""
 
 
-class Area(_Part):
+class Area(_Part, frozen=True, kw_only=True):
     """A range of addresses that the device has, and how its manual writes them."""
 
     name: str
@@ -86,14 +90,14 @@ class Area(_Part):
         return self.table is table and self.first <= address and address + quantity - 1 <= self.last
 
 
-class AnswerWord(_Part):
+class AnswerWord(_Part, frozen=True, kw_only=True):
     """The 16-bit word that is all the data of the answer to a function of the maker's own."""
 
     name: str
-    texts: Texts = {}  # noqa: RUF012 - msgspec copies it
+    texts: Texts = {}
 
 
-class FunctionRule(_Part):
+class FunctionRule(_Part, frozen=True, kw_only=True):
     """A function that the device has."""
 
     limit: Quantity | None = None
@@ -104,7 +108,7 @@ class FunctionRule(_Part):
     """What a function of the maker's own gives back."""
 
 
-class Exceptions(_Part):
+class Exceptions(_Part, frozen=True, kw_only=True):
     """Which exception code the device gives for what (its manual's codes, not the standard's)."""
 
     function: ExceptionCode = 1
@@ -153,7 +157,7 @@ class WordOrder(StrEnum):
     LOW_FIRST = "low-first"
 
 
-class Point(_Part):
+class Point(_Part, frozen=True, kw_only=True):
     """A value that the manual names."""
 
     name: str
@@ -176,7 +180,7 @@ class Point(_Part):
     """How many channels a field has; absent: as many as fit, 16 or 4."""
     channel: str = "CH"
     """What a field's channel is called, before its number."""
-    texts: Texts = {}  # noqa: RUF012 - msgspec copies it
+    texts: Texts = {}
     """What a value means. A bit field speaks of the bits whose value has a text, no others."""
     default: Word | None = None
     """What the device holds before anyone writes it."""
@@ -190,7 +194,7 @@ class Point(_Part):
         return range(self.address, self.address + self.count * self.stride, self.stride)
 
 
-class Profile(_Part):
+class Profile(_Part, frozen=True, kw_only=True):
     """One device, or one model of a family."""
 
     name: str
@@ -203,7 +207,7 @@ class Profile(_Part):
     functions: dict[str, FunctionRule]
     """By function code in two hexadecimal digits."""
     exceptions: Exceptions = msgspec.field(default_factory=Exceptions)
-    points: list[Point] = []  # noqa: RUF012 - msgspec copies it
+    points: list[Point] = []
     behaviour: str | None = None
     """The name of what data cannot say, in slave/behaviours.py."""
     finding_prefix: str | None = None
@@ -211,7 +215,7 @@ class Profile(_Part):
     model_code: Word | None = None
     any_unit: bool = False
     """The device answers whatever unit a Modbus/TCP request names."""
-    notes: list[str] = []  # noqa: RUF012 - msgspec copies it
+    notes: list[str] = []
 
     def rule(self, function: int) -> FunctionRule | None:
         """The rule of a function that the device has, else None."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from mbtool.modbus.transaction import Transaction
+from mbtool.modbus.transaction import Outcome, Transaction
 
 
 class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -13,7 +13,8 @@ class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     name: str
     reference: str
     """Where it stands, in the vendor's notation."""
-    value: float
+    value: float | None = None
+    """Absent where it is no number: a 32-bit value that is infinite or not a number."""
     text: str
     """The value as the manual would put it: `CH1 CH2 CH6 CH8 enabled`, `27.5 s`."""
     unit: str | None = None
@@ -27,5 +28,11 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
     reference: str | None = None
     """What is addressed, in the vendor's notation: `HR400001..400002`."""
     points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
+    """What the response brought and what the request asks to write, whether or not it was done."""
     findings: list[str] = []  # noqa: RUF012 - msgspec copies an empty list per record
     """Codes of broken rules (docs/findings.md)."""
+
+    @property
+    def took_effect(self) -> bool:
+        """Whether its points are the device's values, and not only what a master asked for."""
+        return self.outcome in (Outcome.OK, Outcome.BROADCAST)

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import math
 import re
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from mbtool.core.errors import ProfileError
-from mbtool.devices.model import Area, Point, PointType, Profile
-from mbtool.modbus.tables import Table
+from mbtool.devices.model import WORD_BITS, Area, Point, PointType, Profile
+
+if TYPE_CHECKING:
+    from mbtool.modbus.tables import Table
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+_PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
 
 def validate(profile: Profile, file: str) -> None:
@@ -70,31 +73,25 @@ def _validate_exceptions(profile: Profile, file: str) -> None:
 
 def _validate_points(profile: Profile, file: str) -> None:
     names: set[str] = set()
-    taken: dict[tuple[Table, int], Point] = {}
+    taken: dict[tuple[Table, int], str] = {}
     for point in profile.points:
         place = _Place(file, f'points "{point.name}"')
         _validate_point(point, place)
         if point.name in names:
             place.wrong("name", "another point has this name")
         names.add(point.name)
-        # The ends are enough to know that a hostile count does not make this loop long.
-        for address in (point.addresses[0], point.addresses[-1]):
+        for address in point.addresses:
             if profile.area(point.table, address, point.type.words) is None:
                 place.wrong(
                     "address",
-                    f"{point.table} {address} (0x{address:04X}) is outside every area of the profile",
+                    f"{point.table} {address} (0x{address:04X}) is outside every area",
                 )
-        for address in point.addresses:
-            if profile.area(point.table, address, point.type.words) is None:
-                place.wrong("address", f"{point.table} {address} is outside every area")
             for word in range(address, address + point.type.words):
-                other = taken.setdefault((point.table, word), point)
-                if other is not point or (word == address and address != _owner(point, word)):
-                    place.wrong("address", f'{point.table} {word} has the name "{other.name}" too')
-
-
-def _owner(point: Point, word: int) -> int:
-    return word - (word - point.address) % point.stride
+                other = taken.setdefault((point.table, word), point.name)
+                if other != point.name:
+                    place.wrong(
+                        "address", f'{point.table} {word} (0x{word:04X}) is "{other}" already'
+                    )
 
 
 class _Place:
@@ -110,4 +107,44 @@ class _Place:
 
 def _validate_point(point: Point, place: _Place) -> None:
     if point.table.is_bits != (point.type is PointType.BIT):
-        place.wrong("type", f"{point.type} does not fit {point.table}")
+        right = "bit" if point.table.is_bits else "a type of registers, for example uint16"
+        place.wrong("type", f"{point.type} does not fit {point.table}; {right} would be right")
+    if point.count > 1 and point.stride < point.type.words:
+        place.wrong("stride", f"{point.stride} is less than the {point.type.words} that each takes")
+    if "{" in _PLACEHOLDER.sub("", point.name):
+        place.wrong("name", "only {n} and {reference} are filled in")
+    if point.count > 1 and _PLACEHOLDER.search(point.name) is None:
+        place.wrong("name", f"{point.count} points need {{n}} or {{reference}} in their name")
+    if not math.isfinite(point.scale) or point.scale == 0:
+        place.wrong("scale", f"{point.scale} scales nothing; 0.1 would be right for tenths")
+    _validate_field(point, place)
+    _validate_range(point, place)
+
+
+def _validate_field(point: Point, place: _Place) -> None:
+    bits = point.type.channel_bits
+    if bits == 0:
+        if point.channels is not None:
+            place.wrong(
+                "channels", f"only bit-field and nibble-field have channels, not {point.type}"
+            )
+        return
+    if point.channels is not None and point.channels * bits > WORD_BITS:
+        place.wrong(
+            "channels", f"{point.channels} do not fit a register; {WORD_BITS // bits} at most do"
+        )
+    for value in point.texts:
+        if not 0 <= value < 1 << bits:
+            place.wrong("texts", f"{value} does not fit the {bits} bit of each channel")
+
+
+def _validate_range(point: Point, place: _Place) -> None:
+    low, high = point.minimum, point.maximum
+    if low is not None and high is not None and low > high:
+        place.wrong("minimum", f"{low} is more than the maximum, {high}")
+    if point.default is None:
+        return
+    if point.type is PointType.BIT and point.default > 1:
+        place.wrong("default", f"{point.default} is no bit; 0 or 1 would be right")
+    if (low is not None and point.default < low) or (high is not None and point.default > high):
+        place.wrong("default", f"{point.default} is outside {low}..{high}")

@@ -1,0 +1,57 @@
+# Everything happens in .venv, made with whatever Python 3.11 or later is at hand. A bare Debian has no
+# ensurepip, so the venv is made without pip, and the system's pip installs into it.
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin
+
+.PHONY: help install demo test lint test-peers truth format clean
+
+help:
+	@echo "make demo        install into .venv and run mbtool demo"
+	@echo "make test        install what tests need, then lint, types, import contracts, tests"
+	@echo "make test-peers  install mbpoll, tshark and libmodbus (Debian), run the tests that need them"
+	@echo "make truth       compare every capture made by others with its truth, as a table"
+	@echo "make install     install into .venv only: then .venv/bin/mbtool"
+	@echo "make format      let ruff put the code in order"
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv --without-pip $(VENV)
+
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml
+	$(PYTHON) -m pip --python $(RUN)/python install --quiet --editable .
+	@touch $@
+
+$(VENV)/installed-test: $(VENV)/installed
+	$(PYTHON) -m pip --python $(RUN)/python install --quiet --editable '.[test]'
+	@touch $@
+
+install: $(VENV)/installed
+
+demo: install
+	$(RUN)/mbtool demo
+
+lint: $(VENV)/installed-test
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/mypy
+	$(RUN)/lint-imports
+
+test: lint
+	$(RUN)/pytest
+
+test-peers: $(VENV)/installed-test
+	sudo=$$(test $$(id -u) = 0 || echo sudo); \
+	$$sudo apt-get update -qq && \
+	$$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y mbpoll tshark libmodbus-dev gcc
+	$(RUN)/pytest -m peers
+
+truth: $(VENV)/installed-test
+	$(RUN)/python -m tools.truth
+
+format: $(VENV)/installed-test
+	$(RUN)/ruff check --fix .
+	$(RUN)/ruff format .
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

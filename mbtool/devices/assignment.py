@@ -1,0 +1,161 @@
+"""Which device stands where: WHO=PROFILE of the command line."""
+
+#     5=idec-ft1a-touch                  unit 5 on any link
+#     192.168.3.250=fa3-at1m8x           an address, all its ports and units
+#     192.168.3.250:1502=fa3-at1m8x      an address and a port; [::1]:1502 for IPv6
+#     192.168.3.250/5=./pump.toml        an address and a unit
+#     all=idec-ft1a-touch                whatever nothing else names
+#
+# Where several fit a transaction the most specific wins: an address before a unit, a unit before a
+# port. Addresses are numeric, as a capture has them; names are not looked up.
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core.errors import UsageError
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import Profile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.modbus.transaction import Transaction
+
+_MAX_REMEMBERED = 1024
+
+_EXAMPLES = "5, 192.168.3.250, 192.168.3.250:1502, 192.168.3.250/5, [::1]:502 or all"
+
+
+@dataclass(frozen=True, slots=True)
+class Who:
+    """Which transactions are meant. A part that is None fits any."""
+
+    host: str | None = None
+    port: int | None = None
+    unit: int | None = None
+
+    @property
+    def specificity(self) -> int:
+        return 4 * (self.host is not None) + 2 * (self.unit is not None) + (self.port is not None)
+
+    def fits(self, host: str | None, port: int | None, unit: int) -> bool:
+        return (
+            (self.host is None or self.host == host)
+            and (self.port is None or self.port == port)
+            and (self.unit is None or self.unit == unit)
+        )
+
+    def __str__(self) -> str:
+        if self.host is None:
+            return "all" if self.unit is None else str(self.unit)
+        host = self.host
+        if self.port is not None:
+            host = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+        return host if self.unit is None else f"{host}/{self.unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """One WHO=PROFILE."""
+
+    who: Who
+    profile: Profile
+
+
+def parse_assignment(text: str) -> Assignment:
+    """Read WHO=PROFILE and load the profile. Raises UsageError."""
+    who, equals, profile = text.partition("=")
+    if not equals or not who or not profile:
+        raise UsageError(
+            f"device {text!r}: write WHO=PROFILE, for example 192.168.3.250/5=fa3-at1m8x; "
+            f"WHO is {_EXAMPLES}"
+        )
+    return Assignment(parse_who(who), load_profile(profile))
+
+
+def parse_who(text: str) -> Who:
+    """Read WHO. Raises UsageError."""
+    if text == "all":
+        return Who()
+    if text.isascii() and text.isdigit():
+        return Who(unit=_parse_number(text, text, 0xFF, "unit"))
+    address, slash, unit = text.partition("/")
+    number = _parse_number(text, unit, 0xFF, "unit") if slash else None
+    host, port = _split_endpoint(address)
+    try:
+        numeric = str(ipaddress.ip_address(host))
+    except ValueError:
+        raise UsageError(f"device {text!r}: WHO is {_EXAMPLES}") from None
+    return Who(
+        numeric,
+        _parse_number(text, port, 0xFFFF, "port") if port is not None else None,
+        number,
+    )
+
+
+class Assignments:
+    """The devices that the user named."""
+
+    def __init__(self, assignments: Iterable[Assignment] = ()) -> None:
+        """Raises UsageError where one WHO has two profiles."""
+        # Most specific first, so that the first that fits is the answer.
+        self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
+        self._remembered: dict[tuple[str | None, int], Profile | None] = {}
+        seen: dict[Who, Profile] = {}
+        for each in self._assignments:
+            first = seen.setdefault(each.who, each.profile)
+            if first != each.profile:
+                raise UsageError(
+                    f"device {str(each.who)!r} is given two profiles, "
+                    f"{first.name} and {each.profile.name}; name one"
+                )
+
+    @property
+    def profiles(self) -> list[Profile]:
+        """The profiles in use, each once."""
+        return list({each.profile.name: each.profile for each in self._assignments}.values())
+
+    def profile_for(self, transaction: Transaction) -> Profile | None:
+        """The profile of the slave of a transaction, if the user named one."""
+        key = (transaction.destination, transaction.unit)
+        try:
+            return self._remembered[key]
+        except KeyError:
+            pass
+        if len(self._remembered) >= _MAX_REMEMBERED:
+            self._remembered.clear()
+        profile = self._remembered[key] = self._find(*key)
+        return profile
+
+    def _find(self, destination: str | None, unit: int) -> Profile | None:
+        host, port = _split_endpoint(destination) if destination is not None else (None, None)
+        number = int(port) if port is not None and port.isdigit() else None
+        for each in self._assignments:
+            if each.who.fits(host, number, unit):
+                return each.profile
+        return None
+
+
+def _split_endpoint(text: str) -> tuple[str, str | None]:
+    """Host and port of `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` and `[::1]:502`."""
+    if text.startswith("["):
+        host, closed, rest = text[1:].partition("]")
+        if rest.startswith(":"):
+            return host, rest[1:]
+        return (host, None) if closed and not rest else (text, None)
+    if text.count(":") == 1:
+        host, _, port = text.partition(":")
+        return host, port
+    return text, None
+
+
+def _parse_number(text: str, digits: str, highest: int, what: str) -> int:
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 5 and int(digits) <= highest):
+        raise UsageError(
+            f"device {text!r}: {digits!r} is no {what}; a {what} is 0 to {highest}, "
+            f"and WHO is {_EXAMPLES}"
+        )
+    return int(digits)

@@ -1,0 +1,225 @@
+"""Gives transactions the names of their devices."""
+
+# A profile is compiled into a vocabulary once. What a request addresses (reference, places,
+# findings) depends only on its function, addresses and quantities, and a master asks the same few
+# things over and over: the vocabulary remembers them, at most _MAX_REMEMBERED, so that a repeated
+# request costs one look-up and its values.
+#
+# Function 17H reads and writes: its reference names both, and its places are those written, from
+# the request, and those read, from the response. Function 16H writes masks, no value.
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.devices.assignment import Assignments
+from mbtool.devices.findings import exception_finding, request_findings
+from mbtool.devices.model import AnswerWord, Point, PointType, Profile
+from mbtool.devices.named import NamedTransaction, PointValue
+from mbtool.devices.references import write_reference
+from mbtool.devices.values import Place
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.pdu import pdu_of
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.modbus.transaction import Transaction
+
+_MAX_REMEMBERED = 4096
+
+_MASK_WRITE = 0x16
+_READ_WRITE = 0x17
+
+
+class Namer:
+    """Names transactions by the profiles that the user assigned."""
+
+    def __init__(self, assignments: Assignments | None = None) -> None:
+        self._assignments = assignments or Assignments()
+        self._neutral = _Vocabulary(None)
+        self._vocabularies: dict[int, _Vocabulary] = {}
+
+    def name(self, transaction: Transaction) -> NamedTransaction:
+        """The same transaction with device, reference, points and findings.
+
+        Never raises, also for values that no wire carries.
+        """
+        profile = self._assignments.profile_for(transaction)
+        if profile is None:
+            return self._neutral.name(transaction)
+        # By identity: it is quick, and the assignments keep every profile alive.
+        vocabulary = self._vocabularies.get(id(profile))
+        if vocabulary is None:
+            vocabulary = self._vocabularies[id(profile)] = _Vocabulary(profile)
+        return vocabulary.name(transaction)
+
+
+@dataclass(frozen=True, slots=True)
+class _Meaning:
+    """What one combination of function, addresses and quantities means."""
+
+    function_name: str | None = None
+    reference: str | None = None
+    written: tuple[tuple[int, Place], ...] = ()
+    """Each place with the index of its first value."""
+    read: tuple[tuple[int, Place], ...] = ()
+    answer: Place | None = None
+    findings: tuple[str, ...] = ()
+
+
+class _Vocabulary:
+    """A profile, made ready for naming."""
+
+    def __init__(self, profile: Profile | None) -> None:
+        self.profile = profile
+        self._places: dict[Table, list[Place]] = {}
+        self._addresses: dict[Table, list[int]] = {}
+        self._remembered: dict[tuple[int, ...], _Meaning] = {}
+        if profile is not None:
+            self._compile(profile)
+
+    def name(self, transaction: Transaction) -> NamedTransaction:
+        meaning = self._meaning(transaction)
+        findings = meaning.findings
+        if transaction.exception is not None and self.profile is not None:
+            extra = exception_finding(self.profile, transaction.exception)
+            findings = (*findings, extra) if extra is not None else findings
+        fields = msgspec.structs.asdict(transaction)
+        if meaning.function_name is not None:
+            fields["function_name"] = meaning.function_name
+        return NamedTransaction(
+            **fields,
+            device=self.profile.name if self.profile is not None else None,
+            reference=meaning.reference,
+            points=_points(meaning, transaction),
+            findings=list(findings),
+        )
+
+    def _compile(self, profile: Profile) -> None:
+        for table in Table:
+            places = [
+                Place(point, address, write_reference(profile, table, address, point.type.words))
+                for point in profile.points
+                if point.table is table
+                for address in point.addresses
+            ]
+            places.sort(key=lambda place: place.address)
+            self._places[table] = places
+            self._addresses[table] = [place.address for place in places]
+
+    def _meaning(self, transaction: Transaction) -> _Meaning:
+        # -1 stands for what a transaction does not have; no field on a wire is negative.
+        key = (
+            transaction.function,
+            -1 if transaction.address is None else transaction.address,
+            -1 if transaction.quantity is None else transaction.quantity,
+            -1 if transaction.write_address is None else transaction.write_address,
+            len(transaction.request_values or ()) if transaction.function == _READ_WRITE else 0,
+        )
+        meaning = self._remembered.get(key)
+        if meaning is None:
+            if len(self._remembered) >= _MAX_REMEMBERED:
+                self._remembered.clear()
+            meaning = self._remembered[key] = self._work_out(transaction)
+        return meaning
+
+    def _work_out(self, transaction: Transaction) -> _Meaning:
+        function, address, quantity = (
+            transaction.function,
+            transaction.address,
+            transaction.quantity,
+        )
+        findings: tuple[str, ...] = ()
+        title: str | None = None
+        answer: Place | None = None
+        if self.profile is not None:
+            findings = tuple(request_findings(self.profile, function, address, quantity))
+            rule = self.profile.rule(function)
+            if rule is not None:
+                title = rule.title
+                answer = _answer_place(rule.answer, function) if rule.answer is not None else None
+        known = FUNCTIONS.get(function)
+        if known is None or known.table is None or address is None:
+            return _Meaning(title, answer=answer, findings=findings)
+        reference = write_reference(self.profile, known.table, address, quantity)
+        places = self._between(known.table, address, max(quantity or 1, 1))
+        if function == _READ_WRITE and transaction.write_address is not None:
+            start, count = transaction.write_address, len(transaction.request_values or ())
+            written = write_reference(self.profile, known.table, start, count)
+            return _Meaning(
+                title,
+                reference=f"{reference}, write {written}",
+                written=self._between(known.table, start, count),
+                read=places,
+                findings=findings,
+            )
+        if function == _MASK_WRITE:
+            places = ()
+        return _Meaning(
+            title,
+            reference=reference,
+            written=places if known.writes else (),
+            read=() if known.writes else places,
+            findings=findings,
+        )
+
+    def _between(self, table: Table, address: int, quantity: int) -> tuple[tuple[int, Place], ...]:
+        """The places whose registers or bits are all in a range, each with its index there."""
+        addresses = self._addresses.get(table, [])
+        first = bisect_left(addresses, address)
+        last = bisect_left(addresses, address + quantity)
+        return tuple(
+            (place.address - address, place)
+            for place in (self._places[table][first:last] if last > first else ())
+            if place.address + place.words <= address + quantity
+        )
+
+
+def _answer_place(answer: AnswerWord, function: int) -> Place:
+    point = Point(
+        name=answer.name,
+        table=Table.HOLDING_REGISTERS,  # Not looked at: the word has no address.
+        address=0,
+        type=PointType.UINT16,
+        texts=answer.texts,
+    )
+    return Place(point, 0, f"{function:02X}H")
+
+
+def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
+    points: list[PointValue] = []
+    if meaning.written and transaction.request_values:
+        points += _values(meaning.written, transaction.request_values)
+    if meaning.read and transaction.response_values:
+        points += _values(meaning.read, transaction.response_values)
+    if meaning.answer is not None:
+        word = _answer_word(transaction)
+        if word is not None:
+            points.append(meaning.answer.value([word]))
+    return points
+
+
+def _values(places: Sequence[tuple[int, Place]], values: Sequence[int]) -> list[PointValue]:
+    # A response may bring less than was asked for.
+    return [
+        place.value(values[index : index + place.words])
+        for index, place in places
+        if index + place.words <= len(values)
+    ]
+
+
+def _answer_word(transaction: Transaction) -> int | None:
+    """The word behind the function code, where that is the whole answer."""
+    if transaction.response_raw is None or transaction.exception is not None:
+        return None
+    try:
+        _, pdu = pdu_of(transaction.transport, transaction.response_raw)
+    except (IndexError, ValueError):
+        return None  # A log that others wrote may hold anything.
+    return int.from_bytes(pdu[1:], "big") if len(pdu) == 3 else None

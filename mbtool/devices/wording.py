@@ -1,0 +1,66 @@
+"""What a named transaction is about, in one line as its manual would put it."""
+
+#     0102H A/D conversion enable/disable setting: CH1 CH2 CH6 CH8 enabled
+#     X10..X17 A/D conversion completion flag: CH1 CH2 CH6 CH8 on
+#     RWr2..RWr9 digital operation value: CH1 12000, CH2 4000, ...
+#     HR400001..400002                                                  (the manual names no more)
+#
+# Points whose names differ in their first word only (CH1 digital value, CH2 digital value) are said
+# together, and so are those whose name is their reference (X0, X1). Of several bits, those that are
+# 1 are named.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.devices.named import NamedTransaction, PointValue
+
+
+def describe(transaction: NamedTransaction) -> str:
+    """The reference and the named values in one line; empty where there are neither."""
+    reference = transaction.reference or ""
+    phrases = "; ".join(describe_points(transaction.points))
+    if not phrases:
+        return reference
+    joint = ": " if transaction.points[0].name == transaction.points[0].reference else " "
+    return f"{reference}{joint}{phrases}" if reference else phrases
+
+
+def describe_points(points: Sequence[PointValue]) -> list[str]:
+    """One phrase for each series of points, in their order."""
+    series: dict[str, list[tuple[str, PointValue]]] = {}
+    for point in points:
+        label, _, subject = point.name.partition(" ")
+        if point.name == point.reference:
+            subject = ""
+        elif not subject:
+            subject = point.name
+        series.setdefault(subject, []).append((label, point))
+    phrases = []
+    for subject, members in series.items():
+        if not subject:
+            phrases.append(_values(members))
+        elif len(members) == 1:
+            phrases.append(f"{members[0][1].name}: {members[0][1].text}")
+        else:
+            phrases.append(f"{subject}: {_values(members)}")
+    return phrases
+
+
+def _values(members: Sequence[tuple[str, PointValue]]) -> str:
+    if not all(_is_bit(point) for _, point in members):
+        return ", ".join(f"{label} {point.text}" for label, point in members)
+    if len(members) == 1:
+        return members[0][1].text
+    ones = [label for label, point in members if point.value == 1]
+    if not ones:
+        return f"all {members[0][1].text}"
+    text = next(point.text for _, point in members if point.value == 1)
+    return f"{' '.join(ones)} {text}"
+
+
+def _is_bit(point: PointValue) -> bool:
+    return point.value in (0, 1) and not point.text[:1].isdigit()

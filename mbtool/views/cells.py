@@ -1,0 +1,172 @@
+"""The words of the transaction table: each cell as text, for any way of showing it."""
+
+#     #   time          link   unit  function         what              result       latency
+#     12  09:14:03.201  rs485  1     03 read holding  HR400001..400002  4660, 22136  8.2 ms
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind
+from mbtool.devices import describe, describe_points, finding_text
+from mbtool.modbus import FUNCTIONS, Outcome
+
+if TYPE_CHECKING:
+    from mbtool.core import WireEvent
+    from mbtool.devices import NamedTransaction, Profile
+
+MAX_VALUES = 16
+"""How many values a result lists before it says how many more there are."""
+
+MAX_RAW = 16
+"""How many bytes of skipped ones are shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table."""
+
+    number: str
+    time: str
+    link: str
+    unit: str
+    function: str
+    what: str
+    result: str
+    latency: str
+    trouble: bool
+    """Something a reader should not miss."""
+
+    def cells(self) -> tuple[str, ...]:
+        return (
+            self.number,
+            self.time,
+            self.link,
+            self.unit,
+            self.function,
+            self.what,
+            self.result,
+            self.latency,
+        )
+
+
+HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency")
+
+
+def transaction_row(
+    number: int, transaction: NamedTransaction, profile: Profile | None = None
+) -> Row:
+    """A transaction as a line; the profile gives findings their figures."""
+    return Row(
+        number=str(number),
+        time=clock_time(transaction.start_ns),
+        link=transaction.link,
+        unit=str(transaction.unit),
+        function=function_text(transaction),
+        what=what_text(transaction, profile),
+        result=result_text(transaction),
+        latency=latency_text(transaction.latency_ns),
+        trouble=transaction.outcome not in (Outcome.OK, Outcome.BROADCAST),
+    )
+
+
+def event_row(event: WireEvent) -> Row:
+    """A wire event as a line of the same table."""
+    return Row(
+        number="",
+        time=clock_time(event.ts_ns),
+        link=event.link,
+        unit="",
+        function=event.kind.value,
+        what=event.message,
+        result=_shortened(event.raw),
+        latency="",
+        trouble=event.kind not in (EventKind.OPENED, EventKind.CLOSED),
+    )
+
+
+def function_text(transaction: NamedTransaction) -> str:
+    """The code in hexadecimal and the function's name; a vendor's own name where he gives one."""
+    function = FUNCTIONS.get(transaction.function)
+    name = transaction.function_name
+    if function is not None and name == function.name:
+        name = function.short
+    elif function is None and name.startswith("function "):
+        name = "unknown function"
+    return f"{transaction.function:02X} {name}"
+
+
+def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> str:
+    """What is addressed, and for a write what is written; then the rules it breaks."""
+    function = FUNCTIONS.get(transaction.function)
+    writes = function is not None and function.writes
+    text = transaction.reference or ""
+    if writes and transaction.points:
+        text = describe(transaction)
+    elif writes and transaction.request_values:
+        text = f"{text} := {values_text(transaction.request_values)}"
+    elif not text and transaction.sub_function is not None:
+        text = f"sub-function {transaction.sub_function:02X}"
+    if transaction.retries:
+        text = f"{text} (retry {transaction.retries})"
+    for code in transaction.findings:
+        text = f"{text}  ! {code} {finding_text(code, profile)}"
+    return text.strip()
+
+
+def result_text(transaction: NamedTransaction) -> str:
+    """How it ended, and what a read brought."""
+    if transaction.exception is not None:
+        text = f"exception {transaction.exception:02X} {transaction.exception_name or ''}".rstrip()
+        unasked = transaction.outcome is Outcome.UNSOLICITED
+        return f"unsolicited {text}" if unasked else text
+    match transaction.outcome:
+        case Outcome.NO_ANSWER:
+            return "no answer"
+        case Outcome.BROADCAST:
+            return "broadcast"
+        case Outcome.MALFORMED:
+            return "malformed answer"
+        case Outcome.UNSOLICITED:
+            values = transaction.response_values
+            return f"unsolicited {values_text(values)}" if values else "unsolicited"
+    function = FUNCTIONS.get(transaction.function)
+    if transaction.points and not (function is not None and function.writes):
+        return "; ".join(describe_points(transaction.points))
+    return values_text(transaction.response_values) if transaction.response_values else "ok"
+
+
+def values_text(values: list[int]) -> str:
+    """Registers or bits; of many, the first."""
+    text = ", ".join(map(str, values[:MAX_VALUES]))
+    return text if len(values) <= MAX_VALUES else f"{text}, ... ({len(values)} values)"
+
+
+def latency_text(latency_ns: int | None) -> str:
+    """Milliseconds, or seconds from ten of them on."""
+    if latency_ns is None:
+        return ""
+    if latency_ns >= 10_000_000_000:
+        return f"{latency_ns / 1e9:.1f} s"
+    return f"{latency_ns / 1e6:.1f} ms"
+
+
+def clock_time(ts_ns: int) -> str:
+    """Time of day in UTC, to the millisecond."""
+    return f"{_moment(ts_ns):%H:%M:%S}.{ts_ns // 1_000_000 % 1000:03d}"
+
+
+def day(ts_ns: int) -> str:
+    """The date in UTC."""
+    return f"{_moment(ts_ns):%Y-%m-%d}"
+
+
+def _moment(ts_ns: int) -> datetime:
+    return datetime.fromtimestamp(ts_ns // 1_000_000_000, UTC)
+
+
+def _shortened(raw: bytes) -> str:
+    text = raw[:MAX_RAW].hex(" ")
+    return text if len(raw) <= MAX_RAW else f"{text} ..."

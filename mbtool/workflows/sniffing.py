@@ -1,0 +1,119 @@
+"""Listens on links, decodes what is heard, and logs both."""
+
+# One loop for all sources: an item goes into the log as evidence before it is decoded, and what is
+# decoded follows it into the log before anyone sees it. When the run ends, sources are closed
+# first, then all that they had heard is decoded, and last the log is made whole.
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Protocol, Self
+
+from mbtool.core import Chunk, LinkError, Packet, WireEvent
+from mbtool.sources.clock import now_ns
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.live import live_source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.core import LinkSpec
+    from mbtool.devices import NamedTransaction
+    from mbtool.workflows.decoding import Decoder, Evidence, Record
+
+POLL_S = 0.1
+"""How long the loop waits for an item before it looks at the clock."""
+
+
+class Log(Protocol):
+    """What sniffing needs of a log."""
+
+    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
+
+    def tick(self, now_ns: int) -> None:
+        """Learn the time, so that nothing stays in memory for long."""
+
+    def close(self) -> None: ...
+
+
+class Sniffer:
+    """Runs sources until told to stop; a context manager whose exit leaves the log complete."""
+
+    def __init__(
+        self,
+        links: Sequence[LinkSpec],
+        decoder: Decoder,
+        *,
+        log: Log | None = None,
+        ports: Sequence[int] = (),
+        on_lost: Callable[[LinkError], None] = lambda _error: None,
+    ) -> None:
+        """`on_lost` is told when a link goes away while others stay."""
+        self._links = links
+        self._decoder = decoder
+        self._log = log
+        self._ports = ports
+        self._on_lost = on_lost
+        self._inbox = Inbox()
+        self._sources = ExitStack()
+        self._open = 0
+        self._over = False
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            if self._log is not None:
+                opened.callback(self._log.close)
+            for link in self._links:
+                opened.enter_context(live_source(link, self._inbox, ports=self._ports))
+            self._sources = opened.pop_all()
+        self._open = len(self._links)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for _record in self._rest():
+            pass  # Nobody looks any more, but the log wants it.
+        if self._log is not None:
+            self._log.close()
+
+    def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
+        """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
+
+        Raises LinkError when the last link is lost.
+        """
+        lost: LinkError | None = None
+        while self._open and not stop(now_ns()):
+            item = self._inbox.get(POLL_S)
+            if isinstance(item, Ended):
+                self._open -= 1
+                lost = item.error or lost
+                if item.error is not None and self._open:
+                    self._on_lost(item.error)
+            elif item is not None:
+                yield from self._take(item)
+            if self._log is not None:
+                self._log.tick(now_ns())
+        yield from self._rest()
+        if lost is not None and not self._open:
+            raise lost
+
+    def _take(self, item: Evidence) -> Iterator[Record]:
+        if self._log is not None and isinstance(item, Chunk | Packet):
+            self._log.write(item)
+        yield from self._logged(self._decoder.feed(item))
+
+    def _rest(self) -> Iterator[Record]:
+        """Close the sources and give what they had still heard. Does nothing the second time."""
+        if self._over:
+            return
+        self._over = True
+        self._sources.close()
+        while (item := self._inbox.get(0)) is not None:
+            if not isinstance(item, Ended):
+                yield from self._take(item)
+        yield from self._logged(self._decoder.close())
+
+    def _logged(self, records: list[Record]) -> Iterator[Record]:
+        for record in records:
+            if self._log is not None:
+                self._log.write(record)
+        yield from records

@@ -1,0 +1,69 @@
+"""The manuals' worked messages: read, written, and put into the manuals' words."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import Direction
+from mbtool.devices import Assignments, NamedTransaction, Namer, describe, load_profile
+from mbtool.devices.assignment import Assignment, Who
+from mbtool.modbus.pdu import Pdu, encode_pdu, parse_pdu
+from tests.cases.worked_examples import WorkedExample, worked_examples
+from tests.devices.transactions import transaction_of
+
+_EXAMPLES = worked_examples()
+# What is not Modbus by its protocol ID is an event of the link, and never becomes a transaction.
+_NAMED = [
+    (example, device) for example in _EXAMPLES if not example.foreign for device in example.devices
+]
+
+
+@pytest.mark.parametrize(
+    "example", [each for each in _EXAMPLES if each.request and each.well_formed], ids=str
+)
+def test_request_is_parsed_and_encoded_back(example: WorkedExample) -> None:
+    parsed = parse_pdu(example.request_pdu, Direction.REQUEST)
+    assert parsed.problem is None
+    assert _encode(parsed, Direction.REQUEST) == example.request_pdu
+
+
+@pytest.mark.parametrize("example", [each for each in _EXAMPLES if each.response], ids=str)
+def test_response_is_parsed_and_encoded_back(example: WorkedExample) -> None:
+    parsed = parse_pdu(example.response_pdu, Direction.RESPONSE)
+    assert parsed.problem is None
+    assert _encode(parsed, Direction.RESPONSE) == example.response_pdu
+
+
+def test_request_with_a_wrong_byte_count_is_read_whole() -> None:
+    (wrong,) = [each for each in _EXAMPLES if not each.well_formed]
+    parsed = parse_pdu(wrong.request_pdu, Direction.REQUEST)
+    assert parsed.number("quantity") == 1
+    assert parsed.numbers() == (600, 10)
+
+
+@pytest.mark.parametrize(("example", "device"), _NAMED, ids=str)
+def test_example_is_named_in_the_manuals_words(example: WorkedExample, device: str) -> None:
+    named = _name(example, device)
+    assert named.device == device
+    assert named.reference == example.reference
+    assert [f"{point.reference} | {point.name} | {point.text}" for point in named.points] == (
+        example.points or []
+    )
+    assert named.findings == (example.findings or [])
+    assert describe(named) == (example.says or example.reference or "")
+    if example.function_name is not None:
+        assert named.function_name == example.function_name
+
+
+def test_every_built_in_profile_has_an_example() -> None:
+    devices = {device for _, device in _NAMED}
+    assert len(devices) == 6
+
+
+def _name(example: WorkedExample, device: str) -> NamedTransaction:
+    namer = Namer(Assignments([Assignment(Who(), load_profile(device))]))
+    return namer.name(transaction_of(example))
+
+
+def _encode(parsed: Pdu, direction: Direction) -> bytes:
+    return encode_pdu(parsed.code, direction, **parsed.fields)

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import pytest
+
+from mbtool.devices import RULES, finding_text, load_profile
+from mbtool.devices.findings import exception_finding, request_findings
+
+FT1A = load_profile("idec-ft1a-touch")
+
+
+@pytest.mark.parametrize(
+    ("function", "address", "quantity", "codes"),
+    [
+        (0x10, 0, 100, []),
+        (0x10, 0, 110, ["FT1A-Q16"]),
+        (0x03, 0, 0, ["FT1A-Q3"]),
+        (0x03, 4095, 2, ["FT1A-A3"]),
+        (0x01, 4000, 2001, ["FT1A-Q1", "FT1A-A1"]),
+        (0x0F, 9999, 1, ["FT1A-F15"]),
+        (0x06, 4096, None, ["FT1A-A6"]),
+        (0x03, None, None, []),
+    ],
+)
+def test_request_is_held_against_the_manual(
+    function: int, address: int | None, quantity: int | None, codes: list[str]
+) -> None:
+    assert list(request_findings(FT1A, function, address, quantity)) == codes
+
+
+def test_functions_of_the_makers_own_are_no_finding() -> None:
+    fa3 = load_profile("fa3-at1m8x")
+    assert list(request_findings(fa3, 0x42, None, None)) == []
+    assert list(request_findings(fa3, 0x45, None, None)) == ["FA3-F69"]
+
+
+def test_exception_is_held_against_the_manual() -> None:
+    assert exception_finding(FT1A, 2) is None
+    assert exception_finding(FT1A, 3) == "FT1A-E3"
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        ("FT1A-Q16", "limit is 100"),
+        ("FT1A-F15", "the device has no write multiple coils"),
+        ("FT1A-A3", "not an address that one can read"),
+        ("FT1A-A6", "not an address that one can write"),
+        ("FT1A-E3", "exception 03 (illegal data value) is not documented"),
+        ("RTU-CRC", "RTU-CRC"),
+    ],
+)
+def test_code_is_put_into_words(code: str, text: str) -> None:
+    assert finding_text(code, FT1A) == text
+
+
+def test_code_has_words_without_its_profile() -> None:
+    assert finding_text("FT1A-Q16") == "the quantity is not allowed"
+
+
+def test_every_rule_has_words() -> None:
+    for letter in RULES:
+        assert finding_text(f"FT1A-{letter}3", FT1A) != f"FT1A-{letter}3"

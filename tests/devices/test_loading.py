@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import ProfileError, UsageError
+from mbtool.devices import (
+    PointType,
+    Profile,
+    builtin_profiles,
+    load_profile,
+    profile_from_json,
+    profile_to_json,
+)
+from mbtool.devices.loading import MAX_FILE_BYTES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PUMP = """
+name = "pump"
+title = "A pump"
+vendor = "Maker"
+transports = ["rtu"]
+source = "its manual"
+
+[functions]
+03 = { limit = 16 }
+
+[[areas]]
+name = "data"
+table = "holding_registers"
+first = 0
+last = 9
+access = "rw"
+
+[[points]]
+name = "Speed"
+table = "holding_registers"
+address = 3
+"""
+
+
+def _load(folder: Path, text: str, name: str = "pump.toml") -> Profile:
+    (folder / name).write_text(text, encoding="utf-8")
+    return load_profile(str(folder / name))
+
+
+def _problem(folder: Path, text: str) -> tuple[str, str]:
+    with pytest.raises(ProfileError) as caught:
+        _load(folder, text)
+    assert caught.value.file == str(folder / "pump.toml")
+    assert "\n" not in str(caught.value)
+    return caught.value.key, caught.value.problem
+
+
+def test_loads_a_file_of_the_users_own(tmp_path: Path) -> None:
+    profile = _load(tmp_path, PUMP)
+    assert profile.name == "pump"
+    assert profile.points[0].type is PointType.UINT16
+
+
+def test_built_in_profile_is_read_once() -> None:
+    assert load_profile("fa3-at1m8x") is load_profile("fa3-at1m8x")
+
+
+def test_unknown_name_brings_the_nearest_and_the_list() -> None:
+    with pytest.raises(UsageError, match=r"did you mean fa3-at1m8. or fa3-at1m8.\?") as caught:
+        load_profile("FA3-AT1M8")
+    for name in builtin_profiles():
+        assert name in str(caught.value)
+
+
+def test_part_of_a_family_is_no_profile() -> None:
+    with pytest.raises(UsageError, match="built-in ones are"):
+        load_profile("_fa3")
+
+
+def test_absent_file_is_named_with_the_reason(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"nothing\.toml' cannot be read: No such file"):
+        load_profile(str(tmp_path / "nothing.toml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "problem"),
+    [
+        ("last = 9", "last =", "line 15, column 7", "not TOML: Invalid value"),
+        ("last = 9", "last = 70000", 'areas "data".last', "<= 65535, not 70000"),
+        ("last = 9", 'last = "9"', 'areas "data".last', "expected a whole number, not '9'"),
+        ("last = 9", "last = true", 'areas "data".last', "expected a whole number, not true"),
+        ("last = 9", "lost = 9", 'areas "data".lost', "unknown key; did you mean 'last'?"),
+        ("last = 9\n", "", 'areas "data".last', "this key is missing"),
+        ('"rw"', '"write"', 'areas "data".access', "expected one of r, rw, not 'write'"),
+        ('["rtu"]', '["usb"]', "transports[0]", "one of rtu, ascii, tcp, rtu-tcp, not 'usb'"),
+        ('["rtu"]', '"rtu"', "transports", "expected one of rtu, ascii"),
+        ('title = "A pump"\n', "", "title", "this key is missing"),
+        ("03 =", "3 =", "functions.3", "two hexadecimal digits"),
+        ("03 =", "83 =", "functions.83", "01 to 7F"),
+        ("limit = 16", "limit = 0", "functions.03.limit", ">= 1, not 0"),
+        ("limit = 16", "answer = 1", "functions.03.answer", "expected a table, not 1"),
+        ("{ limit = 16 }", "16", "functions.03", "expected a table, not 16"),
+        ("address = 3", "address = -1", 'points "Speed".address', ">= 0, not -1"),
+        ("address = 3", 'address = 3\ntype = "word"', 'points "Speed".type', "one of bit, uint16"),
+        ("address = 3", "address = 3\ntexts = 5", 'points "Speed".texts', "a table of value"),
+        (
+            "address = 3",
+            "address = 3\ntexts = {on = 'x'}",
+            'points "Speed".texts.on',
+            "3 or 0x0E30",
+        ),
+        ("address = 3", "address = 3\ntexts = {1 = 2}", 'points "Speed".texts.1', "a text, not 2"),
+        ('name = "Speed"', "name = 1", "points[0].name", "expected a text, not 1"),
+        ("[[points]]", "[points]", "points", "expected [[points]] tables"),
+        ('source = "its manual"', "source = 's'\nnotes = 'n'", "notes", "expected a list, not 'n'"),
+        ('source = "its manual"', "source = 's'\nextends = 1", "extends", "name or path, not 1"),
+        ('source = "its manual"', "source = 's'\nextends = 'x'", "extends", "no profile 'x'"),
+    ],
+)
+def test_mistake_is_told_with_its_key_and_what_would_be_right(
+    tmp_path: Path, old: str, new: str, key: str, problem: str
+) -> None:
+    assert old in PUMP
+    told = _problem(tmp_path, PUMP.replace(old, new))
+    assert told[0] == key
+    assert problem in told[1]
+
+
+def test_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "pump.toml").write_bytes(b"name = \xff")
+    with pytest.raises(ProfileError, match="byte 7: not UTF-8"):
+        load_profile(str(tmp_path / "pump.toml"))
+
+
+def test_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
+    assert _problem(tmp_path, "#" * (MAX_FILE_BYTES + 1))[0] == "size"
+
+
+def test_nesting_without_end_is_refused(tmp_path: Path) -> None:
+    assert _problem(tmp_path, "a = " + "[" * 100_000)[0] == "TOML"
+
+
+def test_profile_extends_a_built_in_one(tmp_path: Path) -> None:
+    mine = _load(
+        tmp_path,
+        """
+        extends = "idec-ft1a-touch"
+        name = "line-3"
+        notes = ["Beside the press."]
+
+        [functions]
+        10 = { limit = 32 }
+
+        [exceptions]
+        documented = [1, 2, 3]
+
+        [[areas]]
+        name = "coil status"
+        table = "coils"
+        first = 0
+        last = 15
+        access = "r"
+        prefix = "C"
+        base = 1
+
+        [[points]]
+        name = "Speed"
+        table = "holding_registers"
+        address = 0
+        """,
+    )
+    base = load_profile("idec-ft1a-touch")
+    assert mine.name == "line-3"
+    assert mine.vendor == base.vendor
+    assert mine.functions["10"].limit == 32
+    assert mine.functions["03"] == base.functions["03"]
+    assert mine.exceptions.value == 2
+    assert mine.exceptions.documented == [1, 2, 3]
+    assert [area.last for area in mine.areas] == [15, 4095, 4095, 4095]
+    assert mine.notes == [*base.notes, "Beside the press."]
+
+
+def test_profile_extends_a_file_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(PUMP, encoding="utf-8")
+    assert _load(tmp_path, 'extends = "base.toml"\nname = "second"').title == "A pump"
+
+
+def test_mistake_in_an_extended_file_names_that_file(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(PUMP.replace("last = 9", "last = -9"), encoding="utf-8")
+    with pytest.raises(ProfileError) as caught:
+        _load(tmp_path, 'extends = "base.toml"')
+    assert caught.value.file == str(tmp_path / "base.toml")
+
+
+def test_circle_of_files_is_refused(tmp_path: Path) -> None:
+    key, problem = _problem(tmp_path, 'extends = "pump.toml"')
+    assert key == "extends"
+    assert "circle" in problem
+
+
+@pytest.mark.parametrize("name", builtin_profiles())
+def test_profile_comes_back_whole_from_json(name: str) -> None:
+    profile = load_profile(name)
+    assert profile_from_json(profile_to_json(profile), "log") == profile
+
+
+@pytest.mark.parametrize("data", [b"", b"[]", b"\xff", b"{", b"[" * 100_000, b"{}"])
+def test_json_that_is_no_profile_is_refused(data: bytes) -> None:
+    with pytest.raises(ProfileError, match=r"^log: "):
+        profile_from_json(data, "log")
+
+
+def test_import_reads_no_profile() -> None:
+    code = """
+import sys
+opened = []
+sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
+import mbtool.devices
+assert not [name for name in opened if name.endswith(".toml")], opened
+mbtool.devices.load_profile("idec-ft1a-touch")
+assert len([name for name in opened if name.endswith(".toml")]) == 1
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=30)

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.devices import Assignments, NamedTransaction, Namer, load_profile
+from mbtool.devices.assignment import Assignment, Who
+from mbtool.devices.naming import _MAX_REMEMBERED
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.transaction import Outcome
+from tests.devices.transactions import transaction
+
+
+def _namer(device: str) -> Namer:
+    return Namer(Assignments([Assignment(Who(), load_profile(device))]))
+
+
+AT1M8X = _namer("fa3-at1m8x")
+FT1A = _namer("idec-ft1a-touch")
+
+
+def _texts(named: NamedTransaction) -> dict[str, str]:
+    return {point.reference: point.text for point in named.points}
+
+
+def test_without_a_profile_only_the_reference_is_named() -> None:
+    named = Namer().name(transaction(3, 107, quantity=3, response_values=[1, 2, 3]))
+    assert named.reference == "holding 107..109"
+    assert named.device is None
+    assert named.points == []
+    assert named.findings == []
+
+
+def test_all_of_the_transaction_is_kept() -> None:
+    plain = transaction(3, 0, quantity=1, response_values=[5], latency_ns=7, source="10.0.0.1:9")
+    named = FT1A.name(plain)
+    for field in plain.__struct_fields__:
+        assert getattr(named, field) == getattr(plain, field)
+
+
+def test_read_brings_the_points_of_the_response() -> None:
+    named = AT1M8X.name(transaction(4, 1, quantity=2, response_values=[0x0E30, 0xFFFF]))
+    assert _texts(named) == {"RWr1": "0E30H alive check error", "RWr2": "-1"}
+
+
+def test_read_without_an_answer_has_no_points() -> None:
+    named = AT1M8X.name(transaction(4, 2, quantity=8, outcome=Outcome.NO_ANSWER))
+    assert named.reference == "RWr2..RWr9"
+    assert named.points == []
+
+
+def test_refused_write_still_says_what_was_asked_for() -> None:
+    named = AT1M8X.name(
+        transaction(
+            6, 0x102, quantity=1, request_values=[0xFE], outcome=Outcome.EXCEPTION, exception=3
+        )
+    )
+    assert _texts(named) == {"0102H": "CH1 enabled"}
+    assert not named.took_effect
+
+
+def test_points_that_are_read_in_part_are_those_that_are_whole() -> None:
+    named = AT1M8X.name(transaction(3, 0xF4, quantity=4, response_values=[3, 30, 0, 0]))
+    assert _texts(named) == {"00F4H": "3 times", "00F5H": "30 s"}
+
+
+def test_short_response_brings_what_it_has() -> None:
+    named = AT1M8X.name(transaction(4, 2, quantity=8, response_values=[7, 8]))
+    assert list(_texts(named)) == ["RWr2", "RWr3"]
+
+
+def test_padding_bits_of_a_response_are_no_points() -> None:
+    named = AT1M8X.name(transaction(2, 0x10, quantity=3, response_values=[1, 0, 1, 0, 0, 0, 0, 0]))
+    assert list(_texts(named)) == ["X10", "X11", "X12"]
+
+
+def test_function_17h_names_what_it_reads_and_what_it_writes() -> None:
+    named = AT1M8X.name(
+        transaction(
+            0x17,
+            0xF2,
+            quantity=2,
+            write_address=0x102,
+            request_values=[0xFE],
+            response_values=[600, 10],
+        )
+    )
+    assert named.reference == "00F2H..00F3H, write 0102H"
+    assert _texts(named) == {"0102H": "CH1 enabled", "00F2H": "600 s", "00F3H": "10 s"}
+    assert named.findings == ["FA3-F23"]
+
+
+def test_masks_are_no_value() -> None:
+    named = AT1M8X.name(transaction(0x16, 0x102, request_values=[0xF2, 0x25]))
+    assert named.reference == "0102H"
+    assert named.points == []
+
+
+def test_function_of_the_makers_own_has_his_name() -> None:
+    named = AT1M8X.name(
+        transaction(
+            0x42,
+            transport=Transport.TCP,
+            response_raw=bytes.fromhex("0000 0000 0004 00 42 0017"),
+        )
+    )
+    assert named.function_name == "read model name"
+    assert [(point.name, point.text) for point in named.points] == [("Model code", "FA3-AT1M8Y")]
+
+
+def test_answer_of_another_length_is_not_put_into_words() -> None:
+    for raw in (b"", bytes.fromhex("0000 0000 0005 00 42 001700")):
+        named = AT1M8X.name(transaction(0x42, transport=Transport.TCP, response_raw=raw))
+        assert named.points == []
+
+
+def test_findings_of_request_and_exception_stand_together() -> None:
+    named = FT1A.name(
+        transaction(
+            0x10,
+            0,
+            quantity=110,
+            request_values=[0] * 110,
+            exception=3,
+            outcome=Outcome.EXCEPTION,
+        )
+    )
+    assert named.reference == "HR400001..400110"
+    assert named.findings == ["FT1A-Q16", "FT1A-E3"]
+
+
+def test_two_devices_are_told_apart() -> None:
+    namer = Namer(
+        Assignments(
+            [
+                Assignment(Who(unit=1), load_profile("fa3-at1m8x")),
+                Assignment(Who(unit=2), load_profile("fa3-at1m8y")),
+            ]
+        )
+    )
+    names = [
+        namer.name(transaction(6, 0x102, unit=unit, request_values=[0])).points[0].name
+        for unit in (1, 2)
+    ]
+    assert names == [
+        "A/D conversion enable/disable setting",
+        "D/A conversion enable/disable setting",
+    ]
+
+
+_WORDS = st.none() | st.lists(st.integers(-1, 0x10000), max_size=9)
+_NUMBERS = st.none() | st.integers(0, 0xFFFF) | st.integers(0xF0, 0x110)
+
+
+@given(
+    device=st.sampled_from(["fa3-at1m8x", "fa3-th1m16xc", "idec-ft1a-touch"]),
+    function=st.integers(0, 0x7F),
+    fields=st.fixed_dictionaries(
+        {
+            "address": _NUMBERS,
+            "quantity": _NUMBERS,
+            "write_address": _NUMBERS,
+            "request_values": _WORDS,
+            "response_values": _WORDS,
+            "exception": st.none() | st.integers(0, 0xFF),
+            "transport": st.sampled_from(list(Transport)),
+            "response_raw": st.none() | st.binary(max_size=12),
+        }
+    ),
+)
+def test_never_raises(device: str, function: int, fields: dict[str, Any]) -> None:
+    named = _namer(device).name(transaction(function, **fields))
+    assert named.device == device
+
+
+def test_memory_is_bounded() -> None:
+    namer = _namer("fa3-at1m8x")
+    for address in range(_MAX_REMEMBERED + 10):
+        namer.name(transaction(3, address, quantity=1))
+    for vocabulary in namer._vocabularies.values():
+        assert len(vocabulary._remembered) <= _MAX_REMEMBERED

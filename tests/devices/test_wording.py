@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import pytest
+
+from mbtool.devices import Namer, PointValue, describe, describe_points
+from tests.devices.transactions import transaction
+
+
+def _point(name: str, value: float, text: str) -> PointValue:
+    return PointValue(name=name, reference="R", value=value, text=text)
+
+
+def _bit(reference: str, value: int) -> PointValue:
+    return PointValue(
+        name=reference, reference=reference, value=value, text="on" if value else "off"
+    )
+
+
+@pytest.mark.parametrize(
+    ("points", "phrases"),
+    [
+        ([], []),
+        ([_point("Speed", 5, "5 rpm")], ["Speed: 5 rpm"]),
+        ([_point("Pump speed", 5, "5"), _point("State", 1, "on")], ["Pump speed: 5", "State: on"]),
+        ([_point("CH1 level", 5, "5"), _point("CH2 level", 0, "0")], ["level: CH1 5, CH2 0"]),
+        (
+            [_point("CH1 low", 1, "1"), _point("CH1 high", 2, "2"),
+             _point("CH2 low", 3, "3"), _point("CH2 high", 4, "4")],
+            ["low: CH1 1, CH2 3", "high: CH1 2, CH2 4"],
+        ),
+        ([_point("CH1 flag", 1, "set"), _point("CH2 flag", 0, "clear")], ["flag: CH1 set"]),
+        ([_point("CH1 flag", 0, "clear"), _point("CH2 flag", 0, "clear")], ["flag: all clear"]),
+        ([_bit("X0", 1), _bit("X1", 0), _bit("X2", 1)], ["X0 X2 on"]),
+        ([_bit("X0", 0)], ["off"]),
+        ([_bit("X0", 0), _bit("X1", 0)], ["all off"]),
+    ],
+)  # fmt: skip
+def test_series_of_points_are_said_together(points: list[PointValue], phrases: list[str]) -> None:
+    assert describe_points(points) == phrases
+
+
+def test_reference_stands_alone_where_the_manual_names_no_more() -> None:
+    assert describe(Namer().name(transaction(3, 0, quantity=2))) == "holding 0..1"
+
+
+def test_nothing_is_said_where_nothing_is_addressed() -> None:
+    assert describe(Namer().name(transaction(7))) == ""
