@@ -1,0 +1,27 @@
+"""From capture files to the bytes of TCP connections, without I/O."""
+
+from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
+from mbtool.packets.pcap import PCAP_MAGICS
+from mbtool.packets.pcapng import PCAPNG_MAGIC
+from mbtool.packets.reassembler import MODBUS_PORTS, TcpReassembler
+from mbtool.packets.stream_events import (
+    CloseReason,
+    StreamClosed,
+    StreamGap,
+    StreamItem,
+    StreamOpened,
+)
+
+__all__ = [
+    "CAPTURE_MAGICS",
+    "MODBUS_PORTS",
+    "PCAPNG_MAGIC",
+    "PCAP_MAGICS",
+    "CloseReason",
+    "StreamClosed",
+    "StreamGap",
+    "StreamItem",
+    "StreamOpened",
+    "TcpReassembler",
+    "read_capture",
+]

@@ -1,0 +1,36 @@
+"""Reads capture files: pcap and pcapng, told apart by their first bytes."""
+
+# A reader takes an open binary stream and gives packets one at a time, so memory does not grow
+# with the file. The stream is buffered: `read(n)` gives fewer than n bytes only at its end.
+#
+# What is wrong with a file is an InputError after the packets before it; a file that ends in the
+# middle of a record is a CutError. Both name the file by `name`.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, BinaryIO
+
+from mbtool.core import CutError, InputError, Packet
+from mbtool.packets.pcap import PCAP_MAGICS, read_pcap
+from mbtool.packets.pcapng import PCAPNG_MAGIC, read_pcapng
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+CAPTURE_MAGICS = (*PCAP_MAGICS, PCAPNG_MAGIC)
+
+
+def read_capture(stream: BinaryIO, name: str = "capture") -> Iterator[Packet]:
+    """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
+    magic = stream.read(4)
+    if magic in PCAP_MAGICS:
+        return read_pcap(stream, magic, name)
+    if magic == PCAPNG_MAGIC:
+        return read_pcapng(stream, name)
+    if not magic:
+        raise InputError(f"{name}: empty; a capture has at least a header")
+    if any(known.startswith(magic) for known in CAPTURE_MAGICS):
+        raise CutError(f"{name}: ends inside the first bytes of its header")
+    raise InputError(
+        f"{name}: not a capture (it begins with {magic.hex(' ')}); pcap and pcapng are read"
+    )

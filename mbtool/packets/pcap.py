@@ -1,0 +1,79 @@
+"""Reads the classic pcap container."""
+
+# Layout (IETF draft-ietf-opsawg-pcap), in the byte order that the magic shows:
+#
+#     magic  major  minor  zone  sigfigs  snaplen  link type     the file header
+#     4      2      2      4     4        4        4
+#
+#     seconds  fraction  captured length  original length  data  each record
+#     4        4         4                4
+#
+# The fraction counts microseconds or nanoseconds, as the magic says. The modified format of old
+# Linux patches (magic a1b2cd34) has eight more bytes in each record's header, which are skipped.
+#
+# Limits: a captured length above MAX_CAPTURED is libpcap's bound for a snapshot, so more of it is
+# damage and not a packet.
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, BinaryIO
+
+from mbtool.core import CutError, InputError, Packet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MAX_CAPTURED = 256 * 1024
+
+_NS_PER_SECOND = 1_000_000_000
+
+# Magic in file order: byte order, nanoseconds per unit of the fraction, bytes to skip per record.
+_FORMATS = {
+    bytes.fromhex("a1b2c3d4"): (">", 1000, 0),
+    bytes.fromhex("d4c3b2a1"): ("<", 1000, 0),
+    bytes.fromhex("a1b23c4d"): (">", 1, 0),
+    bytes.fromhex("4d3cb2a1"): ("<", 1, 0),
+    bytes.fromhex("a1b2cd34"): (">", 1000, 8),
+    bytes.fromhex("34cdb2a1"): ("<", 1000, 8),
+}
+PCAP_MAGICS = tuple(_FORMATS)
+
+
+def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
+    """Give the packets behind a magic that is read already. Raises InputError, CutError."""
+    order, unit_ns, extra = _FORMATS[magic]
+    header = stream.read(20)
+    if len(header) < 20:
+        raise CutError(f"{name}: ends inside the file header")
+    major, minor, link_field = struct.unpack(order + "HH12xI", header)
+    if major != 2:
+        raise InputError(f"{name}: pcap version {major}.{minor} is unknown; 2.4 is read")
+    link_type = link_field & 0xFFFF  # The upper bits tell of frame check sequences.
+    record = struct.Struct(f"{order}IIII{extra}x")
+    size = record.size
+    number = 0
+    while head := stream.read(size):
+        if len(head) < size:
+            raise _cut(name, number)
+        seconds, fraction, captured, original = record.unpack(head)
+        if captured > MAX_CAPTURED:
+            raise InputError(
+                f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
+                f"more than {MAX_CAPTURED}"
+            )
+        data = stream.read(captured)
+        if len(data) < captured:
+            raise _cut(name, number)
+        number += 1
+        yield Packet(
+            ts_ns=seconds * _NS_PER_SECOND + fraction * unit_ns,
+            link="if0",
+            link_type=link_type,
+            data=data,
+            original_length=original if original > captured else captured,
+        )
+
+
+def _cut(name: str, number: int) -> CutError:
+    return CutError(f"{name}: ends in the middle of a record, after {number} whole packets")

@@ -1,0 +1,219 @@
+"""Reads the pcapng container."""
+
+# Layout (IETF draft-ietf-opsawg-pcapng): a file is a row of blocks,
+#
+#     type  total length  body              total length again
+#     4     4             total length - 12  4
+#
+# A section header block starts a section and shows its byte order; the interfaces that later
+# blocks name by number are counted within the section. Blocks that hold no packet and describe no
+# interface (statistics, names, secrets, custom) are skipped.
+#
+# Times are ticks of the interface's if_tsresol (a power of 10 or of 2; microseconds without it)
+# since 1970, plus if_tsoffset in seconds. A simple packet block has no time: it gets the time of
+# the packet before it. A time that 63 bits of nanoseconds cannot hold is brought to the nearest.
+#
+# Limits: MAX_BLOCK bytes in a block, MAX_INTERFACES in a section, MAX_CAPTURED bytes in a packet.
+# More is damage: an InputError in one line.
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from struct import Struct
+from typing import TYPE_CHECKING, BinaryIO
+
+from mbtool.core import CutError, InputError, Packet
+from mbtool.packets.pcap import MAX_CAPTURED
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PCAPNG_MAGIC = bytes.fromhex("0a0d0d0a")
+MAX_BLOCK = 16 * 1024 * 1024
+MAX_INTERFACES = 4096
+
+_INTERFACE = 1
+_OBSOLETE_PACKET = 2
+_SIMPLE_PACKET = 3
+_ENHANCED_PACKET = 6
+_PACKET_BLOCKS = frozenset((_OBSOLETE_PACKET, _SIMPLE_PACKET, _ENHANCED_PACKET))
+
+_OPTION_NAME = 2
+_OPTION_RESOLUTION = 9
+_OPTION_OFFSET = 14
+_MICROSECONDS = b"\x06"
+
+_NS_PER_SECOND = 1_000_000_000
+_MAX_NS = 2**63 - 1
+_MAX_NAME = 64
+
+
+class _Layout:
+    """The structures of a section in its byte order."""
+
+    def __init__(self, order: str) -> None:
+        self.block = Struct(order + "II")  # type, total length
+        self.pair = Struct(order + "HH")  # an option's code and length; a version
+        self.interface = Struct(order + "HHI")  # link type, reserved, snaplen
+        self.single = Struct(order + "I")  # original length
+        # interface, (drops,) time high, time low, captured length, original length
+        self.enhanced = Struct(order + "IIIII")
+        self.obsolete = Struct(order + "H2xIIII")
+        self.offset = Struct(order + "q")
+
+
+_LITTLE = bytes.fromhex("4d3c2b1a")
+_BIG = bytes.fromhex("1a2b3c4d")
+_LAYOUTS = {_LITTLE: _Layout("<"), _BIG: _Layout(">")}
+
+
+@dataclass(frozen=True, slots=True)
+class _Interface:
+    link: str
+    link_type: int
+    snaplen: int
+    multiplier: int
+    divisor: int
+    offset_ns: int
+
+
+def read_pcapng(stream: BinaryIO, name: str) -> Iterator[Packet]:
+    """Give the packets behind a magic that is read already. Raises InputError, CutError."""
+    return _Reader(stream, name).packets()
+
+
+class _Reader:
+    def __init__(self, stream: BinaryIO, name: str) -> None:
+        self._stream = stream
+        self._name = name
+        self._layout = _LAYOUTS[_LITTLE]
+        self._interfaces: list[_Interface] = []
+        self._number = 0
+        self._ts_ns = 0
+
+    def packets(self) -> Iterator[Packet]:
+        head = PCAPNG_MAGIC + self._stream.read(4)
+        while head:
+            if len(head) < 8:
+                raise self._cut()
+            if head.startswith(PCAPNG_MAGIC):
+                self._begin_section(head)
+            else:
+                kind, length = self._layout.block.unpack(head)
+                body = self._read_body(head, length, 8)
+                if kind in _PACKET_BLOCKS:
+                    yield self._read_packet(kind, body)
+                elif kind == _INTERFACE:
+                    self._describe_interface(body)
+            head = self._stream.read(8)
+
+    def _begin_section(self, head: bytes) -> None:
+        byte_order = self._stream.read(4)
+        if len(byte_order) < 4:
+            raise self._cut()
+        layout = _LAYOUTS.get(byte_order)
+        if layout is None:
+            raise self._damaged(f"a section's byte order is {byte_order.hex()}")
+        body = self._read_body(head, layout.block.unpack(head)[1], 12)
+        major, minor = self._unpack(layout.pair, body)
+        if major != 1:
+            raise InputError(
+                f"{self._name}: pcapng version {major}.{minor} is unknown; 1.0 is read"
+            )
+        self._layout = layout
+        self._interfaces = []
+
+    def _read_body(self, head: bytes, length: int, done: int) -> bytes:
+        """Read the rest of a block of which `done` bytes are read; give it without its tail."""
+        if length < done + 4 or length % 4 or length > MAX_BLOCK:
+            raise self._damaged(f"a block claims {length} bytes")
+        body = self._stream.read(length - done)
+        if len(body) < length - done:
+            raise self._cut()
+        if body[-4:] != head[4:]:
+            raise self._damaged("the two lengths of a block differ")
+        return body[:-4]
+
+    def _read_packet(self, kind: int, body: bytes) -> Packet:
+        layout = self._layout
+        ticks: int | None = None
+        if kind == _SIMPLE_PACKET:
+            (original,) = self._unpack(layout.single, body)
+            index, start = 0, 4
+            snaplen = self._interfaces[0].snaplen if self._interfaces else 0
+            captured = min(original, len(body) - start, snaplen or MAX_CAPTURED)
+        else:
+            structure = layout.enhanced if kind == _ENHANCED_PACKET else layout.obsolete
+            index, high, low, captured, original = self._unpack(structure, body)
+            ticks, start = high << 32 | low, 20
+        if index >= len(self._interfaces):
+            raise self._damaged(f"interface {index} is not described")
+        if captured > min(len(body) - start, MAX_CAPTURED):
+            raise self._damaged(f"the next packet claims {captured} bytes")
+        interface = self._interfaces[index]
+        if ticks is not None:
+            ts_ns = ticks * interface.multiplier // interface.divisor + interface.offset_ns
+            self._ts_ns = ts_ns if 0 <= ts_ns <= _MAX_NS else min(max(ts_ns, 0), _MAX_NS)
+        self._number += 1
+        return Packet(
+            ts_ns=self._ts_ns,
+            link=interface.link,
+            link_type=interface.link_type,
+            data=body[start : start + captured],
+            original_length=original if original > captured else captured,
+        )
+
+    def _describe_interface(self, body: bytes) -> None:
+        if len(self._interfaces) == MAX_INTERFACES:
+            raise self._damaged(f"more than {MAX_INTERFACES} interfaces in a section")
+        link_type, _, snaplen = self._unpack(self._layout.interface, body)
+        options = _options(self._layout.pair, body[8:])
+        name = _clean(options.get(_OPTION_NAME, b""))
+        resolution = (options.get(_OPTION_RESOLUTION) or _MICROSECONDS)[0]
+        unit = (2 if resolution & 0x80 else 10) ** (resolution & 0x7F)
+        common = math.gcd(unit, _NS_PER_SECOND)
+        offset = options.get(_OPTION_OFFSET, b"")
+        offset_s = self._layout.offset.unpack(offset)[0] if len(offset) == 8 else 0
+        self._interfaces.append(
+            _Interface(
+                link=name or f"if{len(self._interfaces)}",
+                link_type=link_type,
+                snaplen=snaplen,
+                multiplier=_NS_PER_SECOND // common,
+                divisor=unit // common,
+                offset_ns=offset_s * _NS_PER_SECOND,
+            )
+        )
+
+    def _unpack(self, structure: Struct, body: bytes) -> tuple[int, ...]:
+        if len(body) < structure.size:
+            raise self._damaged("a block is too short for its type")
+        return structure.unpack_from(body)
+
+    def _damaged(self, problem: str) -> InputError:
+        return InputError(f"{self._name}: damaged after packet {self._number}: {problem}")
+
+    def _cut(self) -> CutError:
+        return CutError(
+            f"{self._name}: ends in the middle of a record, after {self._number} whole packets"
+        )
+
+
+def _options(header: Struct, data: bytes) -> dict[int, bytes]:
+    """Read a block's options. A list that breaks off keeps what came before."""
+    options: dict[int, bytes] = {}
+    at = 0
+    while at + 4 <= len(data):
+        code, length = header.unpack_from(data, at)
+        if code == 0:
+            break
+        options.setdefault(code, data[at + 4 : at + 4 + length])
+        at += 4 + length + -length % 4
+    return options
+
+
+def _clean(name: bytes) -> str:
+    """Make a link's name of an interface's: short, printable and without a slash."""
+    text = name.decode("utf-8", "replace").rstrip("\0")[:_MAX_NAME]
+    return "".join(c if c.isprintable() and c != "/" else "_" for c in text)

@@ -1,0 +1,137 @@
+"""Finds the TCP segment in an IPv4 or IPv6 packet."""
+
+# Checksums are not looked at: network cards compute them after the capture. A header whose lengths
+# contradict each other is no packet at all; bytes behind the IP packet's end (Ethernet padding, a
+# frame check sequence) are not its own. A total length of 0 is the mark of a packet that the card
+# will still cut up (segmentation offload); it reaches to the end of what was on the wire.
+#
+# Limit: MAX_PAYLOAD, more than any card hands over at once; a longer claim is malformed.
+#
+# The work is split so that a packet of other ports costs no object: find_tcp, then the ports, then
+# read_segment.
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+FIN = 0x01
+SYN = 0x02
+RST = 0x04
+ACK = 0x10
+
+MAX_PAYLOAD = 1024 * 1024
+
+_TCP = 6
+_IPV4 = struct.Struct(">BxH2xHxB")
+_IPV6 = struct.Struct(">HB")
+_TCP_HEADER = struct.Struct(">HHIIBB")
+
+# Extension headers that stand before TCP (RFC 8200, section 4; RFC 6275; RFC 7401; RFC 5533).
+_IPV6_EXTENSIONS = frozenset((0, 43, 60, 135, 139, 140))
+_IPV6_FRAGMENT = 44
+_IPV6_AUTHENTICATION = 51
+
+
+class TcpPlace(NamedTuple):
+    """Where TCP stands in a packet."""
+
+    start: int
+    end: int
+    """Where the IP packet ends; more than len(data) where the capture cut it."""
+    fragment: bool
+    """The IP packet is the first of several fragments."""
+
+
+class Segment(NamedTuple):
+    """A TCP segment; a tuple since one is made for each packet."""
+
+    source: bytes
+    source_port: int
+    destination: bytes
+    destination_port: int
+    sequence: int
+    acknowledgement: int
+    flags: int
+    payload: bytes
+    missing: int
+    """Bytes of the payload that the capture did not keep, behind those it did."""
+
+
+def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
+    """Find TCP in the IP packet at an offset; None where it holds something else.
+
+    Of a fragmented packet the first fragment is found, and the others are not.
+    """
+    if len(data) < at + 20:
+        return None
+    version = data[at] >> 4
+    if version == 4:
+        first, total, fragment, protocol = _IPV4.unpack_from(data, at)
+        header = (first & 0x0F) * 4
+        if protocol != _TCP or header < 20 or fragment & 0x1FFF:
+            return None
+        end = at + total if total else original_length
+        start = at + header
+        return TcpPlace(start, end, fragment & 0x2000 != 0) if start <= end else None
+    if version == 6 and len(data) >= at + 40:
+        return _find_tcp_in_ipv6(data, at, original_length)
+    return None
+
+
+def _find_tcp_in_ipv6(data: bytes, at: int, original_length: int) -> TcpPlace | None:
+    length, following = _IPV6.unpack_from(data, at + 4)
+    start = at + 40
+    end = start + length if length else original_length
+    fragment = False
+    while following != _TCP:
+        if start + 8 > min(end, len(data)):
+            return None
+        if following in _IPV6_EXTENSIONS:
+            size = (data[start + 1] + 1) * 8
+        elif following == _IPV6_AUTHENTICATION:
+            size = (data[start + 1] + 2) * 4
+        elif following == _IPV6_FRAGMENT:
+            offset = data[start + 2] << 8 | data[start + 3]
+            if offset & 0xFFF8:
+                return None
+            fragment = offset & 1 != 0
+            size = 8
+        else:
+            return None
+        following = data[start]
+        start += size
+    return TcpPlace(start, end, fragment) if start <= end else None
+
+
+def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> Segment | None:
+    """Read the segment at a place in the IP packet at an offset; None where it is malformed.
+
+    At least 14 bytes of the TCP header are there: the caller has looked.
+    """
+    source_port, destination_port, sequence, acknowledgement, offset, flags = (
+        _TCP_HEADER.unpack_from(data, place.start)
+    )
+    header = (offset >> 4) * 4
+    begin = place.start + header
+    # An IP packet that claims to be longer than its frame was is cut by no one: the claim is wrong.
+    end = min(place.end, original_length)
+    if header < 20 or not begin <= end <= begin + MAX_PAYLOAD:
+        return None
+    source, destination = (
+        (data[at + 12 : at + 16], data[at + 16 : at + 20])
+        if data[at] >> 4 == 4
+        else (data[at + 8 : at + 24], data[at + 24 : at + 40])
+    )
+    payload = data[begin:end]
+    return Segment(
+        source,
+        source_port,
+        destination,
+        destination_port,
+        sequence,
+        acknowledgement,
+        flags,
+        payload,
+        end - begin - len(payload),
+    )

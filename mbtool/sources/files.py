@@ -1,0 +1,299 @@
+"""Opens capture files: plain, gzip or zstd, from disk or standard input."""
+
+# What a file is shows in its first bytes, never in its name: the compression first, then the kind
+# of capture inside. A plain file keeps its seekable stream, which the reader of a log may want.
+#
+# Limits: a compressed stream is unpacked INPUT_BYTES at a time, so what it blows up to in memory is
+# bounded (zlib to 0.5 MiB, zstd to 16 MiB at its worst, and its window to MAX_WINDOW). A stream
+# that ends before its own end mark is a CutError, after all that could be unpacked.
+
+from __future__ import annotations
+
+import io
+import os
+import stat
+import sys
+import zlib
+from enum import StrEnum
+from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, cast
+
+from mbtool.core import CutError, InputError, Packet
+from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+    from types import TracebackType
+
+    from _typeshed import WriteableBuffer
+
+STANDARD_INPUT = "-"
+INPUT_BYTES = 512
+MAX_WINDOW = 128 * 1024 * 1024
+
+_HEAD = 64
+_BUFFER = 64 * 1024
+_GZIP = b"\x1f\x8b"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_MCAP = b"\x89MCAP0\r\n"
+_OTHERS = {
+    b"\x7fELF": "an ELF program",
+    b"PK\x03\x04": "a zip archive",
+    b"\xfd7zXZ\0": "an xz archive",
+    b"BZh": "a bzip2 archive",
+    b"\x04\x22\x4d\x18": "an lz4 archive",
+    b"%PDF": "a PDF document",
+    b"PAR1": "a Parquet file",
+    b"SQLite format 3\0": "an SQLite database",
+}
+
+
+class CaptureKind(StrEnum):
+    """What a capture file is."""
+
+    PCAP = "pcap"
+    PCAPNG = "pcapng"
+    MCAP = "mcap"
+
+
+class CaptureFile:
+    """An open capture. Close it, or use it as a context manager."""
+
+    def __init__(
+        self, name: str, kind: CaptureKind, stream: io.BufferedIOBase, file: io.BufferedIOBase
+    ) -> None:
+        self.name = name
+        """How messages call it."""
+        self.kind = kind
+        self.stream = cast("BinaryIO", stream)
+        """Its bytes from the first on, unpacked. Reading raises InputError, CutError, OSError."""
+        self._file = file
+        self._size = _size(file)
+
+    def packets(self) -> Iterator[Packet]:
+        """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
+        if self.kind is CaptureKind.MCAP:
+            raise InputError(f"{self.name}: an MCAP log, where pcap or pcapng is wanted")
+        try:
+            yield from read_capture(self.stream, self.name)
+        except OSError as error:
+            raise _unreadable(self.name, error) from error
+
+    def fraction(self) -> float | None:
+        """How much of the file has been read, 0 to 1; None where its size is unknown."""
+        if self._size is None or self._file.closed:
+            return None
+        return min(self._file.tell() / self._size, 1.0)
+
+    def close(self) -> None:
+        if self._file is not sys.stdin.buffer:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def open_capture(path: str | Path) -> CaptureFile:
+    """Open a capture file, or standard input for `-`. Raises InputError, CutError."""
+    name = "standard input" if str(path) == STANDARD_INPUT else str(path)
+    try:
+        file = _open(path)
+    except (OSError, ValueError) as error:
+        raise _unreadable(name, error) from error
+    try:
+        head, stream = _peek(file)
+        unpacked = _unpacked(name, head, stream)
+        if unpacked is not None:
+            head, stream = _peek(unpacked)
+        if not head:
+            raise InputError(f"{name}: empty; a capture has at least a header")
+        return CaptureFile(name, _kind(name, head), stream, file)
+    except OSError as error:
+        file.close()
+        raise _unreadable(name, error) from error
+    except InputError:
+        file.close()
+        raise
+
+
+def read_packets(path: str | Path) -> Iterator[Packet]:
+    """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
+    with open_capture(path) as capture:
+        yield from capture.packets()
+
+
+def _open(path: str | Path) -> io.BufferedIOBase:
+    if str(path) != STANDARD_INPUT:
+        return open(path, "rb")
+    if sys.stdin.isatty():
+        raise InputError("standard input: a terminal; pipe a capture into it, or name a file")
+    return cast("io.BufferedIOBase", sys.stdin.buffer)
+
+
+def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
+    """Read a stream's first bytes; give them, and the stream with them before it again."""
+    head = b""
+    try:
+        while len(head) < _HEAD and (more := stream.read1(_HEAD - len(head))):
+            head += more
+    except CutError:
+        if not head:
+            raise
+        # The next read raises it again, after what the head holds.
+    if stream.seekable():
+        stream.seek(0)
+        return head, stream
+    return head, io.BufferedReader(_Rejoined(head, stream), _BUFFER)
+
+
+class _Rejoined(io.RawIOBase):
+    """A stream that cannot go back, with its first bytes before it again."""
+
+    def __init__(self, head: bytes, rest: io.BufferedIOBase) -> None:
+        self._head = head
+        self._rest = rest
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        view = memoryview(buffer)
+        data = self._head[: len(view)] or self._rest.read1(len(view))
+        self._head = self._head[len(view) :]
+        view[: len(data)] = data
+        return len(data)
+
+
+class _Unpacker(Protocol):
+    """What zlib and zstandard have in common: one compressed stream, or frame."""
+
+    @property
+    def eof(self) -> bool: ...
+    @property
+    def unused_data(self) -> bytes: ...
+    def decompress(self, data: bytes, /) -> bytes: ...
+
+
+class _Unpacked(io.RawIOBase):
+    """What is inside a compressed stream, which may be several streams one after another."""
+
+    def __init__(
+        self,
+        packed: io.BufferedIOBase,
+        begin: Callable[[], _Unpacker],
+        error: type[Exception],
+        name: str,
+    ) -> None:
+        self._packed = packed
+        self._begin = begin
+        self._error = error
+        self._name = name
+        self._unpacker: _Unpacker | None = None
+        self._ready = memoryview(b"")
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        view = memoryview(buffer)
+        while not self._ready:
+            data = self._packed.read1(INPUT_BYTES)
+            if not data:
+                if self._unpacker is not None:
+                    raise CutError(f"{self._name}: the compressed stream ends before its end mark")
+                return 0
+            try:
+                self._ready = memoryview(self._unpack(data))
+            except self._error as error:
+                raise InputError(
+                    f"{self._name}: damaged, it cannot be unpacked: {error}"
+                ) from error
+        count = min(len(view), len(self._ready))
+        view[:count] = self._ready[:count]
+        self._ready = self._ready[count:]
+        return count
+
+    def _unpack(self, data: bytes) -> bytes:
+        unpacked = []
+        while data:
+            if self._unpacker is None:
+                data = data.lstrip(b"\0")  # gzip files may be padded, for tapes.
+                if not data:
+                    break
+                self._unpacker = self._begin()
+            unpacked.append(self._unpacker.decompress(data))
+            if not self._unpacker.eof:
+                break
+            data = self._unpacker.unused_data
+            self._unpacker = None
+        return b"".join(unpacked)
+
+
+def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> io.BufferedIOBase | None:
+    """Give the inside of a compressed stream, None where it is not compressed."""
+    if head.startswith(_GZIP):
+        gzip_window = 16 + zlib.MAX_WBITS
+        raw = _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)
+    elif head.startswith(_ZSTD):
+        import zstandard  # Here, since few files need it.
+
+        context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
+        raw = _Unpacked(stream, context.decompressobj, zstandard.ZstdError, name)
+    else:
+        return None
+    return io.BufferedReader(raw, _BUFFER)
+
+
+def _kind(name: str, head: bytes) -> CaptureKind:
+    if head.startswith(PCAP_MAGICS):
+        return CaptureKind.PCAP
+    if head.startswith(PCAPNG_MAGIC):
+        return CaptureKind.PCAPNG
+    if head.startswith(_MCAP):
+        return CaptureKind.MCAP
+    if any(magic.startswith(head) for magic in (*CAPTURE_MAGICS, _MCAP)):
+        raise CutError(f"{name}: ends inside the first bytes of its header")
+    raise InputError(
+        f"{name}: {_looks_like(head)}, no capture; "
+        "pcap, pcapng and MCAP are read, plain or packed with gzip or zstd"
+    )
+
+
+def _looks_like(head: bytes) -> str:
+    for magic, words in _OTHERS.items():
+        if head.startswith(magic):
+            return words
+    try:
+        text = head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        # A character that the head cuts off is no proof against text.
+        text = head[: error.start].decode("utf-8") if error.start > len(head) - 4 else "\0"
+    if all(character.isprintable() or character in "\t\r\n" for character in text):
+        return "a text file"
+    return f"a file that begins with {head[:8].hex(' ')}"
+
+
+def _size(file: io.BufferedIOBase) -> int | None:
+    if file is sys.stdin.buffer:
+        return None
+    status = os.fstat(file.fileno())
+    return status.st_size or None if stat.S_ISREG(status.st_mode) else None
+
+
+def _unreadable(name: str, error: OSError | ValueError) -> InputError:
+    if isinstance(error, FileNotFoundError):
+        return InputError(f"{name}: there is no such file")
+    if isinstance(error, IsADirectoryError):
+        return InputError(f"{name}: a directory; name a capture file in it")
+    if isinstance(error, PermissionError):
+        return InputError(f"{name}: reading it is not permitted to this user")
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return InputError(f"{name}: cannot be read: {reason}")

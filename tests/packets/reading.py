@@ -1,0 +1,38 @@
+"""Feeds packets to a reassembler and reads what comes out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Chunk, Direction, WireEvent
+from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamItem, TcpReassembler
+
+if TYPE_CHECKING:
+    from mbtool.core import Packet
+
+
+def run_packets(
+    packets: list[Packet], reassembler: TcpReassembler | None = None, *, close: bool = True
+) -> list[StreamItem]:
+    reassembler = reassembler or TcpReassembler()
+    items = [item for each in packets for item in reassembler.feed(each)]
+    return items + (reassembler.close(packets[-1].ts_ns) if close and packets else [])
+
+
+def words_of(items: list[StreamItem]) -> list[str | int]:
+    """Give what was said, `>` before a request and `<` before a response; a gap as its length."""
+    words: list[str | int] = []
+    for item in items:
+        if isinstance(item, Chunk):
+            words.append((">" if item.direction is Direction.REQUEST else "<") + item.data.decode())
+        elif isinstance(item, StreamGap):
+            words.append(item.missing)
+    return words
+
+
+def close_reasons(items: list[StreamItem]) -> list[CloseReason]:
+    return [item.reason for item in items if isinstance(item, StreamClosed)]
+
+
+def wire_events(items: list[StreamItem]) -> list[WireEvent]:
+    return [item for item in items if isinstance(item, WireEvent)]

@@ -1,0 +1,405 @@
+from __future__ import annotations
+
+from itertools import groupby
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind
+from mbtool.packets import (
+    CloseReason,
+    StreamClosed,
+    StreamGap,
+    StreamOpened,
+    TcpReassembler,
+)
+from mbtool.packets.connection import HOLE_NS, PATIENCE, PATIENCE_NS, WINDOW
+from mbtool.packets.segment import ACK, FIN, RST, SYN
+from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES
+from tests.packets.building import (
+    MASTER,
+    MASTER_PORT,
+    End,
+    Talk,
+    cut,
+)
+from tests.packets.reading import close_reasons, run_packets, wire_events, words_of
+
+_MASTER = Endpoint("10.0.0.1", 49152)
+_SLAVE = Endpoint("10.0.0.2", 502)
+_MS = 1_000_000
+
+
+def test_joins_in_mid_stream_at_the_first_payload() -> None:
+    talk = Talk()
+    old = talk.at(talk.master, 990, b"0123456789")
+    acknowledgement = talk.send(talk.slave)
+
+    items = run_packets([acknowledgement, talk.request(b"ask"), old, talk.response(b"tell")])
+
+    assert isinstance(items[0], StreamOpened)
+    assert items[0].joined
+    assert words_of(items) == [">ask", "<tell"]
+
+
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [
+        ([(0, "abc"), (3, "def")], [">abc", ">def"]),
+        ([(0, "abc"), (0, "abc"), (3, "def")], [">abc", ">def"]),
+        ([(0, "abc"), (0, "abcdef")], [">abc", ">def"]),
+        ([(0, "abc"), (1, "bcde")], [">abc", ">de"]),
+        ([(3, "def"), (0, "abc")], [">abc", ">def"]),
+        ([(3, "def"), (3, "def"), (0, "abc")], [">abc", ">def"]),
+        ([(6, "gh"), (3, "def"), (0, "abc")], [">abc", ">def", ">gh"]),
+        ([(3, "def"), (0, "abcd")], [">abc", ">def"]),
+        ([(4, "e"), (2, "cdefg"), (0, "ab")], [">ab", ">cd", ">e", ">fg"]),
+        ([(0, "abc"), (2, "?"), (3, "def")], [">abc", ">def"]),
+        ([(0, "abc"), (9, "jkl")], [">abc", 6, ">jkl"]),
+        ([(3, "def")], [3, ">def"]),
+    ],
+    ids=[
+        "in order",
+        "sent again",
+        "sent again with more",
+        "overlapping",
+        "reordered",
+        "reordered and sent again",
+        "backwards",
+        "reordered and overlapping",
+        "around a piece",
+        "keep-alive with a byte",
+        "lost in the middle",
+        "lost at the start",
+    ],
+)
+@pytest.mark.parametrize("first", [1000, 2**32 - 1, 2**32 - 4])
+def test_puts_segments_in_order(
+    first: int, segments: list[tuple[int, str]], said: list[str | int]
+) -> None:
+    talk = Talk(master=End(MASTER, MASTER_PORT, first - 1))
+    packets = talk.handshake()
+    packets += [talk.at(talk.master, first + at, data.encode()) for at, data in segments]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == said
+    assert wire_events(items) == []
+
+
+@pytest.mark.parametrize(
+    ("segments", "said", "raw"),
+    [
+        ([(0, "abc"), (0, "aXc"), (3, "d")], [">abc", ">d"], b"aXc"),
+        ([(0, "abc"), (0, "XXXdef")], [">abc", ">def"], b"XXXdef"),
+        ([(3, "def"), (3, "dXf"), (0, "abc")], [">abc", ">def"], b"dXf"),
+    ],
+    ids=["delivered", "delivered in part", "held"],
+)
+def test_the_first_copy_wins_and_a_difference_is_one_event(
+    segments: list[tuple[int, str]], said: list[str | int], raw: bytes
+) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    packets += [talk.at(talk.master, 1001 + at, data.encode()) for at, data in segments]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == said
+    (event,) = wire_events(items)
+    assert (event.kind, event.link, event.raw) == (EventKind.OVERLAP, "10.0.0.2", raw)
+    assert (event.source, event.destination) == (str(_MASTER), str(_SLAVE))
+
+
+def test_bytes_behind_a_filled_hole_have_the_time_of_what_filled_it() -> None:
+    talk = Talk()
+    late = talk.at(talk.master, 1004, b"def")
+    filling = talk.at(talk.master, 1001, b"abc")
+    afterwards = talk.at(talk.master, 1007, b"ghi")
+
+    items = run_packets([*Talk().handshake(), late, filling, afterwards])
+
+    times = [(item.data, item.ts_ns) for item in items if isinstance(item, Chunk)]
+    assert times == [(b"abc", 2 * _MS), (b"def", 2 * _MS), (b"ghi", 3 * _MS)]
+
+
+def test_bytes_behind_a_gap_keep_their_own_time() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.at(talk.master, 1004, b"def")]
+
+    items = run_packets(packets, close=False)
+    assert words_of(items) == []
+    items = run_packets([*packets, talk.at(talk.slave, 5001)])
+
+    gap = StreamGap(4 * _MS, Connection(_MASTER, _SLAVE), Direction.REQUEST, 3, EventKind.GAP)
+    assert gap in items
+    assert [item.ts_ns for item in items if isinstance(item, Chunk)] == [4 * _MS]
+
+
+def test_an_acknowledged_hole_is_given_up_after_a_few_packets() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"first"), talk.response(b"FIRST")]
+    talk.request(b"lost")
+    packets += [talk.response(b"LOST"), talk.request(b"third")]
+    assert words_of(run_packets(packets, close=False)) == [">first", "<FIRST"]
+
+    packets += [talk.response(b"THIRD"), talk.request(b"fourth")]
+    items = run_packets(packets, close=False)
+
+    # All that was said after the lost request waits for it, then comes in order.
+    assert len(packets) - 6 == PATIENCE
+    assert words_of(items) == [">first", "<FIRST", 4, "<LOST", ">third", "<THIRD", ">fourth"]
+
+
+def test_an_acknowledged_hole_is_given_up_after_a_while() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    talk.request(b"lost")
+    packets += [talk.response(b"LOST"), talk.request(b"second")]
+    reassembler = TcpReassembler()
+    assert words_of(run_packets(packets, reassembler, close=False)) == []
+
+    assert words_of(reassembler.advance(4 * _MS + PATIENCE_NS)) == []
+    assert words_of(reassembler.advance(5 * _MS + PATIENCE_NS)) == [4, "<LOST", ">second"]
+
+
+def test_a_hole_that_nobody_acknowledges_is_given_up_after_longer() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.at(talk.master, 1004, b"def")]
+    reassembler = TcpReassembler()
+    run_packets(packets, reassembler, close=False)
+
+    assert words_of(reassembler.advance(4 * _MS + HOLE_NS - 1)) == []
+    assert words_of(reassembler.advance(4 * _MS + HOLE_NS)) == [3, ">def"]
+
+
+def test_a_lost_response_is_a_gap_before_the_next_response() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"first")]
+    talk.response(b"LOST")
+    packets += [talk.request(b"second"), talk.response(b"SECOND"), *talk.goodbye()]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">first", 4, ">second", "<SECOND"]
+    (gap,) = [item for item in items if isinstance(item, StreamGap)]
+    assert gap.direction is Direction.RESPONSE
+
+
+def test_a_response_never_comes_before_its_request() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+    packets[3], packets[4] = packets[4], packets[3]
+
+    assert words_of(run_packets(packets)) == [">ask", "<tell"]
+
+
+def test_a_false_acknowledgement_loses_no_bytes() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    talk.master.sequence += 500
+    packets += [talk.response(str(number).encode()) for number in range(5)]
+    talk.master.sequence -= 500
+    packets += [talk.request(b"ask")]
+
+    assert words_of(run_packets(packets)) == ["<0", "<1", "<2", "<3", "<4", ">ask"]
+
+
+def test_bytes_that_the_snapshot_length_cut_off_are_a_gap_behind_the_rest() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    packets += [cut(talk.request(b"abcdef"), 54 + 2), talk.request(b"ghi")]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">ab", 4, ">ghi"]
+    (gap,) = [item for item in items if isinstance(item, StreamGap)]
+    assert gap.kind is EventKind.CUT
+
+
+def test_a_syn_may_carry_bytes() -> None:
+    talk = Talk()
+    packets = [talk.at(talk.master, 1000, b"early", SYN), talk.at(talk.master, 1006, b"late")]
+
+    assert words_of(run_packets(packets)) == [">early", ">late"]
+
+
+def test_a_syn_sent_again_opens_nothing() -> None:
+    talk = Talk()
+    syn, *others = talk.handshake()
+
+    items = run_packets([syn, syn, *others, others[0], talk.request(b"ask")])
+
+    assert len([item for item in items if isinstance(item, StreamOpened)]) == 1
+    assert words_of(items) == [">ask"]
+
+
+def test_half_of_a_connection_may_close_first() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.send(talk.master, flags=FIN | ACK)]
+    packets += [talk.response(b"tell"), talk.send(talk.slave, flags=FIN | ACK)]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">ask", "<tell"]
+    assert close_reasons(items) == [CloseReason.FINISHED]
+
+
+def test_bytes_that_come_behind_fin_in_the_capture_are_delivered() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), *talk.goodbye()]
+    packets[3], packets[4] = packets[4], packets[3]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">ask"]
+    assert close_reasons(items) == [CloseReason.FINISHED]
+
+
+def test_a_fin_far_from_the_bytes_in_flight_ends_nothing() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask")]
+    packets += [
+        talk.at(end, end.sequence - 2 * WINDOW, flags=FIN | ACK)
+        for end in (talk.master, talk.slave)
+    ]
+
+    items = run_packets([*packets, talk.response(b"tell")])
+
+    assert words_of(items) == [">ask", "<tell"]
+    assert close_reasons(items) == [CloseReason.CAPTURE_END]
+
+
+def test_a_reset_ends_a_connection() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.send(talk.slave, flags=RST | ACK)]
+
+    items = run_packets([*packets, packets[3], packets[4]])
+
+    assert words_of(items) == [">ask"]
+    assert close_reasons(items) == [CloseReason.RESET]
+
+
+def test_a_reset_in_answer_to_a_syn_is_a_refusal() -> None:
+    talk = Talk()
+
+    items = run_packets([talk.send(talk.master, flags=SYN), talk.send(talk.slave, flags=RST | ACK)])
+
+    assert close_reasons(items) == [CloseReason.REFUSED]
+
+
+def test_a_leap_of_the_sequence_numbers_is_a_gap_of_unknown_length() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"one")]
+    talk.master.sequence += WINDOW + 1
+    packets += [talk.request(b"two"), talk.response(b"TWO"), talk.request(b"three")]
+
+    assert words_of(run_packets(packets)) == [">one", 0, ">two", "<TWO", ">three"]
+
+
+def test_what_is_held_is_bounded_by_pieces() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    packets += [talk.at(talk.master, 1002 + at, b"x") for at in range(MAX_HELD_PIECES)]
+    assert words_of(run_packets(packets, close=False)) == []
+
+    packets.append(talk.at(talk.master, 1002 + MAX_HELD_PIECES, b"x"))
+
+    assert words_of(run_packets(packets, close=False)) == [1, *[">x"] * (MAX_HELD_PIECES + 1)]
+
+
+def test_what_is_held_is_bounded_by_bytes() -> None:
+    talk = Talk()
+    block = MAX_HELD_BYTES // 4
+    packets = talk.handshake()
+    packets += [talk.at(talk.master, 1002 + at * block, b"x" * block) for at in range(4)]
+    assert words_of(run_packets(packets, close=False)) == []
+
+    packets.append(talk.at(talk.master, 1002 + 4 * block, b"x"))
+
+    assert words_of(run_packets(packets, close=False)) == [1, *[">" + "x" * block] * 4, ">x"]
+
+
+@given(
+    first=st.integers(0, 2**32 - 1),
+    sizes=st.lists(st.integers(1, 9), min_size=1, max_size=30),
+    shuffle=st.randoms(use_true_random=False),
+    copies=st.lists(st.integers(0, 29), max_size=10),
+)
+def test_any_cuts_copies_and_order_give_the_same_bytes(
+    first: int, sizes: list[int], shuffle: object, copies: list[int]
+) -> None:
+    assert hasattr(shuffle, "shuffle")
+    talk = Talk(master=End(MASTER, MASTER_PORT, first))
+    syn = talk.send(talk.master, flags=SYN)
+    text = "".join(chr(0x30 + at % 64) for at in range(sum(sizes)))
+    segments, at = [], 0
+    for size in sizes:
+        segments.append(talk.request(text[at : at + size].encode()))
+        at += size
+    segments += [segments[index % len(segments)] for index in copies]
+    shuffle.shuffle(segments)
+
+    items = run_packets([syn, *segments])
+
+    said = words_of(items)
+    assert "".join(str(part).removeprefix(">") for part in said) == text
+    assert wire_events(items) == []
+
+
+@given(
+    exchanges=st.lists(st.tuples(st.integers(1, 3), st.integers(1, 3)), min_size=1, max_size=10),
+    swaps=st.sets(st.integers(0, 70)),
+    copies=st.sets(st.integers(0, 70)),
+)
+def test_swapped_and_doubled_packets_give_the_same_conversation(
+    exchanges: list[tuple[int, int]], swaps: set[int], copies: set[int]
+) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    wanted = []
+    for number, (asked, told) in enumerate(exchanges):
+        packets += [talk.request(f"ask{number}.{part}".encode()) for part in range(asked)]
+        packets += [talk.response(f"tell{number}.{part}".encode()) for part in range(told)]
+        wanted.append(">" + "".join(f"ask{number}.{part}" for part in range(asked)))
+        wanted.append("<" + "".join(f"tell{number}.{part}" for part in range(told)))
+    packets += talk.goodbye()
+    for at in range(3, len(packets) - 1):
+        if at in swaps and at - 1 not in swaps:
+            packets[at], packets[at + 1] = packets[at + 1], packets[at]
+    doubled = [
+        each for at, one in enumerate(packets) for each in [one] * (2 if at in copies else 1)
+    ]
+
+    items = run_packets(doubled)
+
+    said = [str(part) for part in words_of(items)]
+    groups = groupby(said, key=lambda part: part[0])
+    assert [side + "".join(part[1:] for part in parts) for side, parts in groups] == wanted
+    assert len([item for item in items if isinstance(item, StreamClosed)]) == 1
+
+
+@given(lost=st.integers(0, 19), pipelined=st.booleans())
+def test_a_lost_segment_loses_only_its_own_bytes(lost: int, pipelined: bool) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    names = [f"{number:02}" for number in range(20)]
+    for at, name in enumerate(names):
+        sender = talk.master if pipelined or at % 2 == 0 else talk.slave
+        packets.append(talk.send(sender, name.encode()))
+    packets += talk.goodbye()
+    del packets[3 + lost]
+
+    said = words_of(run_packets(packets))
+
+    words = [part[1:] for part in said if isinstance(part, str)]
+    assert words == [name for at, name in enumerate(names) if at != lost]
+    assert [part for part in said if isinstance(part, int)] == (
+        [2] if _shows(lost, pipelined) else []
+    )
+
+
+def _shows(lost: int, pipelined: bool) -> bool:
+    """A gap shows when something of the same direction follows it."""
+    return lost < (19 if pipelined else 18)

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import pytest
+
+from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
+
+_ADDRESSES = "00 11 22 33 44 55  66 77 88 99 aa bb"
+_COOKED = "0000 0001 0006 66778899aabb 0000"  # type, device, address length, address, unused
+_COOKED_V2 = "0000 00000002 0001 00 06 66778899aabb0000"  # reserved, index, device, type, address
+
+
+@pytest.mark.parametrize(
+    ("link_type", "header"),
+    [
+        (1, f"{_ADDRESSES} 0800"),
+        (1, f"{_ADDRESSES} 86dd"),
+        (1, f"{_ADDRESSES} 8100 202a 0800"),
+        (1, f"{_ADDRESSES} 88a8 0001 8100 202a 86dd"),
+        (1, f"{_ADDRESSES} 9100 0001 8100 0002 8100 0003 0800"),
+        (113, f"{_COOKED} 0800"),
+        (113, f"{_COOKED} 8100 202a 86dd"),
+        (276, f"0800 {_COOKED_V2}"),
+        (276, f"86dd {_COOKED_V2}"),
+        (276, f"8100 {_COOKED_V2} 202a 0800"),
+        (0, "02 00 00 00"),
+        (0, "00 00 00 02"),
+        (0, "1e 00 00 00"),
+        (108, "00 00 00 02"),
+        (108, "00 00 00 18"),
+        (12, ""),
+        (14, ""),
+        (101, ""),
+        (228, ""),
+        (229, ""),
+    ],
+)
+def test_finds_ip_behind_each_link_layer(link_type: int, header: str) -> None:
+    before = bytes.fromhex(header)
+
+    assert IP_FINDERS[link_type](before + b"\x45" + bytes(19)) == len(before)
+
+
+@pytest.mark.parametrize(
+    ("link_type", "header"),
+    [
+        (1, f"{_ADDRESSES} 0806"),  # ARP
+        (1, f"{_ADDRESSES} 0026"),  # a length, as 802.3 has it
+        (1, f"{_ADDRESSES} 8100 202a 0806"),
+        (113, f"{_COOKED} 0806"),
+        (276, f"0806 {_COOKED_V2}"),
+        (276, f"8100 {_COOKED_V2} 202a 0806"),
+        (0, "07 00 00 00"),
+        (108, "00 00 00 07"),
+    ],
+)
+def test_passes_over_other_protocols(link_type: int, header: str) -> None:
+    assert IP_FINDERS[link_type](bytes.fromhex(header) + bytes(20)) == NOT_IP
+
+
+@pytest.mark.parametrize("link_type", sorted(set(IP_FINDERS) - {12, 14, 101, 228, 229}))
+def test_a_header_that_is_too_short_is_not_ip(link_type: int) -> None:
+    assert IP_FINDERS[link_type](b"\x81\x00") == NOT_IP
+    assert IP_FINDERS[link_type](b"") == NOT_IP

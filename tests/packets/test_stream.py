@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Direction, Endpoint
+from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES, RECENT_BYTES, Piece, Stream
+
+
+def _stream(first: int = 0) -> Stream:
+    stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
+    stream.first = first
+    return stream
+
+
+def _piece(start: int, data: bytes) -> Piece:
+    return Piece(start, start + len(data), data, after=0, ts_ns=0, arrival=0)
+
+
+@given(
+    first=st.integers(0, 2**32 - 1),
+    position=st.integers(0, 2**40),
+    distance=st.integers(-(2**31), 2**31 - 1),
+)
+def test_places_a_sequence_number_nearest_to_the_next(
+    first: int, position: int, distance: int
+) -> None:
+    stream = _stream(first)
+    stream.position = position
+
+    assert stream.place((first + position + distance) % 2**32) == position + distance
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.binary(min_size=1, max_size=12)), max_size=20))
+def test_held_pieces_do_not_overlap_and_keep_first_copies(copies: list[tuple[int, bytes]]) -> None:
+    stream = _stream()
+    expected: dict[int, int] = {}
+    for start, data in copies:
+        differs = any(expected.get(start + i, byte) != byte for i, byte in enumerate(data))
+        assert stream.hold(_piece(start, data)) == differs
+        for i, byte in enumerate(data):
+            expected.setdefault(start + i, byte)
+
+    held = [(piece.start + i, byte) for piece in stream.held for i, byte in enumerate(piece.data)]
+    assert held == sorted(expected.items())
+    assert stream.held_bytes == len(expected)
+
+
+def test_is_overfull_beyond_its_bounds() -> None:
+    stream = _stream()
+    stream.hold(_piece(10, bytes(MAX_HELD_BYTES)))
+    assert not stream.is_overfull()
+    stream.hold(_piece(9, b"a"))
+    assert stream.is_overfull()
+
+    stream = _stream()
+    for number in range(MAX_HELD_PIECES):
+        stream.hold(_piece(10 + 2 * number, b"a"))
+    assert not stream.is_overfull()
+    stream.hold(_piece(2, b"a"))
+    assert stream.is_overfull()
+
+
+def test_compares_a_second_copy_with_what_it_still_has() -> None:
+    stream = _stream()
+    data = bytes(range(256)) * 8
+    stream.advance(data, len(data))
+
+    kept = len(data) - RECENT_BYTES
+    assert not stream.differs_from_delivered(0, data + b"more")
+    assert not stream.differs_from_delivered(0, b"x" * kept)
+    assert stream.differs_from_delivered(0, b"x" * (kept + 1))
+    assert stream.differs_from_delivered(len(data) - 2, b"\xfe\x00")
+
+
+def test_a_gap_leaves_nothing_to_compare_with() -> None:
+    stream = _stream()
+    stream.advance(b"abc", 3)
+    stream.advance(b"", 10)
+
+    assert stream.position == 13
+    assert not stream.differs_from_delivered(0, b"xyz")
