@@ -47,7 +47,7 @@ test-peers: $(VENV)/installed-test
 	$(RUN)/pytest -m peers
 
 truth: $(VENV)/installed-test
-	$(RUN)/python -m tools.truth
+	$(RUN)/python -m tests.differential.truth
 
 format: $(VENV)/installed-test
 	$(RUN)/ruff check --fix .

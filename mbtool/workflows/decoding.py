@@ -23,7 +23,7 @@ from mbtool.core import (
 )
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus import Adu, Bus, Conversation, Decoded, Transaction
-from mbtool.packets import StreamClosed, StreamGap, StreamOpened, TcpReassembler
+from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamOpened, TcpReassembler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -81,19 +81,34 @@ class Decoder:
         if isinstance(item, Chunk):
             return self._chunk(item)
         if isinstance(item, Quiet):
-            bus = self._buses.get(item.link)
-            return self._named(bus.advance(item.ts_ns)) if bus is not None else []
+            return self._quiet(item)
         if isinstance(item, StreamGap):
             conversation = self._conversation(item.connection)
-            return self._named(conversation.gap(item.direction, item.missing, item.ts_ns))
+            gap = conversation.gap(item.direction, item.missing, item.ts_ns, item.kind)
+            return self._named(gap)
         if isinstance(item, StreamOpened):
             text = "connection joined" if item.joined else "connection opened"
             return [_told(item, EventKind.OPENED, text)]
         if isinstance(item, StreamClosed):
             ended = self._conversations.pop(item.connection, None)
-            told = _told(item, EventKind.CLOSED, f"connection closed: {item.reason}")
+            discarded = item.reason is CloseReason.DISCARDED
+            kind = EventKind.DISCARDED if discarded else EventKind.CLOSED
+            told = _told(item, kind, f"connection closed: {item.reason}")
             return [*(self._named(ended.close()) if ended is not None else []), told]
         return [item] if isinstance(item, WireEvent) else self.feed(item)
+
+    def _quiet(self, quiet: Quiet) -> list[Record]:
+        bus = self._buses.get(quiet.link)
+        if bus is not None:
+            return self._named(bus.advance(quiet.ts_ns))
+        if quiet.link in self._lines:
+            return []
+        records: list[Record] = []
+        for piece in self._reassembler.advance(quiet.ts_ns):
+            records += self._piece(piece)
+        for conversation in self._conversations.values():
+            records += self._named(conversation.advance(quiet.ts_ns))
+        return records
 
     def _chunk(self, chunk: Chunk) -> list[Record]:
         if chunk.connection is None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Protocol, Self
 
-from mbtool.core import Chunk, LinkError, Packet, WireEvent
+from mbtool.core import Chunk, LinkError, Packet, SerialLink, UsageError, WireEvent
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.live import live_source
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import LinkSpec
     from mbtool.devices import NamedTransaction
+    from mbtool.sources.live import LiveSource
     from mbtool.workflows.decoding import Decoder, Evidence, Record
 
 POLL_S = 0.1
@@ -55,7 +56,9 @@ class Sniffer:
         self._ports = ports
         self._on_lost = on_lost
         self._inbox = Inbox()
-        self._sources = ExitStack()
+        self._open_sources = ExitStack()
+        self.sources: list[LiveSource] = []
+        """One for each link, in their order, once the context is entered."""
         self._open = 0
         self._over = False
 
@@ -64,8 +67,9 @@ class Sniffer:
             if self._log is not None:
                 opened.callback(self._log.close)
             for link in self._links:
-                opened.enter_context(live_source(link, self._inbox, ports=self._ports))
-            self._sources = opened.pop_all()
+                source = live_source(link, self._inbox, ports=self._ports)
+                self.sources.append(opened.enter_context(source))
+            self._open_sources = opened.pop_all()
         self._open = len(self._links)
         return self
 
@@ -106,7 +110,7 @@ class Sniffer:
         if self._over:
             return
         self._over = True
-        self._sources.close()
+        self._open_sources.close()
         while (item := self._inbox.get(0)) is not None:
             if not isinstance(item, Ended):
                 yield from self._take(item)
@@ -117,3 +121,12 @@ class Sniffer:
             if self._log is not None:
                 self._log.write(record)
         yield from records
+
+
+def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
+    """The serial links by the names that their bytes carry. Raises UsageError."""
+    names = [link.name for link in links]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"two links are called {name!r}; listen to each in a run of its own")
+    return {link.name: link for link in links if isinstance(link, SerialLink)}

@@ -1,0 +1,11 @@
+"""The exit codes of every command (docs/architecture.md, README)."""
+
+from __future__ import annotations
+
+DONE = 0
+NO = 1
+"""The answer is no: there are differences, or findings."""
+USAGE = 2
+UNREADABLE = 3
+"""An input could not be read, or a link could not be opened."""
+INTERRUPTED = 130

@@ -1,0 +1,86 @@
+"""mbtool replay: play one side of a recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.options import PortOption, RemoteOption, RtuPortOption, WhereOption
+from mbtool.replay import OnMiss
+
+if TYPE_CHECKING:
+    from mbtool.core import CutError
+
+
+def replay(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A log, or a packet capture; as for decode.")
+    ],
+    on: Annotated[
+        str,
+        typer.Option("--on", metavar="LINK", help="Where to answer: tcp:127.0.0.1:1502, rtu:PORT."),
+    ],
+    as_slave: Annotated[
+        bool, typer.Option("--as-slave", help="Answer as the recorded slaves did.")
+    ] = False,
+    on_miss: Annotated[
+        OnMiss,
+        typer.Option(
+            "--on-miss",
+            help="What a request gets that was never recorded: an answer from the registers as "
+            "they were at that moment of the recording, an exception, or silence.",
+        ),
+    ] = OnMiss.IMAGE,
+    speed: Annotated[
+        str, typer.Option("--speed", metavar="FACTOR|max", help="Divides recorded latencies.")
+    ] = "1.0",
+    where: WhereOption = None,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Decode a log's evidence afresh before playing it.")
+    ] = False,
+    port: PortOption = None,
+    rtu_port: RtuPortOption = None,
+    allow_remote: RemoteOption = False,
+) -> None:
+    """Answer a live master as the slaves of a recording did, until Ctrl-C.
+
+    A request gets its next recorded answer, after the last of them that one again.
+    """
+    from mbtool.cli.options import condition
+    from mbtool.cli.serve import serve
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError, parse_link
+    from mbtool.workflows.reading import ReadingOptions
+    from mbtool.workflows.replaying import read_recording, recorded_slave
+
+    if not as_slave:
+        raise UsageError("say which side to play: --as-slave")
+    link = parse_link(on)
+    factor = _speed(speed)
+    wanted = condition(where)
+
+    def on_cut(error: CutError) -> None:
+        say(f"mbtool: {error}; playing what comes before")
+
+    options = ReadingOptions(ports=port or (), rtu_ports=rtu_port or (), raw=raw)
+    recording = read_recording(file, options, wanted, on_cut)
+    shell = recorded_slave(
+        recording, link, on_miss=on_miss, speed=factor, allow_remote=allow_remote
+    )
+    units = ", ".join(map(str, sorted(recording.units)))
+    serve(shell, link, f"{file}: {len(recording.answers)} different requests to unit {units}")
+
+
+def _speed(text: str) -> float | None:
+    from mbtool.core import UsageError
+
+    if text == "max":
+        return None
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = 0.0
+    if not 0 < factor < float("inf"):
+        raise UsageError(f"--speed {text!r}: write a factor more than 0, or max")
+    return factor

@@ -1,0 +1,44 @@
+"""mbtool slave: an embedded slave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbtool.cli.options import RemoteOption
+
+
+def slave(
+    profile: Annotated[
+        str,
+        typer.Argument(metavar="PROFILE", help="A built-in profile, or the path of a TOML file."),
+    ],
+    on: Annotated[
+        str,
+        typer.Option(
+            "--on", metavar="LINK", help="Where to answer: rtu:PORT@19200-8E1, tcp:HOST:PORT."
+        ),
+    ],
+    unit: Annotated[int, typer.Option("--unit", min=0, max=255, help="The unit to answer as.")] = 1,
+    image: Annotated[
+        Path | None,
+        typer.Option(
+            "--image",
+            metavar="FILE",
+            help="Start values by the device's references: HR400001 = 4660.",
+        ),
+    ] = None,
+    allow_remote: RemoteOption = False,
+) -> None:
+    """Answer as a device, by its areas, limits and exceptions, until Ctrl-C."""
+    from mbtool.cli.serve import serve
+    from mbtool.core import parse_link
+    from mbtool.devices import load_profile
+    from mbtool.workflows.serving import device_slave
+
+    link = parse_link(on)
+    device = load_profile(profile)
+    shell = device_slave(device, link, unit, image, allow_remote=allow_remote)
+    serve(shell, link, f"{device.title} as unit {unit}")

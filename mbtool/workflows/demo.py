@@ -1,0 +1,195 @@
+"""The whole loop on one machine: slaves, masters, a sniffer, a log, and the log as the slave."""
+
+# An FT1A Touch answers a master on a virtual serial line that the sniffer taps; an FA3-AT1M8X
+# answers another behind a TCP tap. Both end in one log. The log then plays both slaves on loopback,
+# and the same requests must bring the same answers.
+
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core import (
+    Direction,
+    Endpoint,
+    SerialFormat,
+    SerialLink,
+    TapLink,
+    TcpLink,
+    WireEvent,
+)
+from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
+from mbtool.modbus import Table, encode_pdu
+from mbtool.replay import RecordedSlave, Recording
+from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave, units_on
+from mbtool.sources.virtual_line import VirtualLine
+from mbtool.workflows.asking import RtuMaster, TcpMaster
+from mbtool.workflows.decoding import Decoder
+from mbtool.workflows.reading import Reading, ReadingOptions
+from mbtool.workflows.recording import begin_log
+from mbtool.workflows.sniffing import Sniffer, serial_lines
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.core import LinkSpec
+    from mbtool.modbus import Responder
+    from mbtool.modbus.layouts import Value
+    from mbtool.workflows.asking import Master
+    from mbtool.workflows.decoding import Record
+
+LINE = SerialFormat(19200, 8, "E", 1)
+TOUCH_UNIT = 1
+MODULE_UNIT = 0
+"""What the module's manual tells a master to write; the module ignores it."""
+
+Exchange = tuple[int, bytes, bytes | None]
+"""Unit, request PDU and response PDU."""
+
+_ANY = Endpoint("127.0.0.1", 0)
+_QUIET_NS = 300_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How the log's answers compare with the devices'."""
+
+    asked: int
+    differences: tuple[Exchange, ...]
+    """What was asked, and what the log answered where it differs."""
+
+
+class Demo:
+    """One run. `assignments` names its devices."""
+
+    def __init__(self, log_path: str) -> None:
+        self._log_path = log_path
+        self._exchanges: list[Exchange] = []
+        self._failure: BaseException | None = None
+        self.assignments = Assignments()
+
+    def record(self) -> Iterator[Record]:
+        """Run devices, masters and the sniffer; give what the sniffer decodes, as it does."""
+        with ExitStack() as stack:
+            line = stack.enter_context(VirtualLine(ends=3, format=LINE))
+            touch_port, master_port, tap_port = line.ports
+            touch = SerialLink(touch_port, LINE)
+            stack.enter_context(SerialSlave(touch, _touch(touch)))
+            module = TcpSlave(TcpLink(_ANY), _module(TcpLink(_ANY)))
+            stack.enter_context(module)
+            links: list[LinkSpec] = [SerialLink(tap_port, LINE), TapLink(_ANY, module.endpoint)]
+            self.assignments = Assignments(
+                [
+                    parse_assignment(f"{TOUCH_UNIT}=idec-ft1a-touch"),
+                    parse_assignment(f"{module.endpoint}=fa3-at1m8x"),
+                ]
+            )
+            decoder = Decoder(Namer(self.assignments), lines=serial_lines(links))
+            log = begin_log(self._log_path, links, self.assignments, overwrite=True)
+            sniffer = stack.enter_context(Sniffer(links, decoder, log=log))
+            masters = threading.Thread(
+                target=self._ask_all,
+                args=(SerialLink(master_port, LINE), sniffer.sources[1].endpoint),
+                daemon=True,
+            )
+            masters.start()
+            yield from sniffer.records(_when_done(masters))
+        if self._failure is not None:
+            raise self._failure
+
+    def replay(self) -> Agreement:
+        """Play the log as the slaves, ask it all that the masters asked, and compare."""
+        records = Reading([self._log_path], ReadingOptions()).records()
+        recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
+        slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, speed=None))
+        with slave, TcpMaster(slave.endpoint) as master:
+            answers = [master.ask(unit, pdu) for unit, pdu, _ in self._exchanges]
+        differences = tuple(
+            (unit, pdu, answer)
+            for (unit, pdu, recorded), answer in zip(self._exchanges, answers, strict=True)
+            if answer != recorded
+        )
+        return Agreement(len(answers), differences)
+
+    def _ask_all(self, serial: SerialLink, tap: Endpoint) -> None:
+        try:
+            with RtuMaster(serial) as rtu, TcpMaster(tap) as tcp:
+                self._ask(tcp, MODULE_UNIT, module_requests())
+                self._ask(rtu, TOUCH_UNIT, touch_requests())
+        except Exception as error:
+            self._failure = error
+
+    def _ask(self, master: Master, unit: int, requests: Sequence[bytes]) -> None:
+        for pdu in requests:
+            self._exchanges.append((unit, pdu, master.ask(unit, pdu)))
+
+
+def touch_requests() -> list[bytes]:
+    """What the master asks the FT1A Touch: every area, and one write that is too long for it."""
+    read = [
+        _request(0x03, address=0, quantity=4),
+        _request(0x04, address=0, quantity=2),
+        _request(0x01, address=0, quantity=11),
+        _request(0x02, address=0, quantity=8),
+    ]
+    write = [
+        _request(0x06, address=0, value=0x1234),
+        _request(0x10, address=1, values=(22136, 7, 42)),
+        _request(0x05, address=0, value=0xFF00),
+    ]
+    too_long = _request(0x10, address=0, values=(0,) * 110)
+    return [*read, *write, *read, too_long, read[0]]
+
+
+def module_requests() -> list[bytes]:
+    """What the manual's chapter 10.5 has a master do with an FA3-AT1M8X, and a read of a hole."""
+    averaging = (0x0000, 0x2010, 0, 0, 0, 0, 0, 5000, 0, 100)
+    return [
+        b"\x42\x00",
+        _request(0x06, address=0x0102, value=0x005C),
+        _request(0x10, address=0x0105, values=averaging),
+        _request(0x05, address=0x0009, value=0xFF00),
+        _request(0x02, address=0x0009, quantity=1),
+        _request(0x05, address=0x0009, value=0x0000),
+        _request(0x02, address=0x0010, quantity=8),
+        _request(0x04, address=0x0002, quantity=8),
+        _request(0x03, address=0x0010, quantity=2),
+    ]
+
+
+def _request(code: int, **fields: Value) -> bytes:
+    return encode_pdu(code, Direction.REQUEST, **fields)
+
+
+def _touch(link: SerialLink) -> Responder:
+    profile = load_profile("idec-ft1a-touch")
+    image = RegisterImage.of(profile)
+    image.set(Table.HOLDING_REGISTERS, 0, [100, 200, 300, 400])
+    image.set(Table.INPUT_REGISTERS, 0, [2310, 498])
+    image.set(Table.COILS, 0, [0, 0, 0, 0, 0, 1, 0, 0, 1, 1, 0])
+    image.set(Table.DISCRETE_INPUTS, 0, [1, 0, 1])
+    return units_on(link, profile, TOUCH_UNIT, DeviceResponder(profile, image))
+
+
+def _module(link: TcpLink) -> Responder:
+    profile = load_profile("fa3-at1m8x")
+    image = RegisterImage.of(profile)
+    image.set(Table.INPUT_REGISTERS, 2, [12000, 4000, 0, 0, 0, 2700, 0, 37])
+    image.set(Table.DISCRETE_INPUTS, 0x09, [1])
+    image.set(Table.DISCRETE_INPUTS, 0x10, [1, 1, 0, 0, 0, 1, 0, 1])
+    return units_on(link, profile, MODULE_UNIT, DeviceResponder(profile, image))
+
+
+def _when_done(masters: threading.Thread) -> Callable[[int], bool]:
+    """Stop when the masters have ended and the last bytes have had time to arrive."""
+    since: list[int] = []
+
+    def stop(now_ns: int) -> bool:
+        if masters.is_alive():
+            return False
+        since.append(now_ns)
+        return now_ns - since[0] > _QUIET_NS
+
+    return stop

@@ -1,0 +1,159 @@
+"""Reads recordings of any kind into named transactions and events."""
+
+# A packet capture is decoded. A log gives back what was decoded when it was made, or with `raw`
+# decodes its evidence afresh: by the line settings and profiles that it carries, unless the user
+# gives others. Several packet captures are parts of one, in the order in which they are named, so
+# a connection may begin in one and end in the next.
+#
+# Raises InputError for what cannot be read, and CutError after all that came before a cut.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import Chunk, InputError, Packet, SerialLink, UsageError, WireEvent, parse_link
+from mbtool.devices import Assignment, Assignments, Namer, parse_who, profile_from_json
+from mbtool.logs import LogReader, follow
+from mbtool.modbus import Transaction
+from mbtool.sources.files import CaptureKind, open_capture
+from mbtool.workflows.decoding import Decoder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.sources.files import CaptureFile
+    from mbtool.workflows.decoding import Record
+
+DEFAULT_PORT = 502
+SPEC = "spec"
+PORTS = "ports"
+RTU_PORTS = "rtu_ports"
+"""What a log says of a link beside its name: the keys of its metadata."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadingOptions:
+    """How to read."""
+
+    assignments: Assignments = field(default_factory=Assignments)
+    ports: Sequence[int] = ()
+    """TCP ports of slaves; none for the log's own, or 502."""
+    rtu_ports: Sequence[int] = ()
+    raw: bool = False
+    """Decode a log's evidence afresh."""
+
+
+class Reading:
+    """One pass over some files."""
+
+    def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
+        self._paths = paths
+        self._options = options
+        self._current: CaptureFile | None = None
+        self._done = 0
+
+    @property
+    def fraction(self) -> float | None:
+        """How much has been read, 0 to 1; None where that cannot be known."""
+        part = self._current.fraction() if self._current is not None else 0.0
+        return None if part is None else (self._done + part) / len(self._paths)
+
+    def records(self) -> Iterator[Record]:
+        """Give everything, file by file."""
+        options = self._options
+        decoder = Decoder(
+            Namer(options.assignments),
+            ports=options.ports or (DEFAULT_PORT,),
+            rtu_ports=options.rtu_ports,
+        )
+        try:
+            for path in self._paths:
+                with open_capture(path) as capture:
+                    self._current = capture
+                    if capture.kind is CaptureKind.MCAP:
+                        yield from self._log_records(capture)
+                    else:
+                        for packet in capture.packets():
+                            yield from decoder.feed(packet)
+                self._done += 1
+        except InputError:
+            yield from decoder.close()
+            raise
+        yield from decoder.close()
+
+    def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
+        log = LogReader(capture.stream, capture.name)
+        if self._options.raw:
+            yield from decoded_again(log, self._options)
+        else:
+            yield from _renamed(log, self._options.assignments)
+
+
+def decoded_again(log: LogReader, options: ReadingOptions) -> Iterator[Record]:
+    """Decode a log's evidence afresh."""
+    decoder = Decoder(
+        Namer(_all_assignments(log, options.assignments)),
+        lines=_lines(log),
+        ports=options.ports or _ports(log, PORTS) or (DEFAULT_PORT,),
+        rtu_ports=options.rtu_ports or _ports(log, RTU_PORTS),
+    )
+    try:
+        for evidence in log.evidence():
+            yield from decoder.feed(evidence)
+    except InputError:
+        yield from decoder.close()
+        raise
+    yield from decoder.close()
+
+
+def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:
+    """Read a log that is being written; `wait` says when to look again, or False to end."""
+    with open_capture(path) as capture:
+        if capture.kind is not CaptureKind.MCAP or path == "-":
+            raise UsageError(f"{path}: only a log that mbtool is writing can be followed")
+    namer = Namer(options.assignments)
+    for item in follow(path, wait):
+        if not isinstance(item, Chunk | Packet):
+            yield _named_anew(item, namer, options.assignments)
+
+
+def _renamed(log: LogReader, assignments: Assignments) -> Iterator[Record]:
+    namer = Namer(assignments)
+    for item in log.items():
+        if not isinstance(item, Chunk | Packet):
+            yield _named_anew(item, namer, assignments)
+
+
+def _named_anew(item: Record, namer: Namer, assignments: Assignments) -> Record:
+    """A transaction in the words of the profile that the user gives, where he gives one."""
+    if isinstance(item, WireEvent) or assignments.profile_for(item) is None:
+        return item
+    return namer.name(_bare(item))
+
+
+def _bare(named: NamedTransaction) -> Transaction:
+    return Transaction(**{name: getattr(named, name) for name in Transaction.__struct_fields__})
+
+
+def _all_assignments(log: LogReader, given: Assignments) -> Assignments:
+    """What the user gives, and for all others the log's own profiles."""
+    named = {str(assignment.who) for assignment in given}
+    of_log = (
+        Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))
+        for who, name in log.devices.items()
+        if who not in named and name in log.profiles
+    )
+    return Assignments([*given, *of_log])
+
+
+def _lines(log: LogReader) -> dict[str, SerialLink]:
+    links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
+    return {name: link for name, link in links if isinstance(link, SerialLink)}
+
+
+def _ports(log: LogReader, key: str) -> tuple[int, ...]:
+    texts = (one.get(key, "") for one in log.links.values())
+    return tuple(sorted({int(port) for text in texts for port in text.split()}))

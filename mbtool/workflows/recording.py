@@ -1,0 +1,59 @@
+"""Begins the log of a run: what it says of the run, its links, devices and profiles."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from typing import TYPE_CHECKING
+
+from mbtool.core import InterfaceLink, TapLink
+from mbtool.devices import profile_to_json
+from mbtool.logs import LogWriter, RotatingLog, Rotation
+from mbtool.workflows.reading import PORTS, RTU_PORTS, SPEC
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import LinkSpec
+    from mbtool.devices import Assignments
+
+
+def begin_log(
+    path: str,
+    links: Sequence[LinkSpec],
+    assignments: Assignments,
+    *,
+    ports: Sequence[int] = (),
+    rtu_ports: Sequence[int] = (),
+    rotation: str | None = None,
+    overwrite: bool = False,
+) -> LogWriter | RotatingLog:
+    """Create a log and say in it all that decoding it again needs. Raises UsageError."""
+    capture = {
+        "host": platform.node(),
+        "system": platform.platform(),
+        "command": shlex.join(["mbtool", *sys.argv[1:]]),
+        "clock": "the host's system clock, UTC nanoseconds, read right after each read",
+    }
+    log: LogWriter | RotatingLog
+    if rotation is None:
+        log = LogWriter(path, capture=capture, replace=overwrite)
+    else:
+        log = RotatingLog(path, Rotation.parse(rotation), capture=capture, replace=overwrite)
+    for link in links:
+        settings = {SPEC: str(link)}
+        if isinstance(link, InterfaceLink):
+            settings |= {PORTS: _listed(ports), RTU_PORTS: _listed(rtu_ports)}
+        elif isinstance(link, TapLink) and link.target.port in rtu_ports:
+            settings[RTU_PORTS] = str(link.target.port)
+        log.add_link(link.name, settings)
+    for assignment in assignments:
+        log.add_device(str(assignment.who), assignment.profile.name)
+    for profile in assignments.profiles:
+        log.add_profile(profile.name, profile_to_json(profile))
+    return log
+
+
+def _listed(ports: Sequence[int]) -> str:
+    return " ".join(map(str, ports))

@@ -1,0 +1,42 @@
+"""Makes slaves: a device's, and a recording's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import SerialLink, TcpLink, UsageError
+from mbtool.slave import DeviceResponder, RegisterImage, load_image, open_shell, units_on
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mbtool.core import LinkSpec
+    from mbtool.devices import Profile
+    from mbtool.slave import Shell
+
+
+def device_slave(
+    profile: Profile,
+    link: LinkSpec,
+    unit: int = 1,
+    image_file: Path | None = None,
+    *,
+    allow_remote: bool = False,
+) -> Shell:
+    """A device on a link, not yet started. Raises UsageError, InputError."""
+    image = RegisterImage.of(profile)
+    if image_file is not None:
+        load_image(image_file, profile, image)
+    return open_shell(
+        link,
+        units_on(_slave_link(link), profile, unit, DeviceResponder(profile, image)),
+        allow_remote=allow_remote,
+    )
+
+
+def _slave_link(link: LinkSpec) -> SerialLink | TcpLink:
+    if isinstance(link, SerialLink | TcpLink):
+        return link
+    raise UsageError(
+        f"link {link}: a slave needs rtu:PORT, ascii:PORT, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
+    )
