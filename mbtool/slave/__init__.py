@@ -1,0 +1,24 @@
+"""The embedded slave: a device's answers from its profile, and shells that play any responder."""
+
+from mbtool.slave.image import RegisterImage
+from mbtool.slave.image_file import load_image
+from mbtool.slave.opening import open_shell
+from mbtool.slave.responder import DeviceResponder
+from mbtool.slave.serial_shell import SerialSlave
+from mbtool.slave.shell import OnExchange, Shell
+from mbtool.slave.tcp_shell import Bounds, TcpSlave
+from mbtool.slave.units import Units, units_on
+
+__all__ = [
+    "Bounds",
+    "DeviceResponder",
+    "OnExchange",
+    "RegisterImage",
+    "SerialSlave",
+    "Shell",
+    "TcpSlave",
+    "Units",
+    "load_image",
+    "open_shell",
+    "units_on",
+]

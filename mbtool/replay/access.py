@@ -1,0 +1,100 @@
+"""Which registers or bits a request reads and writes, and what it leaves there."""
+
+# REACHING lists the functions whose form says where they read and write (V1.1b3, section 6). What
+# a mask write (16) leaves depends on what was there before.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+from mbtool.core import Direction
+from mbtool.modbus import FUNCTIONS, Table, encode_pdu
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.modbus import Pdu
+
+REACHING = frozenset({0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F, 0x10, 0x16, 0x17})
+
+_COIL_VALUES = {0x0000: 0, 0xFF00: 1}
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The addresses that a request reads and those that it writes, of one table."""
+
+    table: Table
+    reads: range = range(0)
+    writes: range = range(0)
+
+
+def access_of(request: Pdu) -> Access | None:
+    """What a request reaches; None where it is not among REACHING, or breaks its form or limits."""
+    if request.code not in REACHING or request.problem is not None:
+        return None
+    function = FUNCTIONS[request.code]
+    table, address = cast("Table", function.table), _number(request, "address")
+    match request.code:
+        case 0x01 | 0x02 | 0x03 | 0x04:
+            access = Access(table, reads=_span(address, _number(request, "quantity")))
+        case 0x05 if _number(request, "value") not in _COIL_VALUES:
+            return None
+        case 0x05 | 0x06 | 0x16:
+            access = Access(table, writes=_span(address, 1))
+        case 0x0F | 0x10:
+            access = Access(table, writes=_span(address, _number(request, "quantity")))
+        case _:  # 17
+            access = Access(
+                table,
+                reads=_span(address, _number(request, "quantity")),
+                writes=_span(_number(request, "write_address"), _number(request, "write_quantity")),
+            )
+    return access if _is_whole(access, request, function.limit) else None
+
+
+def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
+    """What a request leaves in the range that it writes; `before` is what stands there."""
+    match request.code:
+        case 0x05:
+            return (_COIL_VALUES[_number(request, "value")],)
+        case 0x06:
+            return (_number(request, "value"),)
+        case 0x16:
+            and_mask, or_mask = _number(request, "and_mask"), _number(request, "or_mask")
+            return ((before[0] & and_mask) | (or_mask & ~and_mask),)
+        case _:
+            return _values(request)
+
+
+def response_to(request: Pdu, pdu: bytes, values: Sequence[int]) -> bytes:
+    """The standard's response to a request that went well; `values` are those that it reads."""
+    match request.code:
+        case 0x05 | 0x06 | 0x16:
+            return pdu
+        case 0x0F | 0x10:
+            return pdu[:5]
+        case _:
+            return encode_pdu(request.code, Direction.RESPONSE, values=tuple(values))
+
+
+def _is_whole(access: Access, request: Pdu, limit: int) -> bool:
+    spans = [span for span in (access.reads, access.writes) if span]
+    if request.code == 0x17 and len(spans) < 2:
+        return False
+    if request.code in (0x0F, 0x10, 0x17) and len(_values(request)) != len(access.writes):
+        return False
+    return bool(spans) and all(len(span) <= limit and span.stop <= 0x10000 for span in spans)
+
+
+def _span(address: int, quantity: int) -> range:
+    return range(address, address + quantity)
+
+
+def _number(request: Pdu, name: str) -> int:
+    return cast("int", request.fields[name])  # A PDU without a problem has every field.
+
+
+def _values(request: Pdu) -> tuple[int, ...]:
+    return cast("tuple[int, ...]", request.fields["values"])

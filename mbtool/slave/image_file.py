@@ -1,0 +1,85 @@
+"""Reads the values that a slave is to start with from a TOML file."""
+
+# A key is a reference in the device's own notation, a value what stands there, a list what stands
+# there and behind it:
+#
+#     HR400001 = 4660
+#     HR400010 = [1, 2, -3]      # negative numbers are 16-bit two's complement
+#     C1 = 1
+#
+# The file speaks in the order of its lines: where ranges overlap, the later line counts. A master's
+# rights do not matter here, so inputs can be given values too.
+#
+# Limits: a file of at most 4 MiB, room for every address of all tables.
+
+from __future__ import annotations
+
+import reprlib
+import tomllib
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core import InputError, UsageError
+from mbtool.devices import parse_reference
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mbtool.devices import Profile
+    from mbtool.modbus.tables import Table
+    from mbtool.slave.image import RegisterImage
+
+MAX_FILE_BYTES = 4 << 20
+
+_LOWEST, _HIGHEST = -0x8000, 0xFFFF
+
+
+def load_image(path: Path, profile: Profile, image: RegisterImage) -> None:
+    """Write the values of a file into an image.
+
+    Raises InputError for a file that is no TOML, UsageError for what it says; the image then holds
+    what came before.
+    """
+    for key, value in _read(path).items():
+        try:
+            table, address = parse_reference(profile, key)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from error
+        values = [_number(path, key, one, table) for one in _listed(path, key, value)]
+        if profile.area(table, address, len(values)) is None:
+            area = profile.area(table, address)
+            end = f", which ends at {area.reference(area.last)}" if area is not None else ""
+            raise UsageError(f"{path}: {key}: {len(values)} values do not fit its area{end}")
+        image.set(table, address, values)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(f"{path}: more than {MAX_FILE_BYTES} bytes are no register image")
+    try:
+        return tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: not TOML: {error}; write lines such as HR400001 = 4660"
+        ) from error
+
+
+def _listed(path: Path, key: str, value: object) -> list[object]:
+    values = value if isinstance(value, list) else [value]
+    if not values:
+        raise UsageError(f"{path}: {key}: the list is empty; write a number or numbers")
+    return values
+
+
+def _number(path: Path, key: str, value: object, table: Table) -> int:
+    if isinstance(value, bool) and table.is_bits:
+        return int(value)
+    lowest, highest = (0, 1) if table.is_bits else (_LOWEST, _HIGHEST)
+    if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
+        shown = str(value).lower() if isinstance(value, bool) else reprlib.repr(value)
+        raise UsageError(f"{path}: {key}: {shown}: write a number from {lowest} to {highest}")
+    return value & _HIGHEST

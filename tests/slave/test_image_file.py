@@ -1,0 +1,97 @@
+"""Values to start with, from a file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import InputError, UsageError
+from mbtool.devices import load_profile
+from mbtool.modbus.tables import Table
+from mbtool.slave.image import RegisterImage
+from mbtool.slave.image_file import MAX_FILE_BYTES, load_image
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def _load(path: Path, text: str, profile: str = "idec-ft1a-touch") -> RegisterImage:
+    image = RegisterImage()
+    file = path / "start.toml"
+    file.write_text(text, encoding="utf-8")
+    load_image(file, load_profile(profile), image)
+    return image
+
+
+def test_reads_single_values_lists_and_bits(tmp_path: Path) -> None:
+    image = _load(
+        tmp_path,
+        """
+        HR400001 = 4660
+        "HR400010" = [1, 2, 3]
+        ir300002 = -2
+        C1 = 1
+        I100001 = [true, false, 1]
+        """,
+    )
+    assert image.get(Table.HOLDING_REGISTERS, 0, 2) == [4660, 0]
+    assert image.get(Table.HOLDING_REGISTERS, 9, 4) == [1, 2, 3, 0]
+    assert image.get(Table.INPUT_REGISTERS, 1) == [0xFFFE]
+    assert image.get(Table.COILS, 0, 2) == [1, 0]
+    assert image.get(Table.DISCRETE_INPUTS, 0, 3) == [1, 0, 1]
+
+
+def test_reads_the_notation_of_the_device(tmp_path: Path) -> None:
+    image = _load(tmp_path, "X1F = 1\n0102H = 0x005C\nRWr2 = [12000, 4000]", "fa3-at1m8x")
+    assert image.get(Table.DISCRETE_INPUTS, 0x1F) == [1]
+    assert image.get(Table.HOLDING_REGISTERS, 0x0102) == [0x5C]
+    assert image.get(Table.INPUT_REGISTERS, 2, 2) == [12000, 4000]
+
+
+def test_a_later_line_counts_where_ranges_overlap(tmp_path: Path) -> None:
+    image = _load(tmp_path, "HR400001 = [1, 2, 3]\nHR400002 = 9")
+    assert image.get(Table.HOLDING_REGISTERS, 0, 3) == [1, 9, 3]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("HR999999 = 1", "start.toml: reference 'HR999999'"),
+        ("HR400001 = 65536", "start.toml: HR400001: 65536: write a number from -32768 to 65535"),
+        ("HR400001 = -32769", "write a number from -32768 to 65535"),
+        ("HR400001 = 1.5", "start.toml: HR400001: 1.5: write a number"),
+        ('HR400001 = "on"', "start.toml: HR400001: 'on': write a number"),
+        ("HR400001 = true", "start.toml: HR400001: true: write a number"),
+        ("HR400001 = [1, [2]]", r"start.toml: HR400001: \[2\]: write a number"),
+        ("HR400001 = []", "start.toml: HR400001: the list is empty"),
+        ("[HR400001]\nx = 1", "start.toml: HR400001: {'x': 1}: write a number"),
+        ("C1 = 2", "start.toml: C1: 2: write a number from 0 to 1"),
+        ("HR404096 = [1, 2]", "start.toml: HR404096: 2 values .* ends at HR404096"),
+    ],
+)
+def test_names_file_key_and_value_of_a_mistake(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        _load(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"HR400001 4660", "not TOML"),
+        (b"HR400001 = 1\nHR400001 = 2", "not TOML"),
+        (b"\xff\xfe", "not TOML"),
+        (b"x = " + b"[" * 100_000, "not TOML"),
+        (b"#" * (MAX_FILE_BYTES + 1), "more than 4194304 bytes"),
+    ],
+)
+def test_refuses_a_file_of_another_kind(tmp_path: Path, data: bytes, says: str) -> None:
+    file = tmp_path / "start.toml"
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=says):
+        load_image(file, load_profile("idec-ft1a-touch"), RegisterImage())
+
+
+def test_refuses_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"absent\.toml: cannot be read: No such file"):
+        load_image(tmp_path / "absent.toml", load_profile("idec-ft1a-touch"), RegisterImage())
