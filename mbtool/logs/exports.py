@@ -1,0 +1,113 @@
+"""Transactions and events as lines of text: jsonl and CSV."""
+
+# One jsonl line is one transaction with the fields of docs/log-format.md, or one event. An event is
+# told by `kind`, which no transaction has, and a transaction by `outcome`, which no event has:
+#
+#     jq 'select(.outcome == "exception")'      jq 'select(.kind == "gap")'
+#
+# In CSV a list's values are parted by spaces, and a line end inside a text becomes a space.
+#
+# Bytes are lower-case hex; times are UTC nanoseconds as integers; what does not apply is absent.
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING, Any, TextIO
+
+import msgspec
+
+from mbtool.logs.messages import EventMessage
+
+if TYPE_CHECKING:
+    from mbtool.core import WireEvent
+    from mbtool.devices import NamedTransaction
+
+_encode = msgspec.json.Encoder().encode
+
+_ONE_LINE = str.maketrans("\r\n", "  ")
+
+CSV_COLUMNS = (
+    "request_ns",
+    "response_ns",
+    "latency_ns",
+    "link",
+    "transport",
+    "source",
+    "destination",
+    "unit",
+    "transaction_id",
+    "function",
+    "function_name",
+    "sub_function",
+    "address",
+    "quantity",
+    "write_address",
+    "device",
+    "reference",
+    "outcome",
+    "exception",
+    "exception_name",
+    "request_values",
+    "response_values",
+    "points",
+    "findings",
+    "retries",
+    "verdicts",
+    "direction_by",
+    "confidence",
+    "request_raw",
+    "response_raw",
+)
+"""The columns in their order. A column keeps its name and meaning; a new one is the last."""
+
+
+def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
+    """One line, with its end."""
+    return _line(transaction)
+
+
+def event_to_jsonl(event: WireEvent) -> bytes:
+    """One line, with its end."""
+    return _line(EventMessage.of(event))
+
+
+class CsvWriter:
+    """Writes transactions as CSV rows of one line each, after a row of column names."""
+
+    def __init__(self, stream: TextIO) -> None:
+        """`stream` is opened with newline=""."""
+        self._writer = csv.writer(stream, lineterminator="\n")
+        self._writer.writerow(CSV_COLUMNS)
+
+    def write(self, transaction: NamedTransaction) -> None:
+        self._writer.writerow(csv_row(transaction))
+
+
+def csv_row(transaction: NamedTransaction) -> list[str]:
+    """The cells of CSV_COLUMNS; empty where a field does not apply."""
+    fields = _with_hex(transaction)
+    points = "; ".join(f"{point.name}={point.text}" for point in transaction.points)
+    fields["points"] = points
+    return [_cell(fields.get(column)) for column in CSV_COLUMNS]
+
+
+def _line(message: msgspec.Struct) -> bytes:
+    return _encode(_with_hex(message)) + b"\n"
+
+
+def _with_hex(message: msgspec.Struct) -> dict[str, Any]:
+    fields: dict[str, Any] = msgspec.to_builtins(message, builtin_types=(bytes,))
+    for name, value in fields.items():
+        if isinstance(value, bytes):
+            fields[name] = value.hex()
+    return fields
+
+
+def _cell(value: object) -> str:
+    match value:
+        case None:
+            return ""
+        case list():
+            return _cell(" ".join(map(str, value)))
+        case _:
+            return str(value).translate(_ONE_LINE)

@@ -1,0 +1,88 @@
+"""The bytes of an MCAP file that the writer and the reader share."""
+
+#     magic | record ... | DataEnd | summary ... | Footer | magic
+#     record = opcode (1 byte), length (8 bytes), content; integers are little-endian
+#
+# Source: the MCAP format specification, https://mcap.dev/spec. The `mcap` package has the records;
+# what is here is what its classes keep to themselves or do too slowly for one call per message.
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import DataEnd, Footer
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+MAGIC = b"\x89MCAP0\r\n"
+PROFILE = "mbtool"
+FORMAT_VERSION = 1
+
+CAPTURE = "mbtool.capture"
+LINK = "mbtool.link"
+DEVICE = "mbtool.device"
+PROFILE_MEDIA_TYPE = "application/toml"
+
+RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Channel, sequence, log time, publish time."""
+
+PRIVATE = 0x80
+"""The first of the opcodes that a reader skips when it does not know them."""
+
+MAX_RECORD = 64 << 20
+"""The longest record and the largest unpacked chunk that a reader takes into memory."""
+
+
+def packed(*records: McapRecord) -> bytes:
+    """Records as they stand in a file."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def empty_record(size: int) -> bytes:
+    """A private record of a given size, at least RECORD_HEAD.size."""
+    return RECORD_HEAD.pack(PRIVATE, size - RECORD_HEAD.size) + bytes(size - RECORD_HEAD.size)
+
+
+def footer(summary_start: int = 0, offsets_start: int = 0, crc: int = 0) -> bytes:
+    """What a file ends with: Footer and magic."""
+    return packed(Footer(summary_start, offsets_start, crc)) + MAGIC
+
+
+def data_end(crc: int) -> bytes:
+    return packed(DataEnd(crc))
+
+
+DATA_END_SIZE = len(data_end(0))
+FOOTER_SIZE = len(footer())
+TAIL_SIZE = DATA_END_SIZE + FOOTER_SIZE
+
+__all__ = [
+    "CAPTURE",
+    "DATA_END_SIZE",
+    "DEVICE",
+    "FOOTER_SIZE",
+    "FORMAT_VERSION",
+    "LINK",
+    "MAGIC",
+    "MAX_RECORD",
+    "MESSAGE_HEAD",
+    "PRIVATE",
+    "PROFILE",
+    "PROFILE_MEDIA_TYPE",
+    "RECORD_HEAD",
+    "TAIL_SIZE",
+    "Opcode",
+    "data_end",
+    "empty_record",
+    "footer",
+    "packed",
+]

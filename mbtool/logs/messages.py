@@ -1,0 +1,149 @@
+"""The messages of the log as they stand in JSON, and the values they are made of."""
+
+# A transaction is its own message: NamedTransaction is a msgspec.Struct. The other values of the
+# core are dataclasses that know nothing of JSON, so each has a Struct here, in which a field that
+# does not apply is absent. Bytes are base64, times are UTC nanoseconds as integers.
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import msgspec
+
+from mbtool.core import Chunk, Connection, Direction, EventKind, Packet, Stamp, WireEvent
+from mbtool.devices import NamedTransaction
+
+LogItem = Chunk | Packet | NamedTransaction | WireEvent
+"""What is written to a log and read back from it."""
+
+
+class ChunkMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A Chunk, or a Packet: then it has a link type."""
+
+    ts_ns: int
+    link: str
+    data: bytes
+    direction: Direction | None = None
+    stamp: Stamp | None = None
+    connection: Connection | None = None
+    link_type: int | None = None
+    original_length: int | None = None
+
+    @classmethod
+    def of(cls, item: Chunk | Packet) -> ChunkMessage:
+        if isinstance(item, Packet):
+            return cls(
+                ts_ns=item.ts_ns,
+                link=item.link,
+                data=item.data,
+                link_type=item.link_type,
+                original_length=item.original_length,
+            )
+        return cls(
+            ts_ns=item.ts_ns,
+            link=item.link,
+            data=item.data,
+            direction=item.direction,
+            stamp=item.stamp,
+            connection=item.connection,
+        )
+
+    def item(self) -> Chunk | Packet:
+        if self.link_type is not None:
+            length = self.original_length
+            return Packet(
+                ts_ns=self.ts_ns,
+                link=self.link,
+                link_type=self.link_type,
+                data=self.data,
+                original_length=len(self.data) if length is None else length,
+            )
+        return Chunk(
+            ts_ns=self.ts_ns,
+            link=self.link,
+            data=self.data,
+            direction=self.direction or Direction.UNKNOWN,
+            stamp=self.stamp or Stamp.LAST_BYTE,
+            connection=self.connection,
+        )
+
+
+class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A WireEvent."""
+
+    ts_ns: int
+    link: str
+    kind: EventKind
+    message: str
+    source: str = ""
+    destination: str = ""
+    raw: bytes = b""
+    missing: int = 0
+
+    @classmethod
+    def of(cls, event: WireEvent) -> EventMessage:
+        return cls(
+            ts_ns=event.ts_ns,
+            link=event.link,
+            kind=event.kind,
+            message=event.message,
+            source=event.source,
+            destination=event.destination,
+            raw=event.raw,
+            missing=event.missing,
+        )
+
+    def item(self) -> WireEvent:
+        return WireEvent(
+            ts_ns=self.ts_ns,
+            link=self.link,
+            kind=self.kind,
+            message=self.message,
+            source=self.source,
+            destination=self.destination,
+            raw=self.raw,
+            missing=self.missing,
+        )
+
+
+class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A point whose value has changed."""
+
+    ts_ns: int
+    link: str
+    unit_id: int
+    device: str | None = None
+    name: str
+    reference: str
+    value: float | None = None
+    text: str
+    unit: str | None = None
+
+
+class Level(IntEnum):
+    """How grave, as Foxglove counts."""
+
+    UNKNOWN = 0
+    DEBUG = 1
+    INFO = 2
+    WARNING = 3
+    ERROR = 4
+    FATAL = 5
+
+
+class LogTime(msgspec.Struct, frozen=True, kw_only=True):
+    """A time as Foxglove writes it."""
+
+    sec: int
+    nsec: int
+
+
+class LogMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """A finding, in the form that Foxglove's Log panel shows (schema foxglove.Log)."""
+
+    timestamp: LogTime
+    level: Level
+    message: str
+    name: str
+    file: str
+    line: int

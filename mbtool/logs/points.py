@@ -1,0 +1,51 @@
+"""Which named values have changed since they were last seen."""
+
+# Holds the last value of at most MAX_POINTS points; beyond, the one that changed least recently is
+# forgotten, and counts as changed when it comes again.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.logs.messages import PointMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices import NamedTransaction
+
+MAX_POINTS = 65536
+
+
+class PointChanges:
+    """Looks at transactions in order. The first value of a point is a change."""
+
+    def __init__(self, limit: int = MAX_POINTS) -> None:
+        self._limit = limit
+        self._last: dict[tuple[str, int, str | None, str], tuple[float | None, str]] = {}
+
+    def changes(self, transaction: NamedTransaction, ts_ns: int) -> Iterator[PointMessage]:
+        """The values that this transaction changes; none where it had no effect on the device."""
+        if not transaction.points or not transaction.took_effect:
+            return
+        link, unit, device = transaction.link, transaction.unit, transaction.device
+        for point in transaction.points:
+            key = (link, unit, device, point.name)
+            seen = (point.value, point.text)
+            if self._last.get(key) == seen:
+                continue
+            self._last.pop(key, None)
+            if len(self._last) >= self._limit:
+                del self._last[next(iter(self._last))]
+            self._last[key] = seen
+            yield PointMessage(
+                ts_ns=ts_ns,
+                link=link,
+                unit_id=unit,
+                device=device,
+                name=point.name,
+                reference=point.reference,
+                value=point.value,
+                text=point.text,
+                unit=point.unit,
+            )

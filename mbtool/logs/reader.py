@@ -1,0 +1,233 @@
+"""Reads a log back: the items that were written, and what is known about them."""
+
+# A log is read from its start to its end, in the order in which it was written, so a pipe will do
+# and a log that is cut off gives all whole chunks before the cut. The metadata that stands before
+# the first item is known once a LogReader is made; what follows later is added as it is met.
+#
+# Raises InputError for a file of another kind and for damage, CutError for a file that ends early;
+# both after everything before it was given. No item is ever wrong, as each chunk is under a CRC;
+# damage between chunks can hide one, which the CRC of the whole tells at the end. A recording that
+# was killed is not cut: it is complete, and only `closed` tells.
+
+from __future__ import annotations
+
+import struct
+import zlib
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Self, cast
+
+import msgspec
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+
+from mbtool.core import Chunk, InputError, Packet
+from mbtool.devices import NamedTransaction
+from mbtool.logs import layout, schemas
+from mbtool.logs.layout import FORMAT_VERSION, MESSAGE_HEAD, PROFILE, Opcode
+from mbtool.logs.messages import ChunkMessage, EventMessage, LogItem
+from mbtool.logs.records import ByteStream, Record, RecordStream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+_Message = ChunkMessage | NamedTransaction | EventMessage
+_ITEMS = frozenset({schemas.CHUNK, schemas.TRANSACTION, schemas.WIRE_EVENT})
+
+
+class LogReader:
+    """One pass over a log. A context manager whose exit closes the stream."""
+
+    capture: dict[str, str]
+    """What the recorder said of itself: version, host, command, clock, drop counts."""
+    links: dict[str, dict[str, str]]
+    """The settings of each link, by its name."""
+    devices: dict[str, str]
+    """The profile of each device, by whom it was given for."""
+    profiles: dict[str, bytes]
+    """The profiles in use, by name, as TOML."""
+    closed: bool
+    """Whether the recorder closed it; known at the end."""
+
+    def __init__(
+        self, stream: ByteStream, name: str, *, wait: Callable[[], bool] | None = None
+    ) -> None:
+        """Read up to the first item. `wait` is as in `follow`."""
+        self._stream = stream
+        self._records = RecordStream(stream, name)
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, str] = {}
+        self._decoders: dict[str, msgspec.json.Decoder[_Message]] = {
+            schemas.CHUNK: msgspec.json.Decoder(ChunkMessage),
+            schemas.TRANSACTION: msgspec.json.Decoder(NamedTransaction),
+            schemas.WIRE_EVENT: msgspec.json.Decoder(EventMessage),
+        }
+        self.capture = {}
+        self.links = {}
+        self.devices = {}
+        self.profiles = {}
+        self.closed = False
+        self._records.read_magic()
+        self._read_header(name)
+        data = self._data_section(wait)
+        first = next((record for record in data if not self._learn(record)), None)
+        self._check_version(name)
+        self._data = data if first is None else chain([first], data)
+
+    @classmethod
+    def open(cls, path: str | Path) -> Self:
+        """Open a log. Raises InputError."""
+        stream = _open(path)
+        try:
+            return cls(stream, str(path))
+        except BaseException:
+            stream.close()
+            raise
+
+    def items(self) -> Iterator[LogItem]:
+        """Everything that was written, in its order. One pass: a second call gives nothing."""
+        return self._read(_ITEMS)
+
+    def transactions(self) -> Iterator[NamedTransaction]:
+        """Only the transactions, in place of `items`."""
+        return cast("Iterator[NamedTransaction]", self._read({schemas.TRANSACTION}))
+
+    def evidence(self) -> Iterator[Chunk | Packet]:
+        """Only what was captured, in place of `items`."""
+        return cast("Iterator[Chunk | Packet]", self._read({schemas.CHUNK}))
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _read_header(self, name: str) -> None:
+        record = self._records.read()
+        if record.opcode != Opcode.HEADER:
+            raise self._records.damaged(record.offset, "no header where it must stand")
+        header = self._records.parse(record, Header.read)
+        if header.profile != PROFILE:
+            raise InputError(
+                f"{name}: an MCAP file of profile {header.profile!r}, "
+                f"not a log of mbtool (profile {PROFILE!r})"
+            )
+
+    def _check_version(self, name: str) -> None:
+        version = self.capture.get("log_format", str(FORMAT_VERSION))
+        if version != str(FORMAT_VERSION):
+            raise InputError(
+                f"{name}: log format {version}, from another version of mbtool; "
+                f"this one reads format {FORMAT_VERSION}"
+            )
+
+    def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[Record]:
+        """The records up to DataEnd; the rest of the file is checked."""
+        while True:
+            record = self._records.read()
+            if record.opcode != Opcode.DATA_END:
+                yield record
+                continue
+            if wait is None:
+                self._records.check_crc(record)
+            following = self._records.read()
+            self.closed = not self._is_open_end(following)
+            if wait is None or self.closed:
+                break
+            if not wait():
+                return
+            self._records.seek(record.offset)
+        if wait is None:
+            while following.opcode != Opcode.FOOTER:
+                following = self._records.read()
+            self._records.read_magic()
+
+    def _is_open_end(self, record: Record) -> bool:
+        """Whether this is the Footer of a log that is being written, or was when it was killed."""
+        return record.opcode == Opcode.FOOTER and self._records.summary_start(record) == 0
+
+    def _learn(self, record: Record) -> bool:
+        """Take in a record that stands outside chunks; False where it may hold items."""
+        match record.opcode:
+            case Opcode.METADATA:
+                metadata = self._records.parse(record, Metadata.read)
+                self._learn_metadata(metadata.name, metadata.metadata)
+            case Opcode.ATTACHMENT:
+                attachment = self._records.parse(record, Attachment.read)
+                (crc,) = struct.unpack("<I", record.content[-4:])
+                if crc not in (0, zlib.crc32(record.content[:-4])):
+                    raise self._records.damaged(record.offset, "an attachment whose CRC is wrong")
+                self.profiles[attachment.name] = attachment.data
+            case Opcode.CHUNK | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
+                return False
+        return True
+
+    def _learn_metadata(self, name: str, values: dict[str, str]) -> None:
+        match name:
+            case layout.CAPTURE:
+                self.capture.update(values)
+            case layout.LINK:
+                self.links[values.pop("name", "")] = values
+            case layout.DEVICE:
+                self.devices[values.get("who", "")] = values.get("profile", "")
+
+    def _read(self, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+        for record in self._data:
+            if record.opcode == Opcode.CHUNK:
+                for inner in self._records.unpack_chunk(record):
+                    yield from self._take(inner, wanted)
+            elif not self._learn(record):
+                yield from self._take(record, wanted)
+
+    def _take(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+        match record.opcode:
+            case Opcode.MESSAGE:
+                yield from self._decode(record, wanted)
+            case Opcode.SCHEMA:
+                schema = self._records.parse(record, Schema.read)
+                self._schemas[schema.id] = schema.name
+            case Opcode.CHANNEL:
+                channel = self._records.parse(record, Channel.read)
+                self._channels[channel.id] = self._schemas.get(channel.schema_id, "")
+
+    def _decode(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+        if len(record.content) < MESSAGE_HEAD.size:
+            raise self._records.damaged(record.offset, "a message without a head")
+        channel_id = MESSAGE_HEAD.unpack_from(record.content)[0]
+        schema = self._channels.get(channel_id)
+        if schema is None:
+            raise self._records.damaged(record.offset, f"a message of no channel ({channel_id})")
+        if schema not in wanted:
+            return
+        try:
+            message = self._decoders[schema].decode(record.content[MESSAGE_HEAD.size :])
+        except msgspec.MsgspecError as error:
+            raise self._records.damaged(record.offset, f"no {schema}: {error}") from None
+        yield message if isinstance(message, NamedTransaction) else message.item()
+
+
+def read_log(path: str | Path) -> Iterator[LogItem]:
+    """Everything that was written to a log, in its order. Raises InputError and CutError."""
+    with LogReader.open(path) as log:
+        yield from log.items()
+
+
+def follow(path: str | Path, wait: Callable[[], bool]) -> Iterator[LogItem]:
+    """As `read_log`, of a log that is being written: items come as they reach the disk.
+
+    `wait` is called when there is no more; it returns when it is worth looking again, or False to
+    end. Ends by itself when the log is closed.
+    """
+    # Unbuffered, as the writer replaces the end of the file, and a buffer would keep the old one.
+    with _open(path, buffering=0) as stream:
+        yield from LogReader(stream, str(path), wait=wait).items()
+
+
+def _open(path: str | Path, buffering: int = -1) -> BinaryIO:
+    try:
+        return Path(path).open("rb", buffering=buffering)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be opened: {reason}") from error

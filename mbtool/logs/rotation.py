@@ -1,0 +1,151 @@
+"""A log that goes on in the next file when one is long enough."""
+
+# FILE.mcap, FILE-0002.mcap, FILE-0003.mcap, ...: each complete in itself, with the metadata, the
+# links and the profiles. A file ends at the first tick or item after it has reached its limit, so
+# it is longer by what one flush holds, and it holds at least one item. A number whose file exists
+# is left out. A transaction may stand in the file after its evidence's.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from mbtool.core import UsageError
+from mbtool.logs.writer import LogWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mbtool.logs.messages import LogItem
+
+_PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
+_SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
+_SECOND_NS = 1_000_000_000
+_TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+
+
+@dataclass(frozen=True, slots=True)
+class Rotation:
+    """When a log goes on in the next file: by size, or by time."""
+
+    size: int | None = None
+    """Bytes on disk."""
+    time_ns: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read `100MB` or `1h`. Raises UsageError."""
+        match = _PATTERN.fullmatch(text)
+        if match is not None and int(match["number"]) > 0:
+            number, suffix = int(match["number"]), match["suffix"].lower()
+            if suffix in _SIZES:
+                return cls(size=number * _SIZES[suffix])
+            if suffix in _TIMES:
+                return cls(time_ns=number * _TIMES[suffix] * _SECOND_NS)
+        raise UsageError(
+            f"rotation {text!r}: write a size in KB, MB or GB or a time in s, m, h or d, "
+            "for example 100MB or 1h"
+        )
+
+
+class RotatingLog:
+    """Writes like a LogWriter, over as many files as its rotation asks for."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        rotation: Rotation,
+        *,
+        capture: Mapping[str, str],
+        replace: bool = False,
+    ) -> None:
+        """Create the first file. Raises UsageError, as LogWriter."""
+        self._path = Path(path)
+        self._rotation = rotation
+        self._capture = dict(capture)
+        self._replace = replace
+        self._number = 1
+        self._introduction: list[Callable[[LogWriter], None]] = []
+        self._began_ns: int | None = None
+        self._now_ns: int | None = None
+        self._writer = self._open()
+
+    @property
+    def path(self) -> Path:
+        """The file that is being written."""
+        return self._writer.path
+
+    @property
+    def size(self) -> int:
+        return self._writer.size
+
+    def write(self, item: LogItem) -> None:
+        self._rotate_if_due()
+        self._writer.write(item)
+        self._is_empty = False
+
+    def add_link(self, name: str, settings: Mapping[str, str]) -> None:
+        self._introduce(lambda writer: writer.add_link(name, settings))
+
+    def add_device(self, who: str, profile: str) -> None:
+        self._introduce(lambda writer: writer.add_device(who, profile))
+
+    def add_profile(self, name: str, toml: bytes) -> None:
+        self._introduce(lambda writer: writer.add_profile(name, toml))
+
+    def tick(self, now_ns: int) -> None:
+        if self._began_ns is None:
+            self._began_ns = now_ns
+        self._now_ns = now_ns
+        self._writer.tick(now_ns)
+        self._rotate_if_due()
+
+    def close(self, final: Mapping[str, str] | None = None) -> None:
+        self._writer.close(final)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _introduce(self, say: Callable[[LogWriter], None]) -> None:
+        """Tell this file and each one after it."""
+        self._introduction.append(say)
+        say(self._writer)
+
+    def _rotate_if_due(self) -> None:
+        if self._is_due():
+            self._writer.close()
+            self._number += 1
+            self._began_ns = self._now_ns
+            self._writer = self._open()
+            for say in self._introduction:
+                say(self._writer)
+
+    def _is_due(self) -> bool:
+        if self._is_empty:
+            return False
+        size, time_ns = self._rotation.size, self._rotation.time_ns
+        if size is not None and self._writer.size >= size:
+            return True
+        if time_ns is None or self._now_ns is None or self._began_ns is None:
+            return False
+        return self._now_ns - self._began_ns >= time_ns
+
+    def _open(self) -> LogWriter:
+        path = self._part()
+        while self._number > 1 and not self._replace and path.exists():
+            self._number += 1
+            path = self._part()
+        capture = {**self._capture, "part": str(self._number)}
+        writer = LogWriter(path, capture=capture, replace=self._replace)
+        self._is_empty = True
+        return writer
+
+    def _part(self) -> Path:
+        if self._number == 1:
+            return self._path
+        return self._path.with_name(f"{self._path.stem}-{self._number:04}{self._path.suffix}")

@@ -1,0 +1,183 @@
+"""The JSON schema of each topic, made from the types that the messages are encoded from."""
+
+# The schemas keep to what Foxglove reads (its parseJsonSchema): objects with properties, arrays,
+# boolean, string, number, integer; no null, no union, no $ref; bytes are strings with
+# contentEncoding base64; an enumeration of numbers is a oneOf of title and const. An enumeration of
+# strings has no form there, so it is a string whose description lists the values. A field that does
+# not apply is absent, so `X | None` is X, not required.
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import inspect
+
+from mbtool.core import Connection, Endpoint
+from mbtool.devices import NamedTransaction, PointValue
+from mbtool.logs.messages import ChunkMessage, EventMessage, LogMessage, LogTime, PointMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+CHUNK = "mbtool.Chunk"
+TRANSACTION = "mbtool.Transaction"
+WIRE_EVENT = "mbtool.WireEvent"
+POINT_VALUE = "mbtool.PointValue"
+LOG = "foxglove.Log"
+
+MESSAGE_TYPES: dict[str, type] = {
+    CHUNK: ChunkMessage,
+    TRANSACTION: NamedTransaction,
+    WIRE_EVENT: EventMessage,
+    POINT_VALUE: PointMessage,
+    LOG: LogMessage,
+}
+
+_TITLES = {
+    CHUNK: "Bytes as captured: one read of a port, the payload of a TCP segment, or a whole packet",
+    TRANSACTION: "A Modbus request and its response, in the words of the device",
+    WIRE_EVENT: "Something on a link that is no transaction",
+    POINT_VALUE: "A named value that has changed",
+    LOG: "A broken rule",
+}
+
+_DESCRIPTIONS: dict[type, dict[str, str]] = {
+    ChunkMessage: {
+        "ts_ns": "When it was captured, UTC nanoseconds",
+        "link": "The bus, the slave's address, or the interface",
+        "data": "The bytes",
+        "direction": "Who speaks, where the source knows it",
+        "stamp": "Whether the time is that of all bytes (a segment) or of the last (a serial read)",
+        "connection": "The TCP connection; absent on a serial line",
+        "link_type": "A packet's LINKTYPE_ of the pcap registry; absent where data is no packet",
+        "original_length": "A packet's bytes on the wire; more than data has where it was cut",
+    },
+    Connection: {
+        "master": "The end that asks",
+        "slave": "The end that answers",
+        "number": "Tells apart connections between the same ends",
+    },
+    Endpoint: {"host": "The address", "port": "The TCP port"},
+    NamedTransaction: {
+        "link": "The bus or the slave's address",
+        "transport": "How the PDU travels",
+        "source": "The master's endpoint, on a network",
+        "destination": "The slave's endpoint, on a network",
+        "unit": "The unit id: the slave's number",
+        "transaction_id": "Of Modbus/TCP",
+        "function": "The function code, without the bit that marks an exception response",
+        "function_name": "The function in words",
+        "sub_function": "Of diagnostics (08), and the MEI type of 2B",
+        "address": "The first address on the wire, counted from 0; where function 17H reads",
+        "quantity": "How many registers or bits",
+        "write_address": "Where function 17H writes, counted from 0",
+        "request_values": "What the request writes: registers as 0..65535, bits as 0 or 1",
+        "response_values": "What the response brings: registers as 0..65535, bits as 0 or 1",
+        "exception": "The exception code of the response",
+        "exception_name": "The exception in words",
+        "outcome": "How the transaction ended",
+        "request_ns": "When the request was complete on the wire, UTC nanoseconds",
+        "response_ns": "When the response was complete on the wire, UTC nanoseconds",
+        "latency_ns": "Nanoseconds from the end of the request to the start of the response",
+        "retries": "How many equal requests before this one went unanswered",
+        "request_raw": "The whole ADU of the request",
+        "response_raw": "The whole ADU of the response",
+        "verdicts": "What was noticed about its frames",
+        "direction_by": "What decided who speaks",
+        "confidence": "How sure that is, 0 to 1",
+        "device": "The name of the device's profile",
+        "reference": "What is addressed, in the vendor's notation",
+        "points": "The named values that the response brought or the request asks to write",
+        "findings": "Codes of broken rules",
+    },
+    PointValue: {
+        "name": "The point's name in its manual",
+        "reference": "Where it stands, in the vendor's notation",
+        "value": "The value as a number; absent where it is infinite or not a number",
+        "text": "The value as the manual would put it",
+        "unit": "The unit of measure",
+    },
+    EventMessage: {
+        "ts_ns": "When it happened, UTC nanoseconds",
+        "link": "The bus or the slave's address",
+        "kind": "What happened",
+        "message": "One sentence for a reader",
+        "source": "The sender's endpoint, on a network",
+        "destination": "The receiver's endpoint, on a network",
+        "raw": "The bytes concerned",
+        "missing": "How many bytes a gap lost",
+    },
+    PointMessage: {
+        "ts_ns": "When the transaction that shows it was complete, UTC nanoseconds",
+        "link": "The bus or the slave's address",
+        "unit_id": "The slave's number",
+        "device": "The name of the device's profile",
+        "name": "The point's name in its manual",
+        "reference": "Where it stands, in the vendor's notation",
+        "value": "The value as a number; absent where it is infinite or not a number",
+        "text": "The value as the manual would put it",
+        "unit": "The unit of measure",
+    },
+    LogMessage: {
+        "timestamp": "When the transaction that broke the rule was complete",
+        "level": "How grave it is",
+        "message": "The code, the rule, and what broke it",
+        "name": "The rule's code",
+        "file": "The link",
+        "line": "The unit id",
+    },
+    LogTime: {"sec": "Seconds since 1970, UTC", "nsec": "Nanoseconds of the second"},
+}
+
+
+@cache
+def json_schema(name: str) -> bytes:
+    """The schema of that name as JSON."""
+    schema = _object(MESSAGE_TYPES[name])
+    return msgspec.json.encode({"title": name, "description": _TITLES[name], **schema})
+
+
+def _object(cls: type) -> dict[str, Any]:
+    info = inspect.type_info(cls)
+    if not isinstance(info, inspect.StructType | inspect.DataclassType):
+        raise TypeError(f"{cls} has no fields")
+    descriptions = _DESCRIPTIONS[cls]
+    properties = {}
+    for field in info.fields:
+        schema, values = _schema(field.type)
+        description = descriptions[field.name]
+        if values:
+            description += ": " + ", ".join(values)
+        properties[field.name] = {**schema, "description": description}
+    required = [field.name for field in info.fields if field.required]
+    return {"type": "object", "properties": properties, "required": required}
+
+
+def _schema(type_: inspect.Type) -> tuple[dict[str, Any], Iterable[str]]:
+    """The schema of one type, and the values of an enumeration of strings."""
+    match type_:
+        case inspect.UnionType(types=types):
+            (only,) = (one for one in types if not isinstance(one, inspect.NoneType))
+            return _schema(only)
+        case inspect.StructType(cls=cls) | inspect.DataclassType(cls=cls):
+            return _object(cls), ()
+        case inspect.ListType(item_type=item_type):
+            items, values = _schema(item_type)
+            return {"type": "array", "items": items}, values
+        case inspect.EnumType(cls=enum) if issubclass(enum, int):
+            choices = [{"title": member.name, "const": member.value} for member in enum]
+            return {"type": "integer", "oneOf": choices}, ()
+        case inspect.EnumType(cls=enum):
+            return {"type": "string"}, [member.value for member in enum]
+        case inspect.BytesType():
+            return {"type": "string", "contentEncoding": "base64"}, ()
+        case inspect.IntType():
+            return {"type": "integer"}, ()
+        case inspect.FloatType():
+            return {"type": "number"}, ()
+        case inspect.StrType():
+            return {"type": "string"}, ()
+        case _:
+            raise TypeError(f"{type_} has no place in a schema")

@@ -1,0 +1,191 @@
+"""Writes a log: evidence, what was decoded from it, and all that a reader needs to know."""
+
+# The order in the file is the order of the calls, so evidence that is written before it is decoded
+# stands before what was decoded from it.
+#
+# The writer has no clock: `tick` tells it the time, and it flushes when something may have waited
+# for FLUSH_AFTER_NS. Ticked ten times a second it has at most 0.6 s in memory. Each such flush is
+# synced to the disk; a flush because a chunk is full is not, so a fast capture syncs as seldom as a
+# slow one, and the next tick's sync covers it. A log that is made from a file needs no ticks.
+#
+# Holds one chunk, the last value of the points it has seen (points.py), and the file's indexes
+# (container.py). Links after MAX_LINKS share the topics of OTHER_LINKS; their messages name them.
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import msgspec
+from mcap.records import Header
+
+from mbtool import __version__
+from mbtool.core import Chunk, LinkError, Packet
+from mbtool.devices import NamedTransaction, finding_text
+from mbtool.logs import schemas
+from mbtool.logs.complete_file import CompleteFile, create_file
+from mbtool.logs.container import Container, Topic
+from mbtool.logs.layout import (
+    CAPTURE,
+    DEVICE,
+    FORMAT_VERSION,
+    LINK,
+    MAGIC,
+    PROFILE,
+    PROFILE_MEDIA_TYPE,
+    packed,
+)
+from mbtool.logs.messages import ChunkMessage, EventMessage, Level, LogItem, LogMessage, LogTime
+from mbtool.logs.points import PointChanges
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FLUSH_AFTER_NS = 500_000_000
+MAX_LINKS = 10_000
+OTHER_LINKS = "others"
+
+
+class LogWriter:
+    """A log that is complete on disk at every moment; a context manager whose exit closes it."""
+
+    def __init__(
+        self, path: str | Path, *, capture: Mapping[str, str], replace: bool = False
+    ) -> None:
+        """Create the file. `capture` says what a reader should know: host, command, clock.
+
+        Raises UsageError where the file exists (unless `replace`) or cannot be created.
+        """
+        self._path = Path(path)
+        file = create_file(self._path, replace=replace)
+        header = Header(profile=PROFILE, library=f"mbtool {__version__}")
+        self._file = CompleteFile(file, str(path), MAGIC + packed(header))
+        self._container = Container(self._file)
+        self._topics: dict[tuple[str, str], Topic] = {}
+        self._links: set[str] = set()
+        self._encode = msgspec.json.Encoder().encode
+        self._points = PointChanges()
+        self._quiet_ns = 0
+        self._capture = {
+            "log_format": str(FORMAT_VERSION),
+            "version": __version__,
+            **_clean(capture),
+        }
+        self._container.add_metadata(CAPTURE, self._capture)
+        try:
+            self._container.flush(sync=True)
+        except LinkError:
+            self._file.close()
+            raise
+
+    @property
+    def path(self) -> Path:
+        return self._path
+
+    @property
+    def size(self) -> int:
+        """The bytes of the file so far."""
+        return self._file.size
+
+    def write(self, item: LogItem) -> None:
+        """Add one item. Raises LinkError when the disk takes no more."""
+        if isinstance(item, NamedTransaction):
+            self._write_transaction(item)
+        elif isinstance(item, Chunk | Packet):
+            topic = self._topic(item.link, "chunks", schemas.CHUNK)
+            self._add(topic, item.ts_ns, item.ts_ns, ChunkMessage.of(item))
+        else:
+            topic = self._topic(item.link, "events", schemas.WIRE_EVENT)
+            self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
+
+    def add_link(self, name: str, settings: Mapping[str, str]) -> None:
+        """Say how a link is set up: its link spec, its line settings."""
+        self._container.add_metadata(LINK, _clean({"name": name, **settings}))
+
+    def add_device(self, who: str, profile: str) -> None:
+        """Say whom a profile was given for, in the words of `--device`."""
+        self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
+
+    def add_profile(self, name: str, toml: bytes) -> None:
+        """Attach a profile in use, whole."""
+        (clean,) = _clean({name: ""})
+        self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, toml)
+
+    def tick(self, now_ns: int) -> None:
+        """Learn the time, of any clock that goes forward. Raises LinkError."""
+        if not self._container.pending:
+            self._quiet_ns = now_ns
+        elif not 0 <= now_ns - self._quiet_ns < FLUSH_AFTER_NS:
+            self._container.flush(sync=True)
+            self._quiet_ns = now_ns
+
+    def close(self, final: Mapping[str, str] | None = None) -> None:
+        """Write what is left and the summary. `final` is what only the end shows: drop counts.
+
+        Does nothing the second time. Raises LinkError; the file is closed all the same.
+        """
+        if self._file.closed:
+            return
+        try:
+            if final:
+                self._container.add_metadata(CAPTURE, {**self._capture, **_clean(final)})
+            self._container.finish()
+        finally:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _write_transaction(self, item: NamedTransaction) -> None:
+        # The time at which all of it was known, so that no viewer shows it before its evidence.
+        known_ns = item.start_ns if item.response_ns is None else item.response_ns
+        topic = self._topic(item.link, "transactions", schemas.TRANSACTION)
+        self._add(topic, known_ns, item.start_ns, item)
+        for change in self._points.changes(item, known_ns):
+            points = self._topic("", "points", schemas.POINT_VALUE)
+            self._add(points, known_ns, item.start_ns, change)
+        for code in item.findings:
+            findings = self._topic("", "findings", schemas.LOG)
+            self._add(findings, known_ns, item.start_ns, _finding(code, item, known_ns))
+
+    def _add(self, topic: Topic, log_ns: int, publish_ns: int, message: msgspec.Struct) -> None:
+        self._container.add_message(topic, log_ns, publish_ns, self._encode(message))
+
+    def _topic(self, link: str, kind: str, schema: str) -> Topic:
+        """The topic of a kind of message; an empty link for one that all links share."""
+        topic = self._topics.get((link, kind))
+        if topic is not None:
+            return topic
+        if link and link not in self._links:
+            if len(self._links) >= MAX_LINKS and link != OTHER_LINKS:
+                return self._topic(OTHER_LINKS, kind, schema)
+            self._links.add(link)
+        name = f"/{link.replace('/', '_')}/{kind}" if link else f"/{kind}"
+        topic = self._container.add_topic(name, schema, schemas.json_schema(schema))
+        self._topics[link, kind] = topic
+        return topic
+
+
+def _finding(code: str, item: NamedTransaction, ts_ns: int) -> LogMessage:
+    sec, nsec = divmod(max(ts_ns, 0), 1_000_000_000)
+    about = f"{item.function_name} {item.reference}" if item.reference else item.function_name
+    return LogMessage(
+        timestamp=LogTime(sec=sec, nsec=nsec),
+        level=Level.WARNING,
+        message=f"{code} {finding_text(code)}: {item.link} unit {item.unit} {about}",
+        name=code,
+        file=item.link,
+        line=item.unit,
+    )
+
+
+def _clean(values: Mapping[str, str]) -> dict[str, str]:
+    """As Unicode can say it: a command line or a file name may hold bytes that are no text."""
+    return {_text(key): _text(value) for key, value in values.items()}
+
+
+def _text(text: str) -> str:
+    return text.encode(errors="replace").decode()

@@ -1,0 +1,207 @@
+"""Items to write to a log, as hypothesis strategies and as a few that speak for all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    Endpoint,
+    EventKind,
+    Packet,
+    Stamp,
+    WireEvent,
+)
+from mbtool.devices import NamedTransaction, PointValue
+from mbtool.logs import LogItem, LogWriter
+from mbtool.modbus import DirectionBy, Outcome, Transport, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+START_NS = 1_700_000_000_000_000_000
+
+READ_REQUEST = bytes.fromhex(
+    "01"  # unit
+    "03 0000 0002"  # read holding registers, address 0, quantity 2
+    "c4 0b"  # CRC
+)
+READ_RESPONSE = bytes.fromhex(
+    "01"  # unit
+    "03 04 1234 5678"  # read holding registers, four bytes
+    "81 07"  # CRC
+)
+
+
+def transaction(number: int = 0, **fields: Any) -> NamedTransaction:
+    """A read that went well, `number` milliseconds after START_NS."""
+    request_ns = START_NS + number * 1_000_000
+    defaults: dict[str, Any] = {
+        "link": "rs485",
+        "transport": Transport.RTU,
+        "unit": 1,
+        "function": 3,
+        "function_name": "read holding registers",
+        "address": 0,
+        "quantity": 2,
+        "response_values": [0x1234, 0x5678],
+        "outcome": Outcome.OK,
+        "request_ns": request_ns,
+        "response_ns": request_ns + 500_000,
+        "latency_ns": 400_000,
+        "retries": 0,
+        "request_raw": READ_REQUEST,
+        "response_raw": READ_RESPONSE,
+        "direction_by": DirectionBy.PENDING,
+        "confidence": 0.9,
+    }
+    return NamedTransaction(**{**defaults, **fields})
+
+
+def chunk(number: int = 0, data: bytes = READ_REQUEST) -> Chunk:
+    return Chunk(ts_ns=START_NS + number * 1_000_000, link="rs485", data=data)
+
+
+EVENT = WireEvent(
+    ts_ns=START_NS + 1,
+    link="10.0.0.9",
+    kind=EventKind.GAP,
+    message="60 bytes are missing",
+    source="10.0.0.1:50211",
+    destination="10.0.0.9:502",
+    missing=60,
+)
+
+PACKET = Packet(
+    ts_ns=START_NS + 2, link="eth0", link_type=1, data=bytes(range(60)), original_length=1514
+)
+
+SEGMENT = Chunk(
+    ts_ns=START_NS + 3,
+    link="10.0.0.9",
+    data=b"\x00\x01",
+    direction=Direction.RESPONSE,
+    stamp=Stamp.AT_ONCE,
+    connection=Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 502), 7),
+)
+
+NAMED = transaction(
+    5,
+    verdicts=[Verdict.GLUED],
+    device="idec-ft1a-touch",
+    reference="HR400001..400002",
+    points=[
+        PointValue(name="HR400001", reference="HR400001", value=4660.0, text="4660"),
+        PointValue(name="level", reference="HR400002", value=2.5, text="2.5 m", unit="m"),
+        PointValue(name="flow", reference="HR400003", text="not a number"),
+    ],
+    findings=["FT1A-Q3"],
+)
+
+ONE_OF_EACH: tuple[LogItem, ...] = (chunk(), transaction(), EVENT, PACKET, SEGMENT, NAMED)
+
+
+def write_log(path: Path, items: Iterable[LogItem]) -> Path:
+    """A closed log of these items, with a link and a profile."""
+    with LogWriter(path, capture={"host": "bench"}) as log:
+        log.add_link("rs485", {"spec": "rtu:/dev/ttyUSB0@19200-8E1"})
+        log.add_profile("idec-ft1a-touch", b'name = "idec-ft1a-touch"\n')
+        for item in items:
+            log.write(item)
+    return path
+
+
+def stock_messages(path: Path) -> list[tuple[str, str, bytes]]:
+    """Topic, schema name and data of all messages, by the stock reader with CRC validation."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return [
+            (channel.topic, schema.name if schema is not None else "", message.data)
+            for schema, channel, message in reader.iter_messages()
+        ]
+
+
+_times = st.integers(0, 2**63)
+_names = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+_raw = st.binary(max_size=40)
+_maybe_int = st.none() | st.integers(0, 2**63)
+_values = st.none() | st.lists(st.integers(0, 65535), max_size=5)
+_endpoints = st.builds(Endpoint, _names, st.integers(0, 65535))
+_connections = st.builds(Connection, _endpoints, _endpoints, st.integers(0, 2**31))
+
+chunks = st.builds(
+    Chunk,
+    ts_ns=_times,
+    link=_names,
+    data=_raw,
+    direction=st.sampled_from(Direction),
+    stamp=st.sampled_from(Stamp),
+    connection=st.none() | _connections,
+)
+packets = st.builds(
+    Packet,
+    ts_ns=_times,
+    link=_names,
+    link_type=st.integers(0, 65535),
+    data=_raw,
+    original_length=st.integers(0, 2**32),
+)
+events = st.builds(
+    WireEvent,
+    ts_ns=_times,
+    link=_names,
+    kind=st.sampled_from(EventKind),
+    message=_names,
+    source=_names,
+    destination=_names,
+    raw=_raw,
+    missing=st.integers(0, 2**63),
+)
+points = st.builds(
+    PointValue,
+    name=_names,
+    reference=_names,
+    value=st.none() | st.floats(allow_nan=False, allow_infinity=False),
+    text=_names,
+    unit=st.none() | _names,
+)
+transactions = st.builds(
+    NamedTransaction,
+    link=_names,
+    transport=st.sampled_from(Transport),
+    source=st.none() | _names,
+    destination=st.none() | _names,
+    unit=st.integers(0, 255),
+    transaction_id=_maybe_int,
+    function=st.integers(0, 127),
+    function_name=_names,
+    sub_function=_maybe_int,
+    address=_maybe_int,
+    quantity=_maybe_int,
+    write_address=_maybe_int,
+    request_values=_values,
+    response_values=_values,
+    exception=_maybe_int,
+    exception_name=st.none() | _names,
+    outcome=st.sampled_from(Outcome),
+    request_ns=st.none() | _times,
+    response_ns=st.none() | _times,
+    latency_ns=_maybe_int,
+    retries=st.integers(0, 1000),
+    request_raw=st.none() | _raw,
+    response_raw=st.none() | _raw,
+    verdicts=st.lists(st.sampled_from(Verdict), max_size=3),
+    direction_by=st.sampled_from(DirectionBy),
+    confidence=st.floats(0, 1),
+    device=st.none() | _names,
+    reference=st.none() | _names,
+    points=st.lists(points, max_size=3),
+    findings=st.lists(_names, max_size=2),
+)
+items = st.one_of(chunks, packets, events, transactions)

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import msgspec
+from hypothesis import given
+
+from mbtool.devices import NamedTransaction
+from mbtool.logs import CSV_COLUMNS, CsvWriter, event_to_jsonl, transaction_to_jsonl
+from tests.logs.samples import EVENT, NAMED, transaction, transactions
+
+
+def test_a_transaction_is_one_line_with_bytes_in_hex() -> None:
+    assert transaction_to_jsonl(transaction()) == (
+        b'{"link":"rs485","transport":"rtu","unit":1,"function":3,'
+        b'"function_name":"read holding registers","address":0,"quantity":2,'
+        b'"response_values":[4660,22136],"outcome":"ok","request_ns":1700000000000000000,'
+        b'"response_ns":1700000000000500000,"latency_ns":400000,"retries":0,'
+        b'"request_raw":"010300000002c40b","response_raw":"010304123456788107",'
+        b'"direction_by":"pending","confidence":0.9}\n'
+    )
+
+
+def test_an_event_is_one_line_that_its_kind_tells_from_a_transaction() -> None:
+    assert event_to_jsonl(EVENT) == (
+        b'{"ts_ns":1700000000000000001,"link":"10.0.0.9","kind":"gap",'
+        b'"message":"60 bytes are missing","source":"10.0.0.1:50211",'
+        b'"destination":"10.0.0.9:502","missing":60}\n'
+    )
+    assert "kind" not in NamedTransaction.__struct_fields__
+    assert "outcome" not in json.loads(event_to_jsonl(EVENT))
+
+
+@given(transactions)
+def test_a_line_holds_all_of_a_transaction(item: NamedTransaction) -> None:
+    line = transaction_to_jsonl(item)
+    assert line.count(b"\n") == 1
+    fields = json.loads(line)
+    for name in ("request_raw", "response_raw"):
+        if name in fields:
+            fields[name] = bytes.fromhex(fields[name])
+    assert msgspec.convert(fields, NamedTransaction) == item
+
+
+def test_a_csv_row_has_a_cell_for_each_column() -> None:
+    stream = io.StringIO()
+    writer = CsvWriter(stream)
+    writer.write(NAMED)
+    stream.seek(0)
+    (row,) = csv.DictReader(stream)
+    assert tuple(row) == CSV_COLUMNS
+    assert row["request_ns"] == "1700000000005000000"
+    assert row["response_values"] == "4660 22136"
+    assert row["request_values"] == ""
+    assert row["verdicts"] == "glued"
+    assert row["points"] == "HR400001=4660; level=2.5 m; flow=not a number"
+    assert row["findings"] == "FT1A-Q3"
+    assert row["request_raw"] == "010300000002c40b"
+
+
+def test_every_field_of_a_transaction_has_a_column() -> None:
+    assert set(CSV_COLUMNS) == set(NamedTransaction.__struct_fields__)
+    assert len(CSV_COLUMNS) == len(set(CSV_COLUMNS))
+
+
+@given(transactions)
+def test_a_csv_row_is_read_back_whatever_it_holds(item: NamedTransaction) -> None:
+    stream = io.StringIO(newline="")
+    CsvWriter(stream).write(item)
+    stream.seek(0)
+    _, row = csv.reader(stream)
+    assert len(row) == len(CSV_COLUMNS)

@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+import threading
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+
+from mbtool.core import CutError, InputError
+from mbtool.logs import LogReader, LogWriter, follow, read_log
+from mbtool.logs.layout import FOOTER_SIZE
+from tests.logs.samples import ONE_OF_EACH, chunk, items, transaction, write_log
+
+if TYPE_CHECKING:
+    from mbtool.logs import LogItem
+
+
+@settings(deadline=None)  # It waits for a disk.
+@given(st.lists(items, max_size=6))
+def test_what_was_written_is_read_back(written: list[LogItem]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        assert list(read_log(write_log(Path(folder) / "x.mcap", written))) == written
+
+
+def test_a_log_gives_only_transactions_or_only_evidence(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "x.mcap", ONE_OF_EACH)
+    with LogReader.open(path) as log:
+        assert list(log.transactions()) == [ONE_OF_EACH[1], ONE_OF_EACH[5]]
+        assert list(log.items()) == []
+    with LogReader.open(path) as log:
+        assert list(log.evidence()) == [ONE_OF_EACH[0], ONE_OF_EACH[3], ONE_OF_EACH[4]]
+
+
+def test_what_is_known_beforehand_is_known_before_the_first_item(tmp_path: Path) -> None:
+    with LogReader.open(write_log(tmp_path / "x.mcap", ONE_OF_EACH)) as log:
+        assert log.capture["host"] == "bench"
+        assert log.links == {"rs485": {"spec": "rtu:/dev/ttyUSB0@19200-8E1"}}
+        assert log.profiles == {"idec-ft1a-touch": b'name = "idec-ft1a-touch"\n'}
+
+
+def test_a_link_that_is_added_later_is_learned_on_the_way(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "x.mcap", capture={}) as writer:
+        writer.write(chunk(1))
+        writer.add_link("late", {})
+        writer.write(chunk(2))
+    with LogReader.open(tmp_path / "x.mcap") as log:
+        items = log.items()
+        assert next(items) == chunk(1)
+        assert "late" not in log.links
+        assert next(items) == chunk(2)
+        assert "late" in log.links
+
+
+def test_a_pipe_will_do(tmp_path: Path) -> None:
+    data = write_log(tmp_path / "x.mcap", ONE_OF_EACH).read_bytes()
+    reading, writing = os.pipe()
+
+    def feed() -> None:
+        with open(writing, "wb", buffering=0) as stream:
+            for at in range(0, len(data), 100):
+                stream.write(data[at : at + 100])
+
+    feeder = threading.Thread(target=feed)
+    feeder.start()
+    with LogReader(open(reading, "rb", buffering=0), "-") as log:
+        assert list(log.items()) == list(ONE_OF_EACH)
+    feeder.join(10)
+    assert not feeder.is_alive()
+
+
+def test_a_log_cut_at_any_byte_gives_a_prefix_and_a_cut(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, error = read(data)
+    assert error is None
+    assert len(whole) == 6
+    lengths = []
+    for size in range(len(data)):
+        found, error = read(data[:size])
+        assert found == whole[: len(found)]
+        assert isinstance(error, InputError if size == 0 else CutError)
+        lengths.append(len(found))
+    assert lengths == sorted(lengths)
+    # All items are there long before the end, which is the summary.
+    assert set(lengths) == {0, 2, 4, 6}
+
+
+def test_a_log_that_was_never_closed_is_whole(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "x.mcap", capture={})
+    writer.write(chunk())
+    writer.tick(10**18)
+    data = (tmp_path / "x.mcap").read_bytes()
+    writer.close()
+    log = LogReader(io.BytesIO(data), "x.mcap")
+    assert list(log.items()) == [chunk()]
+    assert not log.closed
+    for size in range(1, len(data)):
+        assert isinstance(read(data[:size])[1], CutError)
+
+
+def test_a_log_with_any_byte_damaged_gives_nothing_wrong_and_says_so(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    summary_at = int.from_bytes(data[-FOOTER_SIZE + 9 : -FOOTER_SIZE + 17], "little")
+    for at in range(len(data)):
+        found, error = read(data[:at] + bytes([data[at] ^ 0x40]) + data[at + 1 :])
+        # A chunk whose opcode or place is damaged is passed over; the CRC at the end tells.
+        rest = iter(whole)
+        assert all(item in rest for item in found)
+        # Whatever stands before the summary is under a CRC.
+        assert at >= summary_at or error is not None
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_no_bytes_raise_anything_else(data: st.DataObject) -> None:
+    good = bytearray(small_log())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(8, len(good) - 1))
+        good[at : at + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
+    read(bytes(good))
+
+
+def test_an_mcap_file_of_another_profile_is_told() -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start(profile="ros2", library="rosbag2")
+    writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(InputError, match=r"^x\.mcap: an MCAP file of profile 'ros2', not a log"):
+        LogReader(io.BytesIO(stream.getvalue()), "x.mcap")
+
+
+def test_a_log_of_a_later_format_is_told(tmp_path: Path) -> None:
+    LogWriter(tmp_path / "x.mcap", capture={"log_format": "2"}).close()
+    with pytest.raises(InputError, match="log format 2, from another version of mbtool"):
+        LogReader.open(tmp_path / "x.mcap")
+
+
+def test_a_log_that_the_stock_writer_made_is_read() -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream, use_chunking=False)
+    writer.start(profile="mbtool")
+    schema = writer.register_schema("mbtool.Chunk", "jsonschema", b"{}")
+    channel = writer.register_channel("/rs485/chunks", "json", schema)
+    message = b'{"ts_ns":1,"link":"rs485","data":"AQ==","from_the_future":[1]}'
+    writer.add_message(channel, 1, message, 1)
+    other = writer.register_channel("/other", "json", 0)
+    writer.add_message(other, 1, b"not ours", 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    found, error = read(stream.getvalue())
+    assert error is None
+    assert [item.data for item in found if hasattr(item, "data")] == [b"\x01"]
+
+
+@pytest.mark.parametrize(
+    "message", [b"", b"{}", b'{"ts_ns":null,"link":"a","data":""}', b'{"ts_ns":1', b"\xff"]
+)
+def test_a_message_that_is_none_is_damage(message: bytes) -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start(profile="mbtool")
+    schema = writer.register_schema("mbtool.Chunk", "jsonschema", b"{}")
+    writer.add_message(writer.register_channel("/a/chunks", "json", schema), 1, message, 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    found, error = read(stream.getvalue())
+    assert found == []
+    assert "no mbtool.Chunk" in str(error)
+
+
+def test_a_message_without_a_channel_is_damage() -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start(profile="mbtool")
+    writer.add_message(5, 1, b"{}", 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    assert "a message of no channel (5)" in str(read(stream.getvalue())[1])
+
+
+@pytest.mark.parametrize("name", ["absent.mcap", "a\0b"])
+def test_a_log_that_cannot_be_opened_is_told(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="cannot be opened"):
+        LogReader.open(tmp_path / name)
+
+
+def test_a_folder_is_no_log(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="Is a directory"):
+        list(read_log(tmp_path))
+
+
+def test_following_gives_each_item_once_as_it_reaches_the_disk(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    writer = LogWriter(path, capture={})
+    writer.tick(0)
+    steps = iter(range(20))
+    written: list[LogItem] = []
+    found: list[LogItem] = []
+
+    def wait() -> bool:
+        assert found == written  # All that is on the disk was given before waiting.
+        step = next(steps)
+        if step == 12:
+            writer.close()
+        elif step % 4:
+            written.extend([chunk(step), transaction(step)])
+            writer.write(written[-2])
+            writer.write(written[-1])
+            writer.tick((step + 1) * 10**9)
+        else:
+            writer.add_link(f"link{step}", {})
+            writer.tick((step + 1) * 10**9)
+        return True
+
+    for item in follow(path, wait):
+        found.append(item)
+    assert found == written
+    assert len(found) == 2 * 9
+    assert next(steps) == 13  # The closed log ended it.
+
+
+def test_following_ends_when_told(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "x.mcap", capture={})
+    writer.write(chunk())
+    writer.tick(10**18)
+    assert list(follow(tmp_path / "x.mcap", lambda: False)) == [chunk()]
+    writer.close()
+    assert list(follow(tmp_path / "x.mcap", lambda: False)) == [chunk()]
+
+
+@cache
+def small_log() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        return some_chunks(Path(folder) / "x.mcap").read_bytes()
+
+
+def some_chunks(path: Path) -> Path:
+    with LogWriter(path, capture={}) as writer:
+        writer.add_profile("pump", b"name")
+        for number in range(3):
+            writer.write(chunk(number))
+            writer.write(transaction(number))
+            writer.tick((number + 1) * 10**9)
+    return path
+
+
+def read(data: bytes) -> tuple[list[LogItem], InputError | None]:
+    found: list[LogItem] = []
+    try:
+        for item in LogReader(io.BytesIO(data), "x.mcap").items():
+            found.append(item)
+    except InputError as raised:
+        error: InputError | None = raised
+    else:
+        error = None
+    assert error is None or str(error).startswith("x.mcap: ")
+    assert "\n" not in str(error)
+    return found, error

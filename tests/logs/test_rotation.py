@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import UsageError
+from mbtool.logs import LogReader, RotatingLog, Rotation, read_log
+from tests.logs.samples import chunk
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SECOND_NS = 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("text", "rotation"),
+    [
+        ("100MB", Rotation(size=100_000_000)),
+        ("5kb", Rotation(size=5_000)),
+        ("2GB", Rotation(size=2_000_000_000)),
+        ("1h", Rotation(time_ns=3600 * SECOND_NS)),
+        ("90s", Rotation(time_ns=90 * SECOND_NS)),
+        ("30m", Rotation(time_ns=1800 * SECOND_NS)),
+        ("7D", Rotation(time_ns=7 * 86400 * SECOND_NS)),
+    ],
+)
+def test_a_rotation_is_a_size_or_a_time(text: str, rotation: Rotation) -> None:
+    assert Rotation.parse(text) == rotation
+
+
+@pytest.mark.parametrize("text", ["", "100", "MB", "0MB", "1.5h", "-1h", "1w", "100MB|1h", "1 h"])
+def test_a_rotation_that_is_neither_is_the_users_mistake(text: str) -> None:
+    with pytest.raises(UsageError, match="for example 100MB or 1h"):
+        Rotation.parse(text)
+
+
+def test_the_log_goes_on_in_the_next_file_by_size(tmp_path: Path) -> None:
+    log = RotatingLog(tmp_path / "x.mcap", Rotation(size=5_000), capture={"host": "bench"})
+    log.add_link("rs485", {"spec": "rtu:/dev/ttyUSB0"})
+    log.add_profile("pump", b"x" * 10_000)
+    log.add_device("all", "pump")
+    for number in range(3):
+        log.write(chunk(number))
+        for second in range(3):  # A file longer than its limit from the start goes on.
+            log.tick((10 * number + second) * SECOND_NS)
+    log.close({"dropped": "0"})
+    names = ["x.mcap", "x-0002.mcap", "x-0003.mcap", "x-0004.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+    items = [list(read_log(tmp_path / name)) for name in names]
+    assert items == [[chunk(0)], [chunk(1)], [chunk(2)], []]
+    for number, name in enumerate(names, 1):
+        with LogReader.open(tmp_path / name) as reader:
+            assert list(reader.links) == ["rs485"]
+            assert list(reader.profiles) == ["pump"]
+            assert reader.devices == {"all": "pump"}
+            assert reader.capture["part"] == str(number)
+            list(reader.items())
+            assert reader.closed
+
+
+def test_the_log_goes_on_in_the_next_file_by_time(tmp_path: Path) -> None:
+    with RotatingLog(tmp_path / "x.mcap", Rotation(time_ns=SECOND_NS), capture={}) as log:
+        for number in range(5):
+            log.tick(number * SECOND_NS // 2)
+            log.write(chunk(number))
+        log.tick(100 * SECOND_NS)
+        log.tick(200 * SECOND_NS)  # Nothing was written since, so no empty file follows.
+    parts = [list(read_log(path)) for path in (tmp_path / "x.mcap", tmp_path / "x-0002.mcap")]
+    assert parts == [[chunk(0), chunk(1)], [chunk(2), chunk(3)]]
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_number_that_is_taken_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "x-0002.mcap").write_bytes(b"evidence")
+    with RotatingLog(tmp_path / "x.mcap", Rotation(size=1_000), capture={}) as log:
+        log.add_profile("pump", bytes(1_000))
+        log.write(chunk())
+        log.tick(SECOND_NS)
+        assert log.path.name == "x-0003.mcap"
+        assert 0 < log.size < 2_000
+    assert (tmp_path / "x-0002.mcap").read_bytes() == b"evidence"
+
+
+def test_the_first_file_must_not_exist(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"evidence")
+    with pytest.raises(UsageError, match="the file exists"):
+        RotatingLog(tmp_path / "x.mcap", Rotation(size=1_000), capture={})
