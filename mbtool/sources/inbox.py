@@ -1,0 +1,154 @@
+"""Where live sources put what they hear, and one consumer takes it from."""
+
+# Any number of sources run at once, each in a thread of its own, and put what they hear into one
+# Inbox; a single consumer gets it. What one source puts comes out in the order it was put.
+#
+# The bound: what is held counts its bytes and a fixed cost per item, 64 MiB in all unless told
+# otherwise. A source never waits for the consumer: a serial port and a relay go on whatever the
+# decoder does. So an inbox that is full loses what comes, until the consumer has taken half of what
+# was held: few large holes are easier to read than many small ones. Where the hole is, a DISCARDED
+# event for each link says how much was lost, and a StreamGap for each direction of a connection
+# that lost bytes, so that no decoder joins what stood before it to what comes after.
+#
+# StreamOpened and StreamClosed get through up to twice the bound, so that a consumer keeps its
+# books; the end of a source always does. A Quiet that follows a Quiet of the same link replaces
+# it, and one that does not fit is no loss.
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from threading import Condition
+
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    EventKind,
+    LinkError,
+    Packet,
+    Quiet,
+    WireEvent,
+)
+from mbtool.packets import StreamClosed, StreamGap, StreamItem, StreamOpened
+
+DEFAULT_LIMIT = 64 * 2**20
+ITEM_COST = 256
+"""What an item is counted for beside its bytes: about what Python needs for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A source's last word."""
+
+    link: str
+    error: LinkError | None = None
+    """What took the link away; None where the source was told to end."""
+
+
+Item = StreamItem | Packet | Quiet | Ended
+
+
+class Inbox:
+    """A bounded queue from many sources to one consumer. Safe to use from any thread."""
+
+    def __init__(self, limit: int = DEFAULT_LIMIT) -> None:
+        self._limit = limit
+        self._items: deque[Item] = deque()
+        self._held = 0
+        self._losses: dict[str, _Loss] = {}
+        self._changed = Condition()
+
+    @property
+    def held(self) -> int:
+        """How much is held, as the bound counts it."""
+        return self._held
+
+    def put(self, item: Item) -> None:
+        """Hand over an item. Never waits; see the module for what happens when it is full."""
+        with self._changed:
+            if isinstance(item, Ended):
+                self._tell_losses()
+            elif not self._has_room(item):
+                self._lose(item)
+                return
+            self._append(item)
+            self._changed.notify()
+
+    def get(self, timeout: float | None = None) -> Item | None:
+        """The next item, or None where none has come within the timeout in seconds."""
+        with self._changed:
+            if not self._items:
+                self._changed.wait_for(lambda: bool(self._items), timeout)
+            if not self._items:
+                return None
+            item = self._items.popleft()
+            self._held -= _cost(item)
+            if self._losses and self._held <= self._limit // 2:
+                self._tell_losses()
+            return item
+
+    def _has_room(self, item: Item) -> bool:
+        if isinstance(item, StreamOpened | StreamClosed):
+            return self._held + ITEM_COST <= 2 * self._limit
+        return not self._losses and self._held + _cost(item) <= self._limit
+
+    def _append(self, item: Item) -> None:
+        if isinstance(item, Quiet) and self._items:
+            last = self._items[-1]
+            if isinstance(last, Quiet) and last.link == item.link:
+                self._items[-1] = item
+                return
+        self._items.append(item)
+        self._held += _cost(item)
+
+    def _lose(self, item: Item) -> None:
+        if isinstance(item, Quiet | Ended):
+            return
+        loss = self._losses.setdefault(_link(item), _Loss())
+        loss.ts_ns = item.ts_ns
+        loss.items += 1
+        loss.size += _size(item)
+        if isinstance(item, Chunk) and item.connection is not None:
+            stream = (item.connection, item.direction)
+            loss.streams[stream] = loss.streams.get(stream, 0) + len(item.data)
+
+    def _tell_losses(self) -> None:
+        for link, loss in self._losses.items():
+            self._append(
+                WireEvent(
+                    ts_ns=loss.ts_ns,
+                    link=link,
+                    kind=EventKind.DISCARDED,
+                    message=f"decoding fell behind: {loss.items} pieces with {loss.size} bytes "
+                    "were not recorded",
+                    missing=loss.size,
+                )
+            )
+            for (connection, direction), size in loss.streams.items():
+                self._append(StreamGap(loss.ts_ns, connection, direction, size))
+        self._losses.clear()
+
+
+@dataclass(slots=True)
+class _Loss:
+    """What one link has lost since the inbox ran full."""
+
+    ts_ns: int = 0
+    items: int = 0
+    size: int = 0
+    streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
+
+
+def _link(item: StreamItem | Packet) -> str:
+    if isinstance(item, StreamOpened | StreamClosed | StreamGap):
+        return item.connection.link
+    return item.link
+
+
+def _size(item: Item) -> int:
+    return len(item.data) if isinstance(item, Chunk | Packet) else 0
+
+
+def _cost(item: Item) -> int:
+    return ITEM_COST + _size(item)

@@ -1,0 +1,206 @@
+"""A network interface as a live source: whole packets, as the kernel saw them."""
+
+# scapy opens the listening socket, makes the interface promiscuous, and puts a VLAN tag that the
+# kernel has taken off back into the packet; it dissects nothing. The filter is this package's own
+# (port_filter.py), so neither libpcap nor tcpdump is needed. Linux only.
+#
+# The time of a packet is the kernel's. scapy hands it on as a float, true to a quarter of a
+# microsecond. In the first moments of a capture it can be some 30 us late (seen on the loopback).
+# The kernel keeps packets until the thread here fetches them: 8 MiB where the process has the
+# privilege, else net.core.rmem_max. What does not fit the kernel counts, and an event says so
+# within a second.
+#
+# scapy takes a tenth of a second to import, so only a capture that starts imports it.
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import logging
+import os
+import select
+import socket
+import struct
+import sys
+import warnings
+from contextlib import suppress
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Self
+
+from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
+from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.sources.clock import now_ns
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.port_filter import drop_everything, port_filter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+# LINKTYPE_ (tcpdump.org/linktypes.html) by the kernel's ARPHRD_ (linux/if_arp.h): Ethernet,
+# loopback; tunnels and PPP, whose packets begin with the IP header.
+_ARPHRD_LOOPBACK = 772
+_LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 101, 776: 101}
+
+_MAX_PACKET = 2**17
+"""More than a segment that the kernel has not yet cut (65535 bytes and headers)."""
+_BUFFER = 8 * 2**20
+_TICK_S = 0.1
+_SETTLE_NS = 1_000_000
+"""A packet may be stamped this long before it can be fetched."""
+_STATISTICS_NS = 1_000_000_000
+
+# asm-generic/socket.h and linux/if_packet.h; Python's socket module lacks them.
+_SO_ATTACH_FILTER = 26
+_SO_RCVBUFFORCE = 33
+_SOL_PACKET = 263
+_PACKET_STATISTICS = 6
+
+
+class InterfaceSource:
+    """Listens to an interface while its context is open. Entering raises LinkError."""
+
+    def __init__(
+        self, link: InterfaceLink, inbox: Inbox, *, ports: Sequence[int] = (MODBUS_PORT,)
+    ) -> None:
+        self._link = link
+        self._inbox = inbox
+        self._ports = ports
+        self._capture: Any = None
+        self._link_type = 0
+        self._alarm: tuple[int, int] | None = None
+        self._thread: Thread | None = None
+
+    @property
+    def link(self) -> str:
+        return self._link.name
+
+    def __enter__(self) -> Self:
+        self._capture = _open(self._link)
+        try:
+            hardware = self._capture.ins.getsockname()[3]
+            if hardware not in _LINK_TYPES:
+                raise LinkError(
+                    f"{self._link}: its hardware type {hardware} is not one that can be read; "
+                    "Ethernet, loopback and IP tunnels are"
+                )
+            self._link_type = _LINK_TYPES[hardware]
+            is_loopback = hardware == _ARPHRD_LOOPBACK
+            _prepare(self._capture.ins, port_filter(self._ports, is_loopback=is_loopback))
+        except Exception:
+            self._capture.close()
+            raise
+        self._alarm = os.pipe()
+        self._thread = Thread(target=self._run, name=f"capture {self.link}", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the capture; what the kernel has by then is in the inbox, then Ended."""
+        if self._alarm is None or self._thread is None:
+            return
+        told, tell = self._alarm
+        self._alarm = None
+        os.close(tell)
+        self._thread.join()
+        os.close(told)
+        self._capture.close()
+
+    def _run(self) -> None:
+        assert self._alarm is not None
+        told, error = self._alarm[0], None
+        statistics_ns = now_ns()
+        is_running = True
+        try:
+            while is_running:
+                ready, _, _ = select.select([self._capture.ins, told], [], [], _TICK_S)
+                is_running = told not in ready
+                asked_ns = now_ns()
+                self._fetch()
+                if not ready:
+                    self._inbox.put(Quiet(asked_ns - _SETTLE_NS, self.link))
+                if not is_running or asked_ns - statistics_ns > _STATISTICS_NS:
+                    statistics_ns = asked_ns
+                    self._report_drops(asked_ns)
+        except OSError as os_error:
+            error = LinkError(f"{self._link}: capture ended: {os_error.strerror}; is it still up?")
+        finally:
+            self._inbox.put(Ended(self.link, error))
+
+    def _fetch(self) -> None:
+        with suppress(BlockingIOError):
+            while True:
+                _, data, seconds = self._capture.recv_raw(_MAX_PACKET)
+                self._inbox.put(
+                    Packet(
+                        ts_ns=round(seconds * 1e9),
+                        link=self.link,
+                        link_type=self._link_type,
+                        data=data,
+                        original_length=len(data),
+                    )
+                )
+
+    def _report_drops(self, ts_ns: int) -> None:
+        raw = self._capture.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
+        _, drops = struct.unpack("=II", raw)
+        if drops:
+            self._inbox.put(
+                WireEvent(
+                    ts_ns=ts_ns,
+                    link=self.link,
+                    kind=EventKind.DISCARDED,
+                    message=f"capture fell behind: the kernel dropped {drops} packets",
+                )
+            )
+
+
+def _open(link: InterfaceLink) -> Any:
+    if sys.platform != "linux":
+        raise LinkError(
+            f"{link}: listening to an interface needs Linux; decode a file of Wireshark's, "
+            "or use tap:LISTEN=TARGET"
+        )
+    interfaces = [name for _, name in socket.if_nameindex()]
+    if link.interface not in interfaces:
+        raise LinkError(f"{link}: no such interface; here are: {', '.join(interfaces)}")
+    # Asked before scapy is there: it would take the time to import and say less.
+    try:
+        socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
+    except PermissionError as error:
+        raise LinkError(
+            f"{link}: listening needs the capability cap_net_raw: "
+            f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}"
+        ) from error
+    logging.getLogger("scapy").setLevel(logging.CRITICAL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from scapy.arch.linux import L2ListenSocket
+    try:
+        return L2ListenSocket(iface=link.interface)
+    except OSError as error:
+        why = "is it up?" if error.errno == errno.ENETDOWN else error.strerror
+        raise LinkError(f"{link}: cannot listen: {why}") from error
+
+
+def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
+    """Put the filter in place and forget what came before it."""
+    _attach(listener, drop_everything())
+    listener.setblocking(False)
+    with suppress(BlockingIOError):
+        while True:
+            listener.recv(1)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER)
+    except PermissionError:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    listener.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)  # Reading sets it to zero.
+    _attach(listener, program)
+
+
+def _attach(listener: socket.socket, program: Sequence[bytes]) -> None:
+    code = ctypes.create_string_buffer(b"".join(program))
+    sock_fprog = struct.pack("@HP", len(program), ctypes.addressof(code))
+    listener.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, sock_fprog)

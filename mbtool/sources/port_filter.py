@@ -1,0 +1,125 @@
+"""The kernel filter that keeps other traffic out of a capture: classic BPF, assembled by hand."""
+
+# scapy has libpcap compile its filters, and libpcap need not be there; this one program is all that
+# is needed. It reads the packet from the network header (SKF_NET_OFF) and asks the kernel for the
+# protocol, so it serves every link type, and packets whose VLAN tag the kernel has taken off.
+#
+# It lets pass what could belong to a Modbus connection, never less:
+#   TCP over IPv4 or IPv6 from or to one of the ports; any TCP where no port is named
+#   IPv4 fragments of TCP, since only the first one carries ports
+#   IPv6 with an extension header before TCP, or instead of it
+#   packets that still have a VLAN tag after the outer one is off (802.1ad)
+# On the loopback every packet is seen twice, going out and coming in: the first is dropped there.
+#
+# At most 100 ports: a jump reaches 255 instructions.
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+MAX_PORTS = 100
+
+# linux/filter.h and linux/bpf_common.h
+_LD_WORD, _LD_HALF, _LD_BYTE = 0x20, 0x28, 0x30
+_LD_HALF_X = 0x48
+_LDX_IMMEDIATE, _LDX_HEADER_LENGTH = 0x01, 0xB1
+_JUMP, _JUMP_EQUAL, _JUMP_ANY_BIT = 0x05, 0x15, 0x45
+_RETURN = 0x06
+_NET = -0x100000
+_PROTOCOL, _PACKET_TYPE = -0x1000, -0x1000 + 4
+
+_PACKET_OUTGOING = 4
+_ETHERTYPE_IPV4, _ETHERTYPE_IPV6, _ETHERTYPE_VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
+_TCP = 6
+_IPV6_EXTENSIONS = (0, 43, 44, 51, 60)
+_MORE_FRAGMENTS_OR_OFFSET = 0x3FFF
+_WHOLE_PACKET = 0x40000
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """One instruction; jumps name the label they go to, and fall through without one."""
+
+    code: int
+    k: int = 0
+    then: str = ""
+    otherwise: str = ""
+
+
+def port_filter(ports: Sequence[int], *, is_loopback: bool) -> list[bytes]:
+    """Assemble the filter, as the kernel's struct sock_filter. Raises UsageError."""
+    if len(ports) > MAX_PORTS:
+        raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")
+    lines: list[Instruction | str] = []
+    if is_loopback:
+        lines += [
+            Instruction(_LD_WORD, _PACKET_TYPE),
+            Instruction(_JUMP_EQUAL, _PACKET_OUTGOING, "drop"),
+        ]
+    lines += [
+        Instruction(_LD_WORD, _PROTOCOL),
+        *(Instruction(_JUMP_EQUAL, vlan, "keep") for vlan in _ETHERTYPE_VLANS),
+        Instruction(_JUMP_EQUAL, _ETHERTYPE_IPV4, "ipv4"),
+        Instruction(_JUMP_EQUAL, _ETHERTYPE_IPV6, "ipv6", "drop"),
+        "ipv4",
+        Instruction(_LD_BYTE, _NET + 9),
+        Instruction(_JUMP_EQUAL, _TCP, "", "drop"),
+        Instruction(_LD_HALF, _NET + 6),
+        Instruction(_JUMP_ANY_BIT, _MORE_FRAGMENTS_OR_OFFSET, "keep"),
+        Instruction(_LDX_HEADER_LENGTH, _NET),
+        Instruction(_JUMP, then="ports"),
+        "ipv6",
+        Instruction(_LD_BYTE, _NET + 6),
+        *(Instruction(_JUMP_EQUAL, header, "keep") for header in _IPV6_EXTENSIONS),
+        Instruction(_JUMP_EQUAL, _TCP, "", "drop"),
+        Instruction(_LDX_IMMEDIATE, 40),
+        "ports",
+    ]
+    for side in (0, 2):
+        if ports:
+            lines.append(Instruction(_LD_HALF_X, _NET + side))
+        lines += [Instruction(_JUMP_EQUAL, port, "keep") for port in ports]
+    lines += [
+        Instruction(_JUMP, then="drop" if ports else "keep"),
+        "drop",
+        Instruction(_RETURN, 0),
+        "keep",
+        Instruction(_RETURN, _WHOLE_PACKET),
+    ]
+    return _assemble(lines)
+
+
+def drop_everything() -> list[bytes]:
+    """The filter that holds while a capture is set up."""
+    return _assemble([Instruction(_RETURN, 0)])
+
+
+def _assemble(lines: Sequence[Instruction | str]) -> list[bytes]:
+    places: dict[str, int] = {}
+    program: list[Instruction] = []
+    for line in lines:
+        if isinstance(line, str):
+            places[line] = len(program)
+        else:
+            program.append(line)
+    assembled = []
+    for place, line in enumerate(program):
+        then, otherwise = (
+            places[label] - place - 1 if label else 0 for label in (line.then, line.otherwise)
+        )
+        if line.code == _JUMP:
+            assembled.append(_encode(line.code, 0, 0, then))
+        else:
+            assembled.append(_encode(line.code, then, otherwise, line.k))
+    return assembled
+
+
+def _encode(code: int, jump_true: int, jump_false: int, k: int) -> bytes:
+    return struct.pack("=HBBI", code, jump_true, jump_false, k & 0xFFFFFFFF)

@@ -1,0 +1,100 @@
+"""A serial port as a live source: chunks and silences, read by a process of its own."""
+
+# The reading process (serial_reader.py) takes the times; the thread here only carries its records
+# into the inbox, so it may lag behind without harm.
+
+from __future__ import annotations
+
+import os
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Self
+
+from mbtool.core import Chunk, EventKind, LinkError, Quiet, SerialLink, WireEvent
+from mbtool.sources.child import see_off, start_child, tell_to_end
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.serial_records import Kind, Record, RecordReader
+
+if TYPE_CHECKING:
+    import subprocess
+
+_START_S = 20.0
+"""How long the reading process may take to open its port."""
+
+
+class SerialSource:
+    """Listens to one serial port while its context is open. Entering raises LinkError."""
+
+    def __init__(self, link: SerialLink, inbox: Inbox) -> None:
+        self._link = link
+        self._inbox = inbox
+        self._first_record = Event()
+        self._is_open = False
+        self._is_closing = False
+        self._error: LinkError | None = None
+        self._child: subprocess.Popen[bytes] | None = None
+        self._thread: Thread | None = None
+
+    @property
+    def link(self) -> str:
+        return self._link.name
+
+    def __enter__(self) -> Self:
+        child = start_child("mbtool.sources.serial_reader", self._link.port, str(self._link.format))
+        self._child = child
+        self._thread = Thread(
+            target=self._carry, args=(child,), name=f"read {self.link}", daemon=True
+        )
+        self._thread.start()
+        self._first_record.wait(_START_S)
+        if not self._is_open:
+            self.close()
+            raise self._error or LinkError(f"serial port {self._link.port}: opening takes too long")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the reading process; all that it has read is in the inbox, then Ended."""
+        self._is_closing = True
+        if self._child is not None:
+            tell_to_end(self._child)
+            if self._thread is not None:
+                self._thread.join(_START_S)
+            see_off(self._child)
+
+    def _carry(self, child: subprocess.Popen[bytes]) -> None:
+        assert child.stdout is not None
+        reader = RecordReader()
+        while data := os.read(child.stdout.fileno(), 2**16):
+            for record in reader.feed(data):
+                self._take(record)
+        if self._error is None and not self._is_closing:
+            self._error = LinkError(
+                f"serial port {self._link.port}: the process that reads it ended by itself "
+                f"with status {child.wait()}"
+            )
+        if self._is_open:
+            self._inbox.put(Ended(self.link, self._error))
+        self._first_record.set()
+
+    def _take(self, record: Record) -> None:
+        match record.kind:
+            case Kind.DATA:
+                self._inbox.put(Chunk(ts_ns=record.ts_ns, link=self.link, data=record.data))
+            case Kind.QUIET:
+                self._inbox.put(Quiet(record.ts_ns, self.link))
+                self._is_open = True
+                self._first_record.set()
+            case Kind.LOST:
+                self._inbox.put(
+                    WireEvent(
+                        ts_ns=record.ts_ns,
+                        link=self.link,
+                        kind=EventKind.DISCARDED,
+                        message=f"decoding fell behind: {record.lost} bytes were not recorded",
+                        missing=record.lost,
+                    )
+                )
+            case Kind.ERROR:
+                self._error = LinkError(record.data.decode(errors="replace"))

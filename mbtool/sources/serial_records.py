@@ -1,0 +1,118 @@
+"""The records in which the serial reader's process hands over what it read."""
+
+#     kind     time                length     data
+#     1 byte   8 bytes, signed     4 bytes    length bytes        little-endian
+#
+#     DATA     one read of the port, with the time taken right after it
+#     QUIET    no data; the line is known to be silent up to this time. The first says: port open
+#     LOST     the number of bytes, as 8 bytes, that did not fit into the pipe
+#     ERROR    one line for the user, UTF-8; the last record
+#
+# A record is never larger than PIPE_BUF, so that a write to the pipe succeeds whole or not at all.
+# The writer does not wait for the reader: what finds the pipe full is counted and told with the
+# next record that fits. A pipe holds 1 MiB where Linux allows it, which is more than 40 s of a busy
+# line at 19200 baud with a record for each character; elsewhere what the system gives. On Windows a
+# pipe cannot be written without waiting, and the driver's buffer is what holds.
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
+
+_HEADER = struct.Struct("<BqI")
+_COUNT = struct.Struct("<q")
+_PIPE_SIZE = 2**20
+
+MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
+"""The largest data of a record."""
+
+
+class Kind(IntEnum):
+    """What a record says."""
+
+    DATA = 1
+    QUIET = 2
+    LOST = 3
+    ERROR = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One record."""
+
+    kind: Kind
+    ts_ns: int
+    data: bytes = b""
+
+    @property
+    def lost(self) -> int:
+        """The number of bytes that a LOST record tells of."""
+        count: int = _COUNT.unpack(self.data)[0]
+        return count
+
+
+class RecordWriter:
+    """Writes records into a pipe. Raises BrokenPipeError when nobody reads them any more."""
+
+    def __init__(self, pipe: int) -> None:
+        self._pipe = pipe
+        self._lost = 0
+        if sys.platform == "linux":
+            import fcntl
+
+            with suppress(OSError):
+                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
+        self._wait(False)
+
+    def put(self, kind: Kind, ts_ns: int, data: bytes = b"") -> None:
+        """Write a record, or count its data as lost where the pipe is full."""
+        if self._lost and self._write(Kind.LOST, ts_ns, _COUNT.pack(self._lost)):
+            self._lost = 0
+        if self._lost or not self._write(kind, ts_ns, data):
+            self._lost += len(data)
+
+    def end(self, ts_ns: int, error: str = "") -> None:
+        """Write what must not be lost, waiting for room: a loss not yet told, and the error."""
+        self._wait(True)
+        if self._lost:
+            self._write(Kind.LOST, ts_ns, _COUNT.pack(self._lost))
+        if error:
+            self._write(Kind.ERROR, ts_ns, error.encode()[:MAX_DATA])
+
+    def _wait(self, wait: bool) -> None:
+        if sys.platform != "win32":
+            os.set_blocking(self._pipe, wait)
+
+    def _write(self, kind: Kind, ts_ns: int, data: bytes) -> bool:
+        try:
+            os.write(self._pipe, _HEADER.pack(kind, ts_ns, len(data)) + data)
+        except BlockingIOError:
+            return False
+        return True
+
+
+class RecordReader:
+    """Cuts what comes out of the pipe into records; holds at most one incomplete record."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[Record]:
+        """The records that the data completes."""
+        buffer = self._buffer + data
+        records = []
+        start = 0
+        while len(buffer) - start >= _HEADER.size:
+            kind, ts_ns, length = _HEADER.unpack_from(buffer, start)
+            end = start + _HEADER.size + length
+            if end > len(buffer):
+                break
+            records.append(Record(Kind(kind), ts_ns, buffer[start + _HEADER.size : end]))
+            start = end
+        self._buffer = buffer[start:]
+        return records

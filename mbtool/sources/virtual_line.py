@@ -1,0 +1,85 @@
+"""A serial line without hardware: pseudo-terminals joined as the ends of one bus."""
+
+# What one end writes, every other end hears, at the pace of the line's baud rate and character
+# format. The line runs in a process of its own (virtual_line_hub.py): in a thread beside a busy
+# interpreter, characters would come in lumps.
+#
+# The ends are named like any terminal (/dev/pts/7) and can have symbolic links with names of the
+# user's choice. A symbolic link of that name is replaced; anything else of that name is an error.
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+from mbtool.core import LinkError, SerialFormat, UsageError
+from mbtool.sources.child import see_off, start_child
+
+MAX_ENDS = 16
+_START_S = 20.0
+
+
+@dataclass(slots=True, kw_only=True)
+class VirtualLine:
+    """A line that is there while its context is open. Entering raises LinkError."""
+
+    ends: int = 2
+    format: SerialFormat = field(default_factory=SerialFormat)
+    link_names: Sequence[str] = ()
+    """Paths of links to make to the first ends."""
+    _ports: list[str] = field(default_factory=list, init=False)
+    _child: subprocess.Popen[bytes] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.ends <= MAX_ENDS:
+            raise UsageError(f"a virtual line has 2 to {MAX_ENDS} ends, not {self.ends}")
+        if len(self.link_names) > self.ends:
+            raise UsageError(
+                f"a virtual line of {self.ends} ends cannot have {len(self.link_names)} links"
+            )
+
+    @property
+    def ports(self) -> list[str]:
+        """What to open: an end's link where it has one, else its terminal."""
+        return list(self._ports)
+
+    def __enter__(self) -> Self:
+        if sys.platform == "win32":
+            raise LinkError("a virtual line needs Linux or macOS; on Windows use com0com")
+        self._child = start_child(
+            "mbtool.sources.virtual_line_hub",
+            str(self.ends),
+            str(self.format.character_ns),
+            *self.link_names,
+        )
+        try:
+            self._ports = _await_ports(self._child)
+        except LinkError:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take the line away, and the links that it made."""
+        if self._child is not None:
+            see_off(self._child)
+
+
+def _await_ports(child: subprocess.Popen[bytes]) -> list[str]:
+    assert child.stdout is not None
+    ready, _, _ = select.select([child.stdout], [], [], _START_S)
+    answer = child.stdout.readline() if ready else b""
+    if not answer:
+        raise LinkError("the process of the virtual line does not start")
+    said: dict[str, list[str]] = json.loads(answer)
+    for error in said.get("errors", ()):
+        raise LinkError(f"virtual line: {error}")
+    return said["ports"]

@@ -1,0 +1,146 @@
+"""The process of a virtual line: mbtool.sources.virtual_line_hub ENDS CHARACTER_NS [LINK...]."""
+
+# A character that is written while the line's end is idle is heard by the others one character time
+# later, as on a wire, where it has been received when its stop bit has passed; the next one a
+# character time after that. Deadlines are absolute, so a late wake-up delays its characters and
+# does not shift those that follow. No character is early. Between two deliveries lie at least 250
+# us: up to 38400 baud every character is delivered alone, at 115200 baud they come by threes.
+#
+# Two ends that write at once are both heard, their characters interleaved: the others hear bytes
+# that make no sense, as on a wire. Nobody hears himself.
+#
+# Bounds: the line takes from an end while less than 4096 characters wait, so a writer feels the
+# line's pace as he would feel a port's buffer. An end that nobody reads keeps what the system holds
+# for a terminal (Linux: 4095 bytes) and loses what comes after, as a port that overruns. A program
+# that opens the end later finds it, unless it flushes its input as pyserial and this package do.
+#
+# The hub keeps both sides of each pseudo-terminal open: without the far side, the near one reports
+# EIO as soon as a user closes his end, and the terminal forgets that it is raw.
+#
+# The process ends when its standard input ends (child.py), and then removes the links that it made
+# and that still lead where it had them lead.
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import sys
+import tty
+from contextlib import suppress
+from time import monotonic_ns
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+MAX_WAITING = 4096
+GRAIN_NS = 250_000
+
+
+class Sender:
+    """What one end has written and the others have not yet heard."""
+
+    def __init__(self, character_ns: int) -> None:
+        self._character_ns = character_ns
+        self._waiting = bytearray()
+        self._next_ns = 0
+
+    @property
+    def room(self) -> int:
+        return MAX_WAITING - len(self._waiting)
+
+    @property
+    def next_ns(self) -> int | None:
+        """When the next character has passed; None where none waits."""
+        return self._next_ns if self._waiting else None
+
+    def put(self, data: bytes, now_ns: int) -> None:
+        if not self._waiting:
+            self._next_ns = max(self._next_ns, now_ns + self._character_ns)
+        self._waiting += data
+
+    def take(self, now_ns: int) -> bytes:
+        """The characters that have passed by this time."""
+        if not self._waiting or now_ns < self._next_ns:
+            return b""
+        count = min((now_ns - self._next_ns) // self._character_ns + 1, len(self._waiting))
+        self._next_ns += count * self._character_ns
+        passed = bytes(self._waiting[:count])
+        del self._waiting[:count]
+        return passed
+
+
+def main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    ends, character_ns = int(sys.argv[1]), int(sys.argv[2])
+    links = sys.argv[3:]
+    pairs = [os.openpty() for _ in range(ends)]
+    for near, far in pairs:
+        tty.setraw(far)
+        os.set_blocking(near, False)
+    ports = [os.ttyname(far) for _, far in pairs]
+    made: list[tuple[str, str]] = []
+    try:
+        for link, port in zip(links, ports, strict=False):
+            try:
+                _make_link(link, port)
+            except OSError as error:
+                _say({"errors": [f"cannot make the link {link}: {error.strerror}"]})
+                return
+            made.append((link, port))
+        _say({"ports": links + ports[len(links) :]})
+        run(sys.stdin.fileno(), [near for near, _ in pairs], character_ns)
+    finally:
+        for link, port in made:
+            with suppress(OSError):
+                if os.readlink(link) == port:
+                    os.unlink(link)
+
+
+def run(control: int, ends: Sequence[int], character_ns: int) -> None:
+    """Carry characters between the ends until the control descriptor reads as ended."""
+    senders = {end: Sender(character_ns) for end in ends}
+    delivered_ns = 0
+    while True:
+        due = [sender.next_ns for sender in senders.values() if sender.next_ns is not None]
+        wait_s = None
+        if due:
+            wait_s = max(0, max(min(due), delivered_ns + GRAIN_NS) - monotonic_ns()) / 1e9
+        listening = [end for end, sender in senders.items() if sender.room]
+        ready, _, _ = select.select([control, *listening], [], [], wait_s)
+        now_ns = monotonic_ns()
+        if control in ready and not os.read(control, 1):
+            return
+        for end in ready:
+            if end != control:
+                with suppress(BlockingIOError):
+                    senders[end].put(os.read(end, senders[end].room), now_ns)
+        if due and now_ns >= max(min(due), delivered_ns + GRAIN_NS):
+            delivered_ns = now_ns
+            for end, sender in senders.items():
+                if passed := sender.take(now_ns):
+                    _deliver(passed, [other for other in ends if other != end])
+
+
+def _deliver(data: bytes, ends: Sequence[int]) -> None:
+    for end in ends:
+        with suppress(BlockingIOError):
+            os.write(end, data)
+
+
+def _make_link(link: str, port: str) -> None:
+    if os.path.islink(link):
+        os.unlink(link)
+    os.symlink(port, link)
+
+
+def _say(answer: dict[str, list[str]]) -> None:
+    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

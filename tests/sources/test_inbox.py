@@ -1,0 +1,119 @@
+"""The inbox: order, bounds, and what it says about what it lost."""
+
+from __future__ import annotations
+
+import threading
+
+from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Packet, Quiet, WireEvent
+from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamOpened
+from mbtool.sources.inbox import ITEM_COST, Ended, Inbox, Item
+from tests.sources.live_helpers import PATIENCE_S, drain
+
+CONNECTION = Connection(Endpoint("10.0.0.1", 40000), Endpoint("10.0.0.9", 502), 1)
+
+
+def chunk(ts_ns: int, size: int = 100, link: str = "rs485") -> Chunk:
+    return Chunk(ts_ns=ts_ns, link=link, data=bytes(size))
+
+
+def stream_chunk(ts_ns: int, direction: Direction, size: int = 100) -> Chunk:
+    return Chunk(
+        ts_ns=ts_ns,
+        link=CONNECTION.link,
+        data=bytes(size),
+        direction=direction,
+        connection=CONNECTION,
+    )
+
+
+def test_gives_items_in_the_order_they_were_put() -> None:
+    inbox = Inbox()
+    items: list[Item] = [chunk(1), Quiet(2, "rs485"), chunk(3), Ended("rs485")]
+    for item in items:
+        inbox.put(item)
+    assert drain(inbox) == items
+
+
+def test_gives_nothing_when_nothing_comes_in_time() -> None:
+    assert Inbox().get(0.001) is None
+
+
+def test_wakes_a_consumer_that_waits() -> None:
+    inbox = Inbox()
+    thread = threading.Thread(target=inbox.put, args=(chunk(1),))
+    thread.start()
+    assert inbox.get(PATIENCE_S) == chunk(1)
+    thread.join()
+
+
+def test_a_silence_replaces_the_silence_before_it() -> None:
+    inbox = Inbox()
+    for item in (Quiet(1, "a"), Quiet(2, "a"), Quiet(3, "b"), Quiet(4, "a")):
+        inbox.put(item)
+    assert drain(inbox) == [Quiet(2, "a"), Quiet(3, "b"), Quiet(4, "a")]
+
+
+def test_what_is_held_is_bounded() -> None:
+    inbox = Inbox(limit=10_000)
+    for ts_ns in range(1000):
+        inbox.put(chunk(ts_ns))
+        inbox.put(Quiet(ts_ns, "rs485"))
+        inbox.put(StreamOpened(ts_ns, CONNECTION, joined=False))
+        inbox.put(StreamClosed(ts_ns, CONNECTION, CloseReason.RESET))
+    assert inbox.held <= 20_000
+
+
+def test_says_in_place_how_much_was_lost() -> None:
+    inbox = Inbox(limit=4 * (ITEM_COST + 100))
+    for ts_ns in range(10):
+        inbox.put(chunk(ts_ns))
+    # Four fit and six are lost; the consumer takes two, then there is room again.
+    assert [inbox.get(0), inbox.get(0)] == [chunk(0), chunk(1)]
+    inbox.put(chunk(10))
+    after = drain(inbox)
+    assert after[:2] == [chunk(2), chunk(3)]
+    assert isinstance(after[2], WireEvent)
+    assert (after[2].kind, after[2].link, after[2].missing) == (EventKind.DISCARDED, "rs485", 600)
+    assert after[2].ts_ns == 9
+    assert after[3:] == [chunk(10)]
+
+
+def test_loses_in_one_piece_until_half_is_taken() -> None:
+    inbox = Inbox(limit=4 * (ITEM_COST + 100))
+    for ts_ns in range(5):
+        inbox.put(chunk(ts_ns))
+    assert inbox.get(0) == chunk(0)
+    inbox.put(chunk(5))  # There is room for one, and still it is lost.
+    losses = [item for item in drain(inbox) if isinstance(item, WireEvent)]
+    assert [loss.missing for loss in losses] == [200]
+
+
+def test_each_link_is_told_its_own_loss() -> None:
+    inbox = Inbox(limit=ITEM_COST + 100)
+    inbox.put(chunk(0))
+    inbox.put(chunk(1, 7, "a"))
+    inbox.put(Packet(ts_ns=2, link="eth0", link_type=1, data=bytes(9), original_length=9))
+    losses = [item for item in drain(inbox) if isinstance(item, WireEvent)]
+    assert [(loss.link, loss.missing) for loss in losses] == [("a", 7), ("eth0", 9)]
+
+
+def test_each_direction_of_a_connection_gets_a_gap() -> None:
+    inbox = Inbox(limit=ITEM_COST + 100)
+    inbox.put(chunk(0))
+    inbox.put(stream_chunk(1, Direction.REQUEST, 12))
+    inbox.put(stream_chunk(2, Direction.RESPONSE, 30))
+    inbox.put(stream_chunk(3, Direction.REQUEST, 12))
+    gaps = [item for item in drain(inbox) if isinstance(item, StreamGap)]
+    assert gaps == [
+        StreamGap(3, CONNECTION, Direction.REQUEST, 24),
+        StreamGap(3, CONNECTION, Direction.RESPONSE, 30),
+    ]
+
+
+def test_the_ends_of_connections_and_sources_get_through_when_full() -> None:
+    inbox = Inbox(limit=ITEM_COST + 100)
+    closed = StreamClosed(2, CONNECTION, CloseReason.FINISHED)
+    for item in (chunk(0), chunk(1), closed, Ended("rs485")):
+        inbox.put(item)
+    kinds = [type(item) for item in drain(inbox)]
+    assert kinds == [Chunk, StreamClosed, WireEvent, Ended]

@@ -1,0 +1,131 @@
+"""Listening to an interface: the loopback, where that is permitted."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import InterfaceLink, LinkError, Packet, Quiet
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.interface import InterfaceSource
+from tests.sources.live_helpers import drain, take_until
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+if sys.platform != "linux":
+    pytest.skip("listening to an interface needs Linux", allow_module_level=True)
+
+ETHERNET = 1
+
+
+def may_listen() -> bool:
+    try:
+        socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
+    except PermissionError:
+        return False
+    return True
+
+
+needs_privilege = pytest.mark.skipif(not may_listen(), reason="cap_net_raw is missing (see setcap)")
+
+
+@pytest.fixture
+def connection() -> Iterator[tuple[int, socket.socket, socket.socket]]:
+    """A port that is listened to, and both ends of a connection to it."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)) as master:
+            slave, _ = server.accept()
+            with slave:
+                yield port, master, slave
+
+
+@needs_privilege
+def test_hears_each_packet_once_with_a_time_between_sending_and_hearing(
+    connection: tuple[int, socket.socket, socket.socket],
+) -> None:
+    port, master, slave = connection
+    inbox = Inbox()
+    request = b"\x00\x01\x00\x00\x00\x06\x11\x03\x00\x6b\x00\x03"
+    with InterfaceSource(InterfaceLink("lo"), inbox, ports=[port]):
+        before_ns = time.time_ns()
+        master.sendall(request)
+        assert slave.recv(100) == request
+        heard = take_until(inbox, lambda item: isinstance(item, Packet) and request in item.data)
+        heard_ns = time.time_ns()
+        slave.sendall(b"answer")
+        assert master.recv(100) == b"answer"
+        later = take_until(inbox, lambda item: isinstance(item, Packet) and b"answer" in item.data)
+    packet = heard[-1]
+    assert isinstance(packet, Packet)
+    assert (packet.link, packet.link_type) == ("lo", ETHERNET)
+    # 14 bytes Ethernet, 20 bytes IPv4, 32 bytes TCP with time stamps.
+    assert len(packet.data) == packet.original_length == 14 + 20 + 32 + len(request)
+    # scapy's float is true to a quarter of a microsecond.
+    assert before_ns - 1_000 <= packet.ts_ns <= heard_ns + 1_000
+    assert not any(isinstance(item, Packet) and request in item.data for item in later)
+
+
+@needs_privilege
+def test_other_ports_are_not_heard(connection: tuple[int, socket.socket, socket.socket]) -> None:
+    port, master, slave = connection
+    inbox = Inbox()
+    with (
+        socket.create_server(("127.0.0.1", 0)) as other,
+        InterfaceSource(InterfaceLink("lo"), inbox, ports=[port]),
+        socket.create_connection(other.getsockname()) as stranger,
+    ):
+        stranger.sendall(b"stranger")
+        master.sendall(b"wanted")
+        assert slave.recv(100) == b"wanted"
+    packets = [item for item in drain(inbox) if isinstance(item, Packet)]
+    assert any(packet.data.endswith(b"wanted") for packet in packets)
+    assert not any(b"stranger" in packet.data for packet in packets)
+
+
+@needs_privilege
+def test_an_idle_interface_tells_that_time_passes_and_then_that_it_ended() -> None:
+    inbox = Inbox()
+    with InterfaceSource(InterfaceLink("lo"), inbox, ports=[1]):
+        first, second = inbox.get(10), inbox.get(10)
+        assert isinstance(first, Quiet)
+        assert isinstance(second, Quiet)
+        assert first.ts_ns < second.ts_ns
+    assert drain(inbox)[-1] == Ended("lo")
+
+
+def test_an_unknown_interface_is_named_with_those_that_are_there() -> None:
+    with (
+        pytest.raises(LinkError, match=r"^net:eth-no: no such interface; here are: .*lo"),
+        InterfaceSource(InterfaceLink("eth-no"), Inbox()),
+    ):
+        pass
+
+
+def test_a_missing_privilege_says_which_and_how_to_give_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> socket.socket:
+        raise PermissionError
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    with (
+        pytest.raises(LinkError, match="cap_net_raw") as caught,
+        InterfaceSource(InterfaceLink("lo"), Inbox()),
+    ):
+        pass
+    command = f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}"
+    assert str(caught.value).endswith(command)
+
+
+def test_scapy_is_not_imported_before_a_capture_starts() -> None:
+    program = (
+        "import sys, mbtool.sources.interface, mbtool.sources.live, mbtool.sources.tap;"
+        "sys.exit(any(name in sys.modules for name in ('scapy', 'serial')))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

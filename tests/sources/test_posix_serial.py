@@ -1,0 +1,108 @@
+"""A port that is opened read-only."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import LinkError, SerialFormat
+from mbtool.sources.serial_port import open_listening
+from tests.sources.live_helpers import PATIENCE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+if sys.platform == "win32":
+    pytest.skip("a POSIX port needs Linux or macOS", allow_module_level=True)
+
+from mbtool.sources.posix_serial import PosixPort
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    near, far = os.openpty()
+    yield near, os.ttyname(far)
+    os.close(near)
+    os.close(far)
+
+
+@pytest.mark.parametrize("text", ["19200-8E1", "9600-7E1", "9600-8N2", "115200-8O1", "12345-8N1"])
+def test_a_pseudo_terminal_opens_with_any_format(pty: tuple[int, str], text: str) -> None:
+    port = PosixPort(pty[1], SerialFormat.parse(text))
+    try:
+        os.write(pty[0], bytes(range(256)))
+        data = b""
+        while len(data) < 256:
+            piece = port.read(PATIENCE_S)
+            assert piece
+            data += piece
+        assert data == bytes(range(256))
+    finally:
+        port.close()
+
+
+def test_a_baud_rate_beyond_any_port_is_an_error(pty: tuple[int, str]) -> None:
+    with pytest.raises(LinkError, match="does not do 99999999999-8N1"):
+        open_listening(pty[1], SerialFormat(99999999999, 8, "N", 1))
+
+
+def test_nothing_can_be_written(pty: tuple[int, str]) -> None:
+    port = PosixPort(pty[1], SerialFormat())
+    try:
+        with pytest.raises(OSError, match="Bad file descriptor") as caught:
+            os.write(port._fd, b"\x00")
+        assert caught.value.errno == errno.EBADF
+    finally:
+        port.close()
+
+
+def test_what_came_before_the_opening_is_not_heard(pty: tuple[int, str]) -> None:
+    near, name = pty
+    first = PosixPort(name, SerialFormat())
+    os.write(near, b"\x55")
+    assert first.read(PATIENCE_S) == b"\x55"
+    os.write(near, b"\xaa")
+    port = None
+    try:
+        first.close()
+        port = PosixPort(name, SerialFormat())
+        assert port.read(0) == b""
+    finally:
+        if port is not None:
+            port.close()
+
+
+def test_silence_gives_no_bytes(pty: tuple[int, str]) -> None:
+    port = PosixPort(pty[1], SerialFormat())
+    try:
+        assert port.read(0.001) == b""
+    finally:
+        port.close()
+
+
+def test_a_port_that_goes_away_is_an_error() -> None:
+    near, far = os.openpty()
+    port = open_listening(os.ttyname(far), SerialFormat())
+    os.close(far)
+    os.close(near)
+    try:
+        with pytest.raises(LinkError, match="lost while reading"):
+            port.read(PATIENCE_S)
+    finally:
+        port.close()
+
+
+def test_a_failed_opening_leaves_no_descriptor(tmp_path_factory: pytest.TempPathFactory) -> None:
+    file = tmp_path_factory.mktemp("port") / "file"
+    file.touch()
+    before = os.dup(0)
+    os.close(before)
+    with pytest.raises(OSError, match="Inappropriate ioctl"):
+        PosixPort(str(file), SerialFormat())
+    after = os.dup(0)
+    os.close(after)
+    assert after == before

@@ -1,0 +1,85 @@
+"""The reading loop, on a port made of a script."""
+
+from __future__ import annotations
+
+import os
+from threading import Event
+
+import pytest
+
+from mbtool.core import LinkError
+from mbtool.sources.serial_port import IDLE_S
+from mbtool.sources.serial_reader import read_until
+from mbtool.sources.serial_records import Kind, Record, RecordReader, RecordWriter
+
+
+class ScriptedPort:
+    """Gives what the script says, one piece for each read, and then tells the loop to end."""
+
+    def __init__(self, script: list[bytes], told_to_end: Event) -> None:
+        self._script = script
+        self._told_to_end = told_to_end
+        self.waits: list[float] = []
+
+    def read(self, wait_s: float) -> bytes:
+        self.waits.append(wait_s)
+        if len(self._script) == 1:
+            self._told_to_end.set()
+        if not self._script:
+            raise LinkError("unplugged")
+        return self._script.pop(0)
+
+    def close(self) -> None:
+        pass
+
+
+def run_loop(script: list[bytes]) -> tuple[list[Record], list[float]]:
+    told_to_end = Event()
+    port = ScriptedPort(script, told_to_end)
+    reading, writing = os.pipe()
+    try:
+        writer = RecordWriter(writing)
+        try:
+            # The last piece is read after the loop was told to end.
+            read_until(told_to_end, port, writer, settle_s=0.004)
+        except LinkError:
+            writer.put(Kind.ERROR, 0)
+        os.set_blocking(reading, False)
+        return RecordReader().feed(os.read(reading, 2**16)), port.waits
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+def test_every_read_is_a_record_of_its_own_with_a_time_that_does_not_go_back() -> None:
+    records, _ = run_loop([b"\x01", b"\x03\x00", b"\x6b", b""])
+    data = [record for record in records if record.kind is Kind.DATA]
+    assert [record.data for record in data] == [b"\x01", b"\x03\x00", b"\x6b"]
+    assert sorted(record.ts_ns for record in data) == [record.ts_ns for record in data]
+
+
+def test_a_silence_is_told_only_after_a_look_that_waits_for_nothing() -> None:
+    records, waits = run_loop([b"\x01", b"", b"", b"\x02", b""])
+    kinds = [record.kind for record in records]
+    assert kinds[:3] == [Kind.DATA, Kind.QUIET, Kind.DATA]
+    # First the long wait, after data the short one, then the look, then the long wait again.
+    assert waits[:4] == [IDLE_S, 0.004, 0, IDLE_S]
+
+
+def test_a_byte_that_comes_while_looking_prevents_the_silence() -> None:
+    records, _ = run_loop([b"\x01", b"", b"\x02", b""])
+    assert [record.kind for record in records][:2] == [Kind.DATA, Kind.DATA]
+
+
+def test_a_lost_port_ends_the_loop_after_what_came() -> None:
+    told_never = Event()
+    reading, writing = os.pipe()
+    try:
+        port = ScriptedPort([b"\x01", b"\x02"], Event())
+        with pytest.raises(LinkError, match="unplugged"):
+            read_until(told_never, port, RecordWriter(writing), settle_s=0.004)
+        records = RecordReader().feed(os.read(reading, 2**16))
+        assert [record.data for record in records] == [b"\x01", b"\x02"]
+    finally:
+        os.close(reading)
+        os.close(writing)

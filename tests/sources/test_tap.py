@@ -1,0 +1,325 @@
+"""The tap, on loopback connections."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import struct
+import threading
+import time
+from contextlib import ExitStack, closing, suppress
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import (
+    Chunk,
+    Direction,
+    Endpoint,
+    EventKind,
+    LinkError,
+    Quiet,
+    Stamp,
+    TapLink,
+    WireEvent,
+)
+from mbtool.packets import CloseReason, StreamClosed, StreamOpened
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.tap import TapSource, _remedy
+from tests.sources.live_helpers import PATIENCE_S, drain, take_until
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ANY_PORT = Endpoint("127.0.0.1", 0)
+REQUEST = bytes.fromhex(
+    "0001"          # transaction id
+    "0000"          # protocol id
+    "0006"          # length
+    "11"            # unit id
+    "03 006b 0003"  # read holding registers, address 107, quantity 3
+)  # fmt: skip
+
+
+class Bench:
+    """A target that listens, a tap before it, and the tap's inbox."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+        self.inbox = Inbox()
+        self.server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        self.server.settimeout(PATIENCE_S)
+        self.target = Endpoint(*self.server.getsockname())
+
+    def tap(self, *, max_connections: int = 64, idle_s: float = 3600.0) -> TapSource:
+        link = TapLink(ANY_PORT, self.target)
+        return self._stack.enter_context(
+            TapSource(link, self.inbox, max_connections=max_connections, idle_s=idle_s)
+        )
+
+    def call(self, tap: TapSource) -> socket.socket:
+        address = (tap.endpoint.host, tap.endpoint.port)
+        return self._stack.enter_context(socket.create_connection(address, PATIENCE_S))
+
+    def accept(self) -> socket.socket:
+        slave, _ = self.server.accept()
+        slave.settimeout(PATIENCE_S)
+        return self._stack.enter_context(slave)
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    with ExitStack() as stack:
+        yield Bench(stack)
+
+
+def read_to_end(connection: socket.socket) -> bytes:
+    data = b""
+    while piece := connection.recv(2**16):
+        data += piece
+    return data
+
+
+def call_and_read(connection: socket.socket, endpoint: Endpoint) -> None:
+    """Either may report a reset that follows the acceptance at once."""
+    connection.connect((endpoint.host, endpoint.port))
+    connection.recv(100)
+
+
+def reset(connection: socket.socket) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+
+
+def closing_of(bench: Bench) -> StreamClosed:
+    last = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))[-1]
+    assert isinstance(last, StreamClosed)
+    return last
+
+
+def test_records_both_directions_in_order_with_their_connection(bench: Bench) -> None:
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    before_ns = time.time_ns()
+    master.sendall(REQUEST)
+    assert slave.recv(100) == REQUEST
+    slave.sendall(b"answer")
+    assert master.recv(100) == b"answer"
+    after_ns = time.time_ns()
+    master.close()
+    slave.close()
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))
+    opened, request, answer, closed = (item for item in items if not isinstance(item, Quiet))
+    assert isinstance(opened, StreamOpened)
+    assert not opened.joined
+    assert opened.connection.slave == bench.target
+    assert opened.connection.number == 1
+    assert isinstance(request, Chunk)
+    assert isinstance(answer, Chunk)
+    assert (request.data, request.direction) == (REQUEST, Direction.REQUEST)
+    assert (answer.data, answer.direction) == (b"answer", Direction.RESPONSE)
+    for chunk in (request, answer):
+        assert chunk.connection == opened.connection
+        assert chunk.link == tap.link == opened.connection.link
+        assert chunk.stamp is Stamp.AT_ONCE
+    assert before_ns <= request.ts_ns <= answer.ts_ns <= after_ns
+    assert isinstance(closed, StreamClosed)
+    assert closed.reason is CloseReason.FINISHED
+
+
+def test_a_half_close_is_passed_on_and_the_other_direction_goes_on(bench: Bench) -> None:
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    master.sendall(REQUEST)
+    master.shutdown(socket.SHUT_WR)
+    assert read_to_end(slave) == REQUEST
+    slave.sendall(b"answer after the end")
+    slave.close()
+    assert read_to_end(master) == b"answer after the end"
+    assert closing_of(bench).reason is CloseReason.FINISHED
+
+
+def test_the_slave_may_close_first(bench: Bench) -> None:
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    slave.sendall(b"bye")
+    slave.close()
+    assert read_to_end(master) == b"bye"
+    master.close()
+    assert closing_of(bench).reason is CloseReason.FINISHED
+
+
+def test_megabytes_pass_unchanged_both_ways_at_once(bench: Bench) -> None:
+    upward, downward = os.urandom(3 * 2**20), os.urandom(3 * 2**20)
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    heard: dict[str, bytes] = {}
+
+    def talk(connection: socket.socket, data: bytes) -> None:
+        connection.sendall(data)
+        connection.shutdown(socket.SHUT_WR)
+
+    def listen(connection: socket.socket, name: str) -> None:
+        heard[name] = read_to_end(connection)
+
+    threads = [
+        threading.Thread(target=talk, args=(master, upward)),
+        threading.Thread(target=talk, args=(slave, downward)),
+        threading.Thread(target=listen, args=(master, "master")),
+        threading.Thread(target=listen, args=(slave, "slave")),
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert heard == {"master": downward, "slave": upward}
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))
+    chunks = [item for item in items if isinstance(item, Chunk)]
+    for direction, data in ((Direction.REQUEST, upward), (Direction.RESPONSE, downward)):
+        assert b"".join(chunk.data for chunk in chunks if chunk.direction is direction) == data
+
+
+def test_a_side_that_does_not_read_stops_the_other(bench: Bench) -> None:
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    master.settimeout(0.5)
+    sent = 0
+    with suppress(TimeoutError):
+        while sent < 2**28:
+            sent += master.send(bytes(2**16))
+    assert sent < 2**28
+    # The slave then reads, and all of it comes.
+    master.settimeout(PATIENCE_S)
+    master.shutdown(socket.SHUT_WR)
+    assert len(read_to_end(slave)) == sent
+
+
+def test_a_reset_is_passed_on_as_a_reset(bench: Bench) -> None:
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    master.sendall(REQUEST)
+    assert slave.recv(100) == REQUEST
+    reset(master)
+    with pytest.raises(ConnectionResetError):
+        slave.recv(100)
+    assert closing_of(bench).reason is CloseReason.RESET
+
+
+def test_two_connections_are_kept_apart(bench: Bench) -> None:
+    tap = bench.tap()
+    masters, slaves = [], []
+    for _ in range(2):
+        masters.append(bench.call(tap))
+        slaves.append(bench.accept())
+    masters[0].sendall(b"first")
+    masters[1].sendall(b"second")
+    assert slaves[0].recv(100) == b"first"
+    assert slaves[1].recv(100) == b"second"
+    items = take_until(bench.inbox, lambda item: isinstance(item, Chunk))
+    items += take_until(bench.inbox, lambda item: isinstance(item, Chunk))
+    numbers = {
+        item.data: item.connection.number
+        for item in items
+        if isinstance(item, Chunk) and item.connection is not None
+    }
+    assert numbers == {b"first": 1, b"second": 2}
+
+
+def test_a_target_that_refuses_is_an_event_and_resets_the_master(bench: Bench) -> None:
+    with closing(socket.socket()) as silent:
+        silent.bind(("127.0.0.1", 0))  # Bound and not listening: the port is taken, and refuses.
+        target = Endpoint(*silent.getsockname())
+        inbox = Inbox()
+        with TapSource(TapLink(ANY_PORT, target), inbox) as tap, closing(socket.socket()) as master:
+            master.settimeout(PATIENCE_S)
+            master.bind(("127.0.0.1", 0))
+            source = Endpoint(*master.getsockname())
+            with pytest.raises(ConnectionResetError):
+                call_and_read(master, tap.endpoint)
+            event = take_until(inbox, lambda item: isinstance(item, WireEvent))[-1]
+    assert isinstance(event, WireEvent)
+    assert event.kind is EventKind.CLOSED
+    assert (event.link, event.source, event.destination) == (tap.link, str(source), str(target))
+    assert event.message.endswith("does not accept it: Connection refused")
+    assert not any(isinstance(item, StreamOpened | StreamClosed) for item in drain(inbox))
+
+
+def test_a_connection_over_the_bound_is_turned_away_with_an_event(bench: Bench) -> None:
+    tap = bench.tap(max_connections=1)
+    first = bench.call(tap)
+    slave = bench.accept()
+    with pytest.raises(ConnectionResetError):
+        bench.call(tap).recv(100)
+    event = take_until(bench.inbox, lambda item: isinstance(item, WireEvent))[-1]
+    assert isinstance(event, WireEvent)
+    assert event.kind is EventKind.DISCARDED
+    assert event.message == "connection turned away: 1 are open already"
+    first.sendall(b"still here")
+    assert slave.recv(100) == b"still here"
+    first.close()
+    slave.close()
+    closing_of(bench)
+    third = bench.call(tap)
+    third.sendall(b"room again")
+    assert bench.accept().recv(100) == b"room again"
+
+
+def test_an_idle_connection_is_closed(bench: Bench) -> None:
+    tap = bench.tap(idle_s=0.0)
+    master = bench.call(tap)
+    bench.accept()
+    assert closing_of(bench).reason is CloseReason.IDLE
+    assert master.recv(100) == b""
+
+
+def test_the_end_closes_the_connections_and_comes_last(bench: Bench) -> None:
+    link = TapLink(ANY_PORT, bench.target)
+    with TapSource(link, bench.inbox) as tap:
+        master = bench.call(tap)
+        slave = bench.accept()
+        master.sendall(REQUEST)
+        assert slave.recv(100) == REQUEST
+    items = [item for item in drain(bench.inbox) if not isinstance(item, Quiet)]
+    assert isinstance(items[-2], StreamClosed)
+    assert items[-2].reason is CloseReason.CAPTURE_END
+    assert items[-1] == Ended(tap.link)
+    assert slave.recv(100) == b""
+    tap.close()  # A second time does nothing.
+    assert drain(bench.inbox) == []
+
+
+def test_the_consumer_is_told_that_time_passes(bench: Bench) -> None:
+    bench.tap()
+    first, second = bench.inbox.get(PATIENCE_S), bench.inbox.get(PATIENCE_S)
+    assert isinstance(first, Quiet)
+    assert isinstance(second, Quiet)
+    assert first.ts_ns < second.ts_ns
+
+
+def test_an_address_in_use_says_what_would_be_right(bench: Bench) -> None:
+    link = TapLink(bench.target, Endpoint("127.0.0.1", 502))
+    with (
+        pytest.raises(LinkError, match=rf"cannot listen at {bench.target}: the address is in use"),
+        TapSource(link, bench.inbox),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        (PermissionError(errno.EACCES, ""), "ports below 1024 need a privilege"),
+        (OSError(errno.EADDRNOTAVAIL, ""), "no interface here has this address"),
+        (socket.gaierror(socket.EAI_NONAME, ""), "no such host"),
+        (OSError(errno.ENOBUFS, "No buffer space"), "No buffer space"),
+    ],
+)
+def test_a_failed_listening_is_explained(error: OSError, remedy: str) -> None:
+    assert _remedy(error).startswith(remedy)
