@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from enum import StrEnum
-from pathlib import PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from mbtool.core import UsageError, WireEvent
+from mbtool.core import MbtoolError, UsageError, WireEvent
 from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
@@ -68,6 +68,11 @@ class Output:
         """Whether as many transactions as wanted have been printed."""
         return self._limit is not None and self._tally.transactions >= self._limit
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing has been printed."""
+        return not self._tally.transactions and not self._tally.events
+
     def add(self, record: Record) -> None:
         """Print a record if it is wanted."""
         if self._wants(record):
@@ -105,16 +110,21 @@ def open_output(
     """An output that is finished, and talked about, when its context ends. Raises UsageError."""
     from mbtool.cli.talk import say
 
-    suffix = PurePath(path).suffix.lower() if path is not None else ""
+    suffix = Path(path).suffix.lower() if path is not None else ""
     chosen = format_ or _SUFFIXES.get(suffix, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     with _open_file(path) as file:
         output = Output(file, chosen, shown, profile_for, wanted, limit)
         try:
             yield output
-        finally:
+        except MbtoolError:
             sentence = output.finish()
-            say(f"{sentence} -> {path}" if path not in (None, "-") else sentence)
+            if not output.is_empty:
+                say(sentence)
+            raise
+        else:
+            sentence = output.finish()
+            say(sentence if path in (None, "-") else f"{sentence} -> {path}")
 
 
 @contextmanager
@@ -122,11 +132,11 @@ def _open_file(path: str | None) -> Iterator[TextIO]:
     if path is None or path == "-":
         yield sys.stdout
         return
-    try:
-        file = open(path, "w", encoding="utf-8", newline="")
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
-    with file:
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(Path(path).open("w", encoding="utf-8", newline=""))
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
         yield file
 
 

@@ -69,7 +69,7 @@ def replay(
         recording, link, on_miss=on_miss, speed=factor, allow_remote=allow_remote
     )
     units = ", ".join(map(str, sorted(recording.units)))
-    serve(shell, link, f"{file}: {len(recording.answers)} different requests to unit {units}")
+    serve(shell, f"{file}: {len(recording.answers)} different requests to unit {units}")
 
 
 def _speed(text: str) -> float | None:

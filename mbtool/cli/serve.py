@@ -10,14 +10,13 @@ from mbtool.cli import exit_codes
 from mbtool.cli.talk import interruptible, say
 
 if TYPE_CHECKING:
-    from mbtool.core import LinkSpec
     from mbtool.slave import Shell
 
 
-def serve(shell: Shell, link: LinkSpec, who: str) -> None:
+def serve(shell: Shell, who: str) -> None:
     """Answer until Ctrl-C. Raises LinkError when the link is lost."""
     with interruptible() as interrupt, shell:
-        say(f"{who} on {shell.at or link}; Ctrl-C ends")
+        say(f"{who} on {shell.place}; Ctrl-C ends")
         while not interrupt.asked:
             shell.wait(0.2)
     raise typer.Exit(exit_codes.INTERRUPTED)

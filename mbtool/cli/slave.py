@@ -41,4 +41,4 @@ def slave(
     link = parse_link(on)
     device = load_profile(profile)
     shell = device_slave(device, link, unit, image, allow_remote=allow_remote)
-    serve(shell, link, f"{device.title} as unit {unit}")
+    serve(shell, f"{device.title} as unit {unit}")

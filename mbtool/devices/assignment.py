@@ -20,7 +20,7 @@ from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Profile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from mbtool.modbus.transaction import Transaction
 
@@ -112,6 +112,10 @@ class Assignments:
                     f"device {str(each.who)!r} is given two profiles, "
                     f"{first.name} and {each.profile.name}; name one"
                 )
+
+    def __iter__(self) -> Iterator[Assignment]:
+        """Each assignment, the most specific first."""
+        return iter(self._assignments)
 
     @property
     def profiles(self) -> list[Profile]:

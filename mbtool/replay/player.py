@@ -23,9 +23,17 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.modbus import Answer, Table, exception_pdu, parse_pdu
+from mbtool.modbus import (
+    REACHING,
+    Answer,
+    Table,
+    exception_pdu,
+    parse_pdu,
+    reach_of,
+    response_to,
+    values_after,
+)
 from mbtool.modbus import ExceptionCode as _Code
-from mbtool.replay.access import REACHING, access_of, response_to, values_after
 
 if TYPE_CHECKING:
     from mbtool.modbus import Pdu
@@ -92,29 +100,29 @@ class RecordedSlave:
 
     def _from_image(self, unit: int, pdu: bytes) -> bytes:
         request = parse_pdu(pdu, Direction.REQUEST)
-        access = access_of(request)
-        if access is None:
+        reach = reach_of(request)
+        if reach is None:
             reaching = request.code in REACHING
             refusal = _Code.ILLEGAL_DATA_VALUE if reaching else _Code.ILLEGAL_FUNCTION
             return exception_pdu(request.code, refusal)
-        spans = (access.reads, access.writes)
-        known = all(self._values(unit, access.table, span) is not None for span in spans)
+        spans = (reach.reads, reach.writes)
+        known = all(self._values(unit, reach.table, span) is not None for span in spans)
         if not known or self._on_miss is OnMiss.EXCEPTION:
             return exception_pdu(request.code, _Code.ILLEGAL_DATA_ADDRESS)
         self._keep_write(unit, request)
-        values = self._values(unit, access.table, access.reads)
+        values = self._values(unit, reach.table, reach.reads)
         return response_to(request, pdu, values or [])
 
     def _keep_write(self, unit: int, request: Pdu) -> None:
         """Lay what an acknowledged request wrote over the image."""
-        access = access_of(request)
-        if access is None or not access.writes:
+        reach = reach_of(request)
+        if reach is None or not reach.writes:
             return
-        before = self._values(unit, access.table, access.writes)
+        before = self._values(unit, reach.table, reach.writes)
         if before is None:
             return
-        for address, value in zip(access.writes, values_after(request, before), strict=True):
-            self._written[unit, access.table, address] = value, self._moment_ns
+        for address, value in zip(reach.writes, values_after(request, before), strict=True):
+            self._written[unit, reach.table, address] = value, self._moment_ns
 
     def _values(self, unit: int, table: Table, addresses: range) -> list[int] | None:
         """What the addresses hold at this moment, or None where one was never seen."""

@@ -19,8 +19,7 @@ from statistics import median_low
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Direction
-from mbtool.modbus import Outcome, Table, parse_pdu, pdu_of
-from mbtool.replay.access import access_of, values_after
+from mbtool.modbus import Outcome, Table, parse_pdu, pdu_of, reach_of, values_after
 from mbtool.replay.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -95,19 +94,19 @@ class Recording:
         if pdu is None or transaction.outcome not in (Outcome.OK, Outcome.BROADCAST):
             return
         request = parse_pdu(pdu, Direction.REQUEST)
-        access = access_of(request)
-        if access is None:
+        reach = reach_of(request)
+        if reach is None:
             return
         is_broadcast = transaction.outcome is Outcome.BROADCAST
         at_ns = _answered_ns(transaction)
         for unit in self.units if is_broadcast else (transaction.unit,):
-            timeline = self._values.setdefault((unit, access.table), Timeline())
-            before = timeline.last(access.writes) if request.code == 0x16 else []
-            if access.writes and before is not None:
-                timeline.note(at_ns, access.writes.start, values_after(request, before))
-            if access.reads and not is_broadcast:
-                values = (transaction.response_values or [])[: len(access.reads)]
-                timeline.note(at_ns, access.reads.start, values)
+            timeline = self._values.setdefault((unit, reach.table), Timeline())
+            before = timeline.last(reach.writes) if request.code == 0x16 else []
+            if reach.writes and before is not None:
+                timeline.note(at_ns, reach.writes.start, values_after(request, before))
+            if reach.reads and not is_broadcast:
+                values = (transaction.response_values or [])[: len(reach.reads)]
+                timeline.note(at_ns, reach.reads.start, values)
 
 
 _NOTHING = Timeline()

@@ -4,7 +4,7 @@ from mbtool.slave.image import RegisterImage
 from mbtool.slave.image_file import load_image
 from mbtool.slave.opening import open_shell
 from mbtool.slave.responder import DeviceResponder
-from mbtool.slave.serial_shell import SerialSlave
+from mbtool.slave.serial_shell import SerialSlave, open_port
 from mbtool.slave.shell import OnExchange, Shell
 from mbtool.slave.tcp_shell import Bounds, TcpSlave
 from mbtool.slave.units import Units, units_on
@@ -19,6 +19,7 @@ __all__ = [
     "TcpSlave",
     "Units",
     "load_image",
+    "open_port",
     "open_shell",
     "units_on",
 ]

@@ -19,24 +19,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.devices.model import Access
+from mbtool.devices import Access
 from mbtool.modbus.answer import Answer
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H
-from mbtool.modbus.pdu import encode_pdu, exception_pdu, parse_pdu
+from mbtool.modbus.pdu import exception_pdu, parse_pdu
+from mbtool.modbus.reach import REACHING, reach_of, response_to, values_after
 from mbtool.slave.behaviours import own_functions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import Profile
-    from mbtool.modbus.pdu import Pdu
+    from mbtool.modbus.reach import Reach
     from mbtool.modbus.tables import Table
     from mbtool.slave.image import RegisterImage
-
-_COIL_VALUES = {0x0000: 0, 0xFF00: 1}  # V1.1b3, 6.5
 
 
 class DeviceResponder:
@@ -46,13 +42,6 @@ class DeviceResponder:
         """Raises ProfileError where the profile names a behaviour that does not exist."""
         self._profile = profile
         self._own = own_functions(profile)
-        self._served: dict[int, Callable[[Pdu, bytes], bytes]] = {
-            **dict.fromkeys((0x01, 0x02, 0x03, 0x04), self._read),
-            **dict.fromkeys((0x05, 0x06), self._write_one),
-            **dict.fromkeys((0x0F, 0x10), self._write_several),
-            0x16: self._mask_write,
-            0x17: self._read_and_write,
-        }
         self.image = image
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
@@ -66,83 +55,31 @@ class DeviceResponder:
         return None if response is None else Answer(response)
 
     def _respond(self, pdu: bytes) -> bytes | None:
+        exceptions = self._profile.exceptions
         function = pdu[0]
+        rule = self._profile.rule(function)
         own = self._own.get(function)
-        served = self._served.get(function)
-        if self._profile.rule(function) is None or (own is None and served is None):
-            raise _RefusedError(self._profile.exceptions.function)
+        if rule is None or (own is None and function not in REACHING):
+            raise _RefusedError(exceptions.function)
         if own is not None:
             return own(self._profile, pdu)
-        assert served is not None
         request = parse_pdu(pdu, Direction.REQUEST)
-        if request.problem is not None:
-            raise _RefusedError(self._profile.exceptions.value)
-        return served(request, pdu)
+        reach = reach_of(request)
+        if reach is None or (rule.limit is not None and _quantity(reach) > rule.limit):
+            raise _RefusedError(exceptions.value)
+        self._demand_area(reach.table, reach.reads)
+        self._demand_area(reach.table, reach.writes, writing=True)
+        if reach.writes:  # Before the read, where a function does both (6.17).
+            before = self.image.get(reach.table, reach.writes.start, len(reach.writes))
+            self.image.set(reach.table, reach.writes.start, values_after(request, before))
+        read = []
+        if reach.reads:
+            read = self.image.get(reach.table, reach.reads.start, len(reach.reads))
+        return response_to(request, pdu, read)
 
-    def _read(self, request: Pdu, pdu: bytes) -> bytes:
-        address, quantity = _number(request, "address"), _number(request, "quantity")
-        self._demand_value(1 <= quantity <= self._limit(request.code))
-        table = _table(request)
-        self._demand_area(table, address, quantity)
-        values = tuple(self.image.get(table, address, quantity))
-        return encode_pdu(request.code, Direction.RESPONSE, values=values)
-
-    def _write_one(self, request: Pdu, pdu: bytes) -> bytes:
-        address, value = _number(request, "address"), _number(request, "value")
-        table = _table(request)
-        if table.is_bits:
-            self._demand_value(value in _COIL_VALUES)
-            value = _COIL_VALUES[value]
-        self._demand_area(table, address, 1, writing=True)
-        self.image.set(table, address, [value])
-        return pdu
-
-    def _write_several(self, request: Pdu, pdu: bytes) -> bytes:
-        address, quantity = _number(request, "address"), _number(request, "quantity")
-        table = _table(request)
-        expected_bytes = (quantity + 7) // 8 if table.is_bits else 2 * quantity
-        self._demand_value(1 <= quantity <= self._limit(request.code) and pdu[5] == expected_bytes)
-        self._demand_area(table, address, quantity, writing=True)
-        self.image.set(table, address, _values(request))
-        return pdu[:5]
-
-    def _mask_write(self, request: Pdu, pdu: bytes) -> bytes:
-        address, table = _number(request, "address"), _table(request)
-        and_mask, or_mask = _number(request, "and_mask"), _number(request, "or_mask")
-        self._demand_area(table, address, 1, writing=True)
-        (before,) = self.image.get(table, address)
-        self.image.set(table, address, [(before & and_mask) | (or_mask & ~and_mask)])
-        return pdu
-
-    def _read_and_write(self, request: Pdu, pdu: bytes) -> bytes:
-        address, quantity = _number(request, "address"), _number(request, "quantity")
-        write_address = _number(request, "write_address")
-        write_quantity = _number(request, "write_quantity")
-        values, table = _values(request), _table(request)
-        self._demand_value(
-            1 <= quantity <= self._limit(request.code)
-            and 1 <= write_quantity <= WRITE_LIMIT_17H
-            and len(values) == write_quantity
-        )
-        self._demand_area(table, address, quantity)
-        self._demand_area(table, write_address, write_quantity, writing=True)
-        self.image.set(table, write_address, values)  # Before the read (6.17).
-        read = tuple(self.image.get(table, address, quantity))
-        return encode_pdu(request.code, Direction.RESPONSE, values=read)
-
-    def _limit(self, function: int) -> int:
-        rule = self._profile.rule(function)
-        return (rule.limit if rule is not None else None) or FUNCTIONS[function].limit
-
-    def _demand_value(self, allowed: bool) -> None:
-        if not allowed:
-            raise _RefusedError(self._profile.exceptions.value)
-
-    def _demand_area(
-        self, table: Table, address: int, quantity: int, *, writing: bool = False
-    ) -> None:
-        at = address
-        while at < address + quantity:
+    def _demand_area(self, table: Table, span: range, *, writing: bool = False) -> None:
+        at = span.start
+        while at < span.stop:
             area = self._profile.area(table, at)
             if area is None or (writing and area.access is Access.READ):
                 raise _RefusedError(self._profile.exceptions.address)
@@ -157,13 +94,6 @@ class _RefusedError(Exception):
         self.code = code
 
 
-def _table(request: Pdu) -> Table:
-    return cast("Table", FUNCTIONS[request.code].table)
-
-
-def _number(request: Pdu, name: str) -> int:
-    return cast("int", request.fields[name])  # A PDU without a problem has every field.
-
-
-def _values(request: Pdu) -> Sequence[int]:
-    return cast("tuple[int, ...]", request.fields["values"])
+def _quantity(reach: Reach) -> int:
+    """What a profile's limit is about: the reads, where a function does both."""
+    return len(reach.reads or reach.writes)

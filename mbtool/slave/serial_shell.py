@@ -62,8 +62,12 @@ class SerialSlave(Shell):
         self._waiting: deque[tuple[int, bytes]] = deque()
         """Answers and when they are due."""
 
+    @property
+    def place(self) -> str:
+        return str(self.link)
+
     def _open(self) -> None:
-        self._port = _open_port(self.link)
+        self._port = open_port(self.link, self.link.format.t3_5_ns / 1e9)
 
     def _interrupt(self) -> None:
         self._stopping.set()
@@ -120,19 +124,20 @@ class _NobodysTurn(Turns):
         pass
 
 
-def _open_port(link: SerialLink) -> serial.Serial:
+def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
+    """Open a port to read and write; a read waits for so long. Raises LinkError."""
     try:
-        return _open_with(link, link.format.data_bits, link.format.parity)
+        return _open_with(link, timeout_s, link.format.data_bits, link.format.parity)
     except serial.SerialException as error:
         if not _is_pseudo_terminal(link.port) or _error_number(error) != errno.EINVAL:
             raise LinkError(f"serial port {link.port}: {_why_not_open(link, error)}") from error
     try:
-        return _open_with(link, serial.EIGHTBITS, serial.PARITY_NONE)
+        return _open_with(link, timeout_s, serial.EIGHTBITS, serial.PARITY_NONE)
     except serial.SerialException as error:
         raise LinkError(f"serial port {link.port}: {_why_not_open(link, error)}") from error
 
 
-def _open_with(link: SerialLink, data_bits: int, parity: str) -> serial.Serial:
+def _open_with(link: SerialLink, timeout_s: float, data_bits: int, parity: str) -> serial.Serial:
     try:
         return serial.Serial(
             link.port,
@@ -140,7 +145,7 @@ def _open_with(link: SerialLink, data_bits: int, parity: str) -> serial.Serial:
             bytesize=data_bits,
             parity=parity,
             stopbits=link.format.stop_bits,
-            timeout=link.format.t3_5_ns / 1e9,
+            timeout=timeout_s,
             write_timeout=WRITE_TIMEOUT_S,
             exclusive=True,
         )

@@ -31,6 +31,11 @@ class Shell(ABC):
         self._thread: threading.Thread | None = None
         self._failure: LinkError | None = None
 
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """The link it answers on, as opened: with the port it was given, where it asked for 0."""
+
     def start(self) -> None:
         """Open the link and begin to answer. Raises LinkError or UsageError."""
         if self._thread is not None:

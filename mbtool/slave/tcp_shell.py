@@ -81,6 +81,10 @@ class TcpSlave(Shell):
         """Where it listens; with the port that was given to it, if it asked for port 0."""
         return self._endpoint
 
+    @property
+    def place(self) -> str:
+        return str(TcpLink(self._endpoint, rtu=self.link.rtu))
+
     def _open(self) -> None:
         self._socket = _listen(self.link, allow_remote=self._allow_remote)
         host, port = self._socket.getsockname()[:2]

@@ -63,8 +63,7 @@ class RtuMaster:
 
     def __init__(self, link: SerialLink) -> None:
         """Open the port. Raises LinkError."""
-        self._port = open_port(link)
-        self._port.timeout = TIMEOUT_S
+        self._port = open_port(link, TIMEOUT_S)
         # What another master would keep on this line: t3.5, and time for the sniffer's adapter.
         self._pause_s = max(2 * link.format.t3_5_ns / 1e9, 0.005)
 

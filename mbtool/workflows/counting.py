@@ -17,10 +17,10 @@ CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 _WORDS = {
     Outcome.OK: "ok",
-    Outcome.EXCEPTION: "exceptions",
+    Outcome.EXCEPTION: "exception",
     Outcome.NO_ANSWER: "without answer",
     Outcome.UNSOLICITED: "unsolicited",
-    Outcome.BROADCAST: "broadcasts",
+    Outcome.BROADCAST: "broadcast",
     Outcome.MALFORMED: "malformed",
 }
 
@@ -43,7 +43,7 @@ class Tally:
         return self.outcomes.total()
 
     def sentence(self) -> str:
-        """`12 transactions: 10 ok, 2 exceptions; 3 events: 3 skipped`."""
+        """`12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
         text = f"{self.transactions} transaction{'' if self.transactions == 1 else 's'}"
         parts = [
             f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]

@@ -95,7 +95,15 @@ class Decoder:
             kind = EventKind.DISCARDED if discarded else EventKind.CLOSED
             told = _told(item, kind, f"connection closed: {item.reason}")
             return [*(self._named(ended.close()) if ended is not None else []), told]
-        return [item] if isinstance(item, WireEvent) else self.feed(item)
+        if isinstance(item, WireEvent):
+            return [*self._broken_off(item), item]
+        return self.feed(item)
+
+    def _broken_off(self, event: WireEvent) -> list[Record]:
+        """What a serial line held when bytes behind it were lost: it cannot be completed."""
+        if event.kind is not EventKind.DISCARDED or event.link not in self._buses:
+            return []
+        return self._named(self._buses.pop(event.link).close())
 
     def _quiet(self, quiet: Quiet) -> list[Record]:
         bus = self._buses.get(quiet.link)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from contextlib import ExitStack
 from dataclasses import dataclass
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from mbtool.core import (
@@ -24,6 +25,7 @@ from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
 from mbtool.modbus import Table, encode_pdu
 from mbtool.replay import RecordedSlave, Recording
 from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave, units_on
+from mbtool.sources.tap import TapSource
 from mbtool.sources.virtual_line import VirtualLine
 from mbtool.workflows.asking import RtuMaster, TcpMaster
 from mbtool.workflows.decoding import Decoder
@@ -73,7 +75,9 @@ class Demo:
     def record(self) -> Iterator[Record]:
         """Run devices, masters and the sniffer; give what the sniffer decodes, as it does."""
         with ExitStack() as stack:
-            line = stack.enter_context(VirtualLine(ends=3, format=LINE))
+            folder = stack.enter_context(TemporaryDirectory(prefix="mbtool-"))
+            names = [f"{folder}/{name}" for name in ("touch", "master", "rs485")]
+            line = stack.enter_context(VirtualLine(ends=3, format=LINE, link_names=names))
             touch_port, master_port, tap_port = line.ports
             touch = SerialLink(touch_port, LINE)
             stack.enter_context(SerialSlave(touch, _touch(touch)))
@@ -89,9 +93,10 @@ class Demo:
             decoder = Decoder(Namer(self.assignments), lines=serial_lines(links))
             log = begin_log(self._log_path, links, self.assignments, overwrite=True)
             sniffer = stack.enter_context(Sniffer(links, decoder, log=log))
+            (tap,) = (source for source in sniffer.sources if isinstance(source, TapSource))
             masters = threading.Thread(
                 target=self._ask_all,
-                args=(SerialLink(master_port, LINE), sniffer.sources[1].endpoint),
+                args=(SerialLink(master_port, LINE), tap.endpoint),
                 daemon=True,
             )
             masters.start()

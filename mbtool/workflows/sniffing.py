@@ -9,13 +9,13 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Protocol, Self
 
-from mbtool.core import Chunk, LinkError, Packet, SerialLink, UsageError, WireEvent
+from mbtool.core import Chunk, EventKind, LinkError, Packet, SerialLink, UsageError, WireEvent
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.live import live_source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mbtool.core import LinkSpec
     from mbtool.devices import NamedTransaction
@@ -34,7 +34,8 @@ class Log(Protocol):
     def tick(self, now_ns: int) -> None:
         """Learn the time, so that nothing stays in memory for long."""
 
-    def close(self) -> None: ...
+    def close(self, final: Mapping[str, str]) -> None:
+        """Complete it, with what only the end of a run shows."""
 
 
 class Sniffer:
@@ -61,11 +62,13 @@ class Sniffer:
         """One for each link, in their order, once the context is entered."""
         self._open = 0
         self._over = False
+        self._discarded = 0
+        """How many bytes or packets bounds have cost."""
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             if self._log is not None:
-                opened.callback(self._log.close)
+                opened.callback(self._log.close, {})
             for link in self._links:
                 source = live_source(link, self._inbox, ports=self._ports)
                 self.sources.append(opened.enter_context(source))
@@ -77,7 +80,7 @@ class Sniffer:
         for _record in self._rest():
             pass  # Nobody looks any more, but the log wants it.
         if self._log is not None:
-            self._log.close()
+            self._log.close({"discarded": str(self._discarded)})
 
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
         """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
@@ -118,6 +121,8 @@ class Sniffer:
 
     def _logged(self, records: list[Record]) -> Iterator[Record]:
         for record in records:
+            if isinstance(record, WireEvent) and record.kind is EventKind.DISCARDED:
+                self._discarded += record.missing
             if self._log is not None:
                 self._log.write(record)
         yield from records
