@@ -13,8 +13,11 @@ class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     name: str
     reference: str
     """Where it stands, in the vendor's notation."""
-    value: float | None = None
-    """Absent where it is no number: a 32-bit value that is infinite or not a number."""
+    value: int | float | None = None
+    """An integer, unless the point has a scale or is a float.
+
+    Absent where it is no number: a 32-bit value that is infinite or not a number.
+    """
     text: str
     """The value as the manual would put it: `CH1 CH2 CH6 CH8 enabled`, `27.5 s`."""
     unit: str | None = None

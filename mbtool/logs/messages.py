@@ -115,7 +115,7 @@ class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     device: str | None = None
     name: str
     reference: str
-    value: float | None = None
+    value: int | float | None = None
     text: str
     unit: str | None = None
 

@@ -158,6 +158,8 @@ def _object(cls: type) -> dict[str, Any]:
 def _schema(type_: inspect.Type) -> tuple[dict[str, Any], Iterable[str]]:
     """The schema of one type, and the values of an enumeration of strings."""
     match type_:
+        case inspect.UnionType(types=(inspect.IntType(), inspect.FloatType(), *_)):
+            return {"type": "number"}, ()
         case inspect.UnionType(types=types):
             (only,) = (one for one in types if not isinstance(one, inspect.NoneType))
             return _schema(only)

@@ -74,6 +74,10 @@ class InterfaceSource:
     def link(self) -> str:
         return self._link.name
 
+    @property
+    def place(self) -> str:
+        return str(self._link)
+
     def __enter__(self) -> Self:
         self._capture = _open(self._link)
         try:

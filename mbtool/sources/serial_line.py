@@ -38,6 +38,10 @@ class SerialSource:
     def link(self) -> str:
         return self._link.name
 
+    @property
+    def place(self) -> str:
+        return str(self._link)
+
     def __enter__(self) -> Self:
         child = start_child("mbtool.sources.serial_reader", self._link.port, str(self._link.format))
         self._child = child

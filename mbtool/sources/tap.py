@@ -60,6 +60,10 @@ class TapSource:
         return self._link.name
 
     @property
+    def place(self) -> str:
+        return str(TapLink(self._endpoint, self._link.target))
+
+    @property
     def endpoint(self) -> Endpoint:
         """Where the tap listens, with the port that the system chose where 0 was asked."""
         return self._endpoint

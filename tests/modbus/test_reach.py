@@ -8,33 +8,35 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction
 from mbtool.modbus import Table, parse_pdu
-from mbtool.replay.access import REACHING, Access, access_of, response_to, values_after
+from mbtool.modbus.reach import REACHING, Reach, reach_of, response_to, values_after
 
 COILS, INPUTS = Table.COILS, Table.DISCRETE_INPUTS
 HOLDING, REGISTERS = Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS
 
 
-def _access(request: str) -> Access | None:
-    return access_of(parse_pdu(bytes.fromhex(request), Direction.REQUEST))
+def _reach(request: str) -> Reach | None:
+    return reach_of(parse_pdu(bytes.fromhex(request), Direction.REQUEST))
 
 
 @pytest.mark.parametrize(
-    ("request_", "access"),
+    ("request_", "reach"),
     [
-        ("01 0010 0003", Access(COILS, reads=range(16, 19))),
-        ("02 0010 0003", Access(INPUTS, reads=range(16, 19))),
-        ("03 006B 0003", Access(HOLDING, reads=range(107, 110))),
-        ("04 FFFF 0001", Access(REGISTERS, reads=range(0xFFFF, 0x10000))),
-        ("05 0010 FF00", Access(COILS, writes=range(16, 17))),
-        ("06 0010 1234", Access(HOLDING, writes=range(16, 17))),
-        ("0F 0010 0003 01 05", Access(COILS, writes=range(16, 19))),
-        ("10 0010 0002 04 0001 0002", Access(HOLDING, writes=range(16, 18))),
-        ("16 0010 00F2 0025", Access(HOLDING, writes=range(16, 17))),
-        ("17 0003 0006 000E 0001 02 00FF", Access(HOLDING, range(3, 9), range(14, 15))),
+        ("01 0010 0003", Reach(COILS, reads=range(16, 19))),
+        ("02 0010 0003", Reach(INPUTS, reads=range(16, 19))),
+        ("03 006B 0003", Reach(HOLDING, reads=range(107, 110))),
+        ("04 FFFF 0001", Reach(REGISTERS, reads=range(0xFFFF, 0x10000))),
+        ("05 0010 FF00", Reach(COILS, writes=range(16, 17))),
+        ("06 0010 1234", Reach(HOLDING, writes=range(16, 17))),
+        ("0F 0010 0003 01 05", Reach(COILS, writes=range(16, 19))),
+        ("10 0010 0002 04 0001 0002", Reach(HOLDING, writes=range(16, 18))),
+        ("16 0010 00F2 0025", Reach(HOLDING, writes=range(16, 17))),
+        ("17 0003 0006 000E 0001 02 00FF", Reach(HOLDING, range(3, 9), range(14, 15))),
+        # Past the last address: whether an address exists is not the request's form.
+        ("03 FFFF 0002", Reach(HOLDING, range(0xFFFF, 0x10001))),
     ],
 )
-def test_names_what_is_read_and_written(request_: str, access: Access) -> None:
-    assert _access(request_) == access
+def test_names_what_is_read_and_written(request_: str, reach: Reach) -> None:
+    assert _reach(request_) == reach
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,6 @@ def test_names_what_is_read_and_written(request_: str, access: Access) -> None:
     [
         "03 0000 0000",  # quantity 0
         "03 0000 007E",  # over the limit
-        "03 FFFF 0002",  # past the last address
         "03 0000",  # too short
         "05 0000 1234",  # neither on nor off
         "0F 0000 0009 01 FF",  # nine coils in one byte
@@ -53,8 +54,8 @@ def test_names_what_is_read_and_written(request_: str, access: Access) -> None:
         "41 00",
     ],
 )
-def test_knows_no_access_of_what_is_wrong_or_reaches_no_table(request_: str) -> None:
-    assert _access(request_) is None
+def test_knows_no_reach_of_what_is_wrong_or_reaches_no_table(request_: str) -> None:
+    assert _reach(request_) is None
 
 
 @pytest.mark.parametrize(
@@ -95,11 +96,11 @@ def test_makes_the_standards_response(request_: str, values: list[int], response
 def test_what_has_an_access_can_be_executed(function: int, data: bytes) -> None:
     pdu = bytes([function]) + data
     request = parse_pdu(pdu, Direction.REQUEST)
-    access = access_of(request)
-    if access is None:
+    reach = reach_of(request)
+    if reach is None:
         return
-    assert access.reads or access.writes
-    if access.writes:
-        assert len(values_after(request, [0] * len(access.writes))) == len(access.writes)
-    response = response_to(request, pdu, [0] * len(access.reads))
+    assert reach.reads or reach.writes
+    if reach.writes:
+        assert len(values_after(request, [0] * len(reach.writes))) == len(reach.writes)
+    response = response_to(request, pdu, [0] * len(reach.reads))
     assert parse_pdu(response, Direction.RESPONSE).problem is None

@@ -21,6 +21,10 @@ class _Fake(Shell):
         self._interrupted = threading.Event()
         self.runs = 0
 
+    @property
+    def place(self) -> str:
+        return "nowhere"
+
     def _open(self) -> None:
         if self._refused:
             raise LinkError("refused")

@@ -22,6 +22,7 @@ def test_a_link_has_its_source(text: str, kind: str, name: str) -> None:
     source = live_source(parse_link(text), Inbox())
     assert type(source).__name__ == kind
     assert source.link == name
+    assert parse_link(source.place) == parse_link(text)
 
 
 def test_an_endpoint_cannot_be_listened_to() -> None:

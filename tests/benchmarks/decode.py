@@ -1,0 +1,141 @@
+"""Measures each stage of decoding on one capture: python -m tests.benchmarks.decode [TRANSACTIONS].
+
+The capture is made in memory: one connection on which a master reads the eight values of an
+FA3-AT1M8X over and over. Each stage gets what the one before it gave, all of it at once, so none
+pays for another. Absolute figures are the machine's; what can be compared are the shares.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rich.console import Console
+
+from mbtool.core import Chunk, Direction, Packet
+from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
+from mbtool.logs import transaction_to_jsonl
+from mbtool.modbus import Conversation, Transaction, encode_pdu, mbap_adu
+from mbtool.packets import TcpReassembler, read_capture
+from mbtool.views.cells import day, transaction_row
+from mbtool.views.transaction_table import TransactionTable
+from tests.packets.building import Talk, pcap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+TRANSACTIONS = 20_000
+ADUS_OF_ONE = 2
+ROUNDS = 3
+"""The quickest counts: what is slower was disturbed."""
+
+Out = TypeVar("Out")
+
+ASSIGNMENTS = Assignments([parse_assignment("all=fa3-at1m8x")])
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One stage's best time over a capture of so many ADUs."""
+
+    stage: str
+    adus: int
+    seconds: float
+    gives: int
+    """How many items came out, or lines of text."""
+
+    @property
+    def rate(self) -> float:
+        return self.adus / self.seconds
+
+
+def main() -> None:
+    transactions = int(sys.argv[1]) if len(sys.argv) > 1 else TRANSACTIONS
+    sys.stdout.write(report(measure(transactions)))
+
+
+def measure(transactions: int, rounds: int = ROUNDS) -> list[Measurement]:
+    """Run every stage."""
+    capture = synthetic_capture(transactions)
+    measured: list[Measurement] = []
+
+    def run(stage: str, work: Callable[[], list[Out]]) -> list[Out]:
+        best, given = min((timed(work) for _ in range(rounds)), key=lambda one: one[0])
+        measured.append(Measurement(stage, transactions * ADUS_OF_ONE, best, len(given)))
+        return given
+
+    packets = run("read", lambda: list(read_capture(io.BytesIO(capture))))
+    chunks = run("reassemble", lambda: reassembled(packets))
+    decoded = run("decode", lambda: conversed(chunks))
+    named = run("name", lambda: in_words(decoded))
+    run("jsonl", lambda: [transaction_to_jsonl(one) for one in named])
+    run("table", lambda: tabled(named))
+    return measured
+
+
+def report(measured: Sequence[Measurement]) -> str:
+    """A line for each stage: its rate, and its share of the time that decoding to jsonl takes."""
+    whole = sum(one.seconds for one in measured if one.stage != "table")
+    lines = [f"{'stage':<12}{'ADU/s':>12}{'share':>8}"]
+    lines += [f"{one.stage:<12}{one.rate:>12,.0f}{one.seconds / whole:>8.0%}" for one in measured]
+    lines.append(f"{'file to jsonl':<12}{measured[0].adus / whole:>11,.0f}{1:>8.0%}")
+    return "\n".join(lines) + "\n"
+
+
+def synthetic_capture(transactions: int) -> bytes:
+    """A pcap file of one connection: a poll of eight input registers whose values change."""
+    talk = Talk()
+    packets = talk.handshake()
+    request = encode_pdu(0x04, Direction.REQUEST, address=2, quantity=8)
+    for number in range(transactions):
+        values = tuple((number * channel) & 0x7FFF for channel in range(1, 9))
+        response = encode_pdu(0x04, Direction.RESPONSE, values=values)
+        transaction_id = number & 0xFFFF
+        packets.append(talk.request(mbap_adu(transaction_id, 1, request)))
+        packets.append(talk.response(mbap_adu(transaction_id, 1, response)))
+    return pcap([*packets, *talk.goodbye()])
+
+
+def timed(work: Callable[[], Out]) -> tuple[float, Out]:
+    begin = time.perf_counter()
+    given = work()
+    return time.perf_counter() - begin, given
+
+
+def reassembled(packets: Sequence[Packet]) -> list[Chunk]:
+    reassembler = TcpReassembler(frozenset({502}))
+    items: list[Any] = []
+    for packet in packets:
+        items += reassembler.feed(packet)
+    return [item for item in items if isinstance(item, Chunk)]
+
+
+def conversed(chunks: Sequence[Chunk]) -> list[Transaction]:
+    assert chunks[0].connection is not None
+    conversation = Conversation(chunks[0].connection)
+    decoded: list[Any] = []
+    for chunk in chunks:
+        decoded += conversation.feed(chunk.direction, chunk.data, chunk.ts_ns)
+    return [one for one in decoded if isinstance(one, Transaction)]
+
+
+def in_words(transactions: Sequence[Transaction]) -> list[NamedTransaction]:
+    namer = Namer(ASSIGNMENTS)
+    return [namer.name(one) for one in transactions]
+
+
+def tabled(transactions: Sequence[NamedTransaction]) -> list[str]:
+    file = io.StringIO()
+    table = TransactionTable(Console(file=file, width=160))
+    for number, one in enumerate(transactions, start=1):
+        row = transaction_row(number, one, ASSIGNMENTS.profile_for(one))
+        table.add(row, day(one.start_ns))
+    table.flush()
+    return file.getvalue().splitlines()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,212 @@
+"""What docs/architecture.md promises of the tree, and the docs of the program."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from typer.main import get_command
+
+from mbtool.cli.main import app
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "mbtool"
+TESTS = ROOT / "tests"
+MODULES = sorted(path.relative_to(SOURCE) for path in SOURCE.rglob("*.py"))
+PACKAGES = sorted(path for path in SOURCE.glob("*/__init__.py") if path.read_text().strip())
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("captures/*.md")])
+
+MAX_LINES = 450
+PURE_ROOMS = ("core", "modbus", "packets", "devices", "replay")
+
+WITHOUT_A_TEST_OF_THEIR_OWN = {
+    "modbus/adu.py": "data without behaviour",
+    "modbus/answer.py": "data and a protocol",
+    "modbus/transaction.py": "data without behaviour",
+    "packets/stream_events.py": "data without behaviour",
+    "sources/relay.py": "a tap's connections, which test_tap.py tests",
+    "sources/clock.py": "the system's clock, in one line",
+    "cli/exit_codes.py": "numbers",
+}
+"""Modules whose tests are those of what uses them."""
+
+WITHOUT_A_MODULE_OF_THEIR_OWN = {
+    "cases/test_worked_examples.py",
+    "test_architecture.py",
+}
+"""Tests of several rooms at once, beside those in the folders below."""
+
+FOLDERS_OF_SEVERAL_ROOMS = {"benchmarks", "differential", "end_to_end", "golden", "properties"}
+
+MACHINE_PATH = re.compile(rb"/(?:home|root|tmp|work)/\w")
+
+
+def test_the_import_contracts_hold() -> None:
+    lint_imports = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run(
+        [lint_imports, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("room", PURE_ROOMS)
+def test_a_pure_room_imports_nothing_that_does_input_or_output(room: str) -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    contract = next(
+        one
+        for one in settings["tool"]["importlinter"]["contracts"]
+        if f"mbtool.{room}" in one.get("source_modules", ())
+    )
+    forbidden = {*contract["forbidden_modules"], "ssl", "signal", "http", "urllib", "random"}
+    for path in SOURCE.glob(f"{room}/**/*.py"):
+        assert not forbidden & {name.partition(".")[0] for name in imports(path)}, path
+
+
+def test_core_needs_the_standard_library_only() -> None:
+    for path in SOURCE.glob("core/*.py"):
+        roots = {name.partition(".")[0] for name in imports(path)}
+        assert roots <= sys.stdlib_module_names | {"mbtool"}, path
+
+
+@pytest.mark.parametrize("module", MODULES, ids=str)
+def test_a_module_is_not_long(module: Path) -> None:
+    assert len((SOURCE / module).read_text().splitlines()) <= MAX_LINES
+
+
+def test_every_module_has_its_test() -> None:
+    missing = {
+        str(module)
+        for module in MODULES
+        if module.name not in {"__init__.py", "__main__.py"}
+        and not (TESTS / module.with_name(f"test_{module.name}")).exists()
+    }
+    assert missing == set(WITHOUT_A_TEST_OF_THEIR_OWN)
+
+
+def test_every_test_has_its_module() -> None:
+    tests = {path.relative_to(TESTS) for path in TESTS.rglob("test_*.py")}
+    strays = {
+        str(test)
+        for test in tests
+        if test.parts[0] not in FOLDERS_OF_SEVERAL_ROOMS
+        and not (tested := SOURCE / test.with_name(test.name.removeprefix("test_"))).exists()
+        and not tested.with_suffix("").is_dir()  # A folder of data.
+    }
+    assert strays == WITHOUT_A_MODULE_OF_THEIR_OWN
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda path: path.parent.name)
+def test_a_package_lists_what_it_gives_in_order(package: Path) -> None:
+    tree = ast.parse(package.read_text())
+    given = {
+        alias.asname or alias.name
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    if not given:
+        return
+    (names,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+    )
+    assert names == sorted(given, key=lambda name: (kind(name), name))
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Each page's command lines of this program, without what a shell makes of their ends."""
+    for page in PAGES:
+        for line in re.findall(r"^ {4}(.+)$", page.read_text(), re.MULTILINE):
+            command = re.sub(r"^(?:sudo )?(?:\.venv/bin/)?", "", line)
+            if command.startswith("mbtool ") and "COMMAND" not in command:
+                yield page.name, re.split(r" +[#|>]", command)[0]
+
+
+@pytest.mark.parametrize(("page", "line"), list(commands()))
+def test_a_command_line_of_the_docs_can_be_given(page: str, line: str) -> None:
+    root: Any = get_command(app)
+    _, *arguments = shlex.split(line)
+    context = root.make_context("mbtool", list(arguments))
+    name, command, rest = root.resolve_command(context, arguments)
+    with command.make_context(name, rest, parent=context):
+        pass
+
+
+def test_the_docs_name_every_command_and_no_other() -> None:
+    root: Any = get_command(app)
+    readme = (ROOT / "README.md").read_text()
+    assert set(re.findall(r"^\| `mbtool ([a-z]+)", readme, re.MULTILINE)) == set(root.commands)
+    for page in PAGES:
+        named = set(re.findall(r"`mbtool ([a-z]+)[ `]", page.read_text()))
+        assert named <= set(root.commands), page
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_links_of_a_page_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path) if path else page
+        assert file.exists(), target
+        assert not anchor or anchor in anchors(file), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_files_that_a_page_names_exist(page: Path) -> None:
+    """A path stands in back quotes; it is one of the repository, of the program or of its page."""
+    for name in re.findall(r"`((?:[\w.-]+/)+(?:[\w-]+\.\w+)?)`", page.read_text()):
+        places = (ROOT / name, SOURCE / name, page.parent / name)
+        assert name.startswith("../") or any(place.exists() for place in places), name
+
+
+def test_a_lint_message_leads_to_its_page() -> None:
+    text = (ROOT / "pyproject.toml").read_text()
+    targets = re.findall(r"(docs/[\w.-]+\.md)(?:#([\w-]+))?", text)
+    assert targets
+    for path, anchor in targets:
+        assert not anchor or anchor in anchors(ROOT / path), (path, anchor)
+
+
+def test_no_file_names_a_path_of_someones_machine() -> None:
+    folders = (SOURCE, TESTS, ROOT / "docs", ROOT / "captures")
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    files += [path for path in ROOT.iterdir() if path.is_file()]
+    found = {
+        str(path.relative_to(ROOT)): match[0].decode()
+        for path in files
+        if "__pycache__" not in path.parts
+        if (match := MACHINE_PATH.search(path.read_bytes()))
+    }
+    assert found == {}
+
+
+def imports(path: Path) -> Iterator[str]:
+    """What a module imports, wherever in it, types' sake apart."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+
+
+def kind(name: str) -> int:
+    """Constants first, then classes, then functions, as ruff sorts them."""
+    return 0 if name.isupper() else 1 if name[0].isupper() else 2
+
+
+def anchors(page: Path) -> set[str]:
+    """The fragments that a page's headings have on GitHub."""
+    headings = re.findall(r"^#+ +(.+)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
