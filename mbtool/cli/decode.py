@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
+import sys
+from time import sleep
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.options import DeviceOption, PortOption, RtuPortOption, WhereOption
-from mbtool.cli.output import EventChoice, Format
+from mbtool.cli.options import (
+    DeviceOption,
+    EventsOption,
+    Format,
+    PortOption,
+    RtuPortOption,
+    WhereOption,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.decoding import Record
     from mbtool.workflows.reading import Reading
+
+_LOOK_AGAIN_S = 0.2
+"""How often --follow looks whether the log has grown."""
+_SHOW_EVERY = 500
+"""How many records go by between two looks at the progress."""
 
 
 def decode(
     files: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE...",
+            metavar="FILE",
             help="Captures (.pcap, .pcapng) or logs (.mcap), plain, .gz or .zst; - is standard "
             "input. Several captures are read as parts of one.",
         ),
@@ -34,10 +48,14 @@ def decode(
         ),
     ] = None,
     output: Annotated[
-        str | None, typer.Option("--output", "-o", metavar="OUT", help="Write to a file.")
+        str | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Write to a file: .jsonl, .csv or .txt."
+        ),
     ] = None,
     limit: Annotated[
-        int | None, typer.Option("--limit", min=1, help="Stop after so many transactions.")
+        int | None,
+        typer.Option("--limit", metavar="N", min=1, help="Stop after so many transactions."),
     ] = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
@@ -48,50 +66,48 @@ def decode(
     ] = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
-    events: Annotated[
-        EventChoice | None,
-        typer.Option(
-            "--events",
-            help="Skipped bytes, gaps and the like (trouble), connections too (all), or none. "
-            "[default: trouble in a table, else none]",
-        ),
-    ] = None,
+    events: EventsOption = None,
 ) -> None:
-    """Decode captures and logs into transactions, one line each."""
+    """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
-    from mbtool.cli.talk import interruptible
+    from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.workflows.reading import Reading, ReadingOptions, followed
 
+    if follow and (raw or len(files) > 1):
+        raise UsageError("--follow goes with one log, and not with --raw")
+    if output in files:
+        raise UsageError(f"{output}: it is read, and would be written over; name another --output")
     devices = assignments(device)
     wanted = condition(where)
     options = ReadingOptions(
         assignments=devices, ports=port or (), rtu_ports=rtu_port or (), raw=raw
     )
-    if follow and (raw or len(files) > 1):
-        raise UsageError("--follow goes with one log, and not with --raw")
     reading = Reading(files, options)
-    with (
-        open_output(output, format_, events, devices.profile_for, wanted, limit) as out,
-        interruptible() as interrupt,
-    ):
-        records = reading.records()
-        if follow:
-            records = followed(files[0], options, lambda: out.wait() and not interrupt.wait(0.2))
-        for record in records if follow else _shown(reading, records, hidden=out.on_terminal):
+
+    def profile_for(one: NamedTransaction) -> Profile | None:
+        return reading.assignments.profile_for(one)
+
+    with open_output(output, format_, events, profile_for, wanted, limit) as out:
+
+        def wait() -> bool:
+            out.wait()
+            sleep(_LOOK_AGAIN_S)
+            return True
+
+        records = followed(files[0], options, wait) if follow else reading.records()
+        for record in records if follow or out.on_terminal else _with_progress(reading, records):
             out.add(record)
-            if out.is_full or interrupt.asked:
+            if out.is_full:
                 break
-    if interrupt.asked:
-        raise KeyboardInterrupt
+    if not follow and reading.why_empty is not None:
+        say(reading.why_empty)
 
 
-def _shown(reading: Reading, records: Iterator[Record], *, hidden: bool) -> Iterator[Record]:
-    """The same records, with a progress bar on the terminal where it would not be in the way."""
-    import sys
-
-    if hidden or not sys.stderr.isatty() or reading.fraction is None:
+def _with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
+    """The same records, with a progress bar where standard error is a terminal."""
+    if not sys.stderr.isatty():
         yield from records
         return
     from rich.console import Console
@@ -100,6 +116,6 @@ def _shown(reading: Reading, records: Iterator[Record], *, hidden: bool) -> Iter
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("decoding", total=1.0)
         for number, record in enumerate(records):
-            if number % 500 == 0:
+            if number % _SHOW_EVERY == 0:
                 progress.update(task, completed=reading.fraction)
             yield record

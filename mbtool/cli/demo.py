@@ -13,7 +13,7 @@ def demo(
         typer.Option("--write", "-w", metavar="FILE.mcap", help="Keep the log under this name."),
     ] = None,
 ) -> None:
-    """Show the whole loop without hardware: devices, sniff, decode, log, replay.
+    """Show the whole loop on this machine, without hardware.
 
     An FT1A Touch on a virtual RS-485 line at 19200 baud and an FA3-AT1M8X on loopback TCP answer
     two masters, while mbtool sniffs both into one log; then the log answers in the devices' place.
@@ -22,7 +22,8 @@ def demo(
     from tempfile import TemporaryDirectory
 
     from mbtool.cli import exit_codes
-    from mbtool.cli.output import EventChoice, Format, open_output
+    from mbtool.cli.options import EventChoice, Format
+    from mbtool.cli.output import open_output
     from mbtool.cli.talk import say
     from mbtool.workflows.demo import Demo
 

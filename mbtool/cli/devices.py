@@ -10,16 +10,15 @@ import typer
 def devices(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="[NAME]", help="A profile's name, or the path of a TOML file."),
+        typer.Argument(metavar="NAME", help="A profile's name, or the path of a TOML file."),
     ] = None,
 ) -> None:
     """List the device profiles, or show one in full."""
-    from rich.console import Console
-
+    from mbtool.cli.console import PipeConsole
     from mbtool.devices import builtin_profiles, load_profile
     from mbtool.views.profile import profile_list, profile_page
 
-    console = Console()
+    console = PipeConsole()
     if name is None:
         console.print(profile_list([load_profile(one) for one in builtin_profiles()]))
     else:

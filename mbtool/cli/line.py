@@ -12,8 +12,8 @@ def line(
     ends: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[PATH]...",
-            help="Where to put each end, as a symbolic link; without any, three unnamed ends.",
+            metavar="PATH",
+            help="Where to put each end, as a symbolic link. [default: three unnamed ends]",
         ),
     ] = None,
     settings: Annotated[
@@ -21,10 +21,10 @@ def line(
         typer.Option("--settings", metavar="BAUD-FORMAT", help="How fast it carries characters."),
     ] = "19200-8E1",
 ) -> None:
-    """Lay a virtual serial line: what one end sends, every other end hears, as slowly as on RS-485.
+    """Lay a virtual serial line, until Ctrl-C.
 
-    For trying things without hardware: a slave on one end, a master on another, a sniffer on a
-    third. It lasts until Ctrl-C.
+    What one end sends, every other end hears, as slowly as on RS-485. For trying things without
+    hardware: a slave on one end, a master on another, a sniffer on a third.
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.talk import interruptible, say

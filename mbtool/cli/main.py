@@ -2,14 +2,20 @@
 
 # Each command stands in a file of its own, imports what it needs when it runs, asks a workflow and
 # shows what comes. Errors become one line and an exit code here and nowhere else.
+#
+# Help is plain text, without rich: its markup would swallow what stands in brackets.
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from contextlib import suppress
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
+from typer.main import get_command
 
 from mbtool import __version__
 from mbtool.cli import exit_codes
@@ -20,14 +26,14 @@ from mbtool.cli.line import line
 from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
+from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError
 
 app = typer.Typer(
     name="mbtool",
     help="Capture, decode and replay Modbus: serial lines, TCP, and the devices' own words.",
-    no_args_is_help=True,
     add_completion=False,
-    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (sniff, decode, replay, slave, devices, line, demo):
@@ -40,27 +46,56 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _root(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand is None:
+        say(context.get_help())
+        raise typer.Exit(exit_codes.USAGE)
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
+    # A stream that was closed before the program began is None; what it is told goes nowhere.
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    # Terminals that have no Unicode are shown what they can show, in place of an error.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    # SIGTERM is a Ctrl-C: what is open is completed.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
     """Run one command; the answer is its exit code."""
+    code = _told(arguments)
     try:
-        code = app(arguments, prog_name="mbtool", standalone_mode=False)
         sys.stdout.flush()
+    except OSError as error:
+        # The interpreter must not flush once more when it ends.
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            return code or _fail(f"standard output: {error.strerror}", exit_codes.UNREADABLE)
+    return code
+
+
+def _told(arguments: list[str]) -> int:
+    """Run one command, with its error told."""
+    root = get_command(app)
+    try:
+        with root.make_context("mbtool", arguments) as context:
+            root.invoke(context)
+    except typer.Exit as end:
+        return end.exit_code
     except typer.TyperException as error:
-        return _fail(error.format_message(), exit_codes.USAGE)
+        return _fail(_usage(error), exit_codes.USAGE)
     except (InputError, LinkError) as error:
         return _fail(str(error), exit_codes.UNREADABLE)
     except MbtoolError as error:
@@ -68,14 +103,19 @@ def run(arguments: list[str]) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return exit_codes.INTERRUPTED
     except BrokenPipeError:
-        # Whoever read the output has seen enough. The interpreter must not flush into the pipe.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return exit_codes.DONE
-    return code if isinstance(code, int) else exit_codes.DONE
+        return exit_codes.DONE  # Whoever read the output has seen enough.
+    return exit_codes.DONE
+
+
+def _usage(error: typer.TyperException) -> str:
+    """What is wrong with the words of the command line, and where it says what would be right."""
+    message = error.format_message().replace("Value error, ", "").rstrip(".")
+    context = getattr(error, "ctx", None)
+    where = context.command_path if context is not None else "mbtool"
+    return f"{message}; see {where} --help"
 
 
 def _fail(message: str, code: int) -> int:
     """One line to standard error."""
-    line = " ".join(message.split())
-    print(f"mbtool: {line}", file=sys.stderr)  # noqa: T201 - this is where errors are told
+    say(f"mbtool: {' '.join(message.split())}")
     return code

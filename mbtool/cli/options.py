@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,13 +13,39 @@ if TYPE_CHECKING:
     from mbtool.devices import Assignments
     from mbtool.workflows.where import Where
 
+
+class Format(StrEnum):
+    """How records are printed."""
+
+    TABLE = "table"
+    JSONL = "jsonl"
+    CSV = "csv"
+
+
+class EventChoice(StrEnum):
+    """Which wire events are printed."""
+
+    NONE = "none"
+    TROUBLE = "trouble"
+    ALL = "all"
+
+
 DeviceOption = Annotated[
     list[str] | None,
     typer.Option(
         "--device",
         metavar="WHO=PROFILE",
-        help="Whose words to use: a unit (5), an address (192.168.3.250), both "
-        "(192.168.3.250/5) or all; a built-in profile or the path of a TOML file. Repeatable.",
+        help="Name what a slave says by its device's manual. WHO is a unit (5), an address "
+        "(192.168.3.250), both (192.168.3.250/5) or all; PROFILE is a built-in name (see mbtool "
+        "devices) or the path of a TOML file. Repeatable.",
+    ),
+]
+EventsOption = Annotated[
+    EventChoice | None,
+    typer.Option(
+        "--events",
+        help="Which wire events to print: skipped bytes, gaps and the like (trouble), connections "
+        "too (all), or none. [default: trouble in a table, else none]",
     ),
 ]
 WhereOption = Annotated[
@@ -26,19 +53,25 @@ WhereOption = Annotated[
     typer.Option(
         "--where",
         metavar="EXPR",
-        help='Only transactions for which this holds: "unit == 5 and latency_ms > 10".',
+        help="Take only transactions for which this holds, for example "
+        "'unit == 5 and latency_ms > 10'. The answer to an unknown name lists all names.",
     ),
 ]
 PortOption = Annotated[
     list[int] | None,
     typer.Option(
-        "--port", min=1, max=65535, help="A TCP port of slaves. Repeatable. [default: 502]"
+        "--port",
+        metavar="PORT",
+        min=1,
+        max=65535,
+        help="A TCP port of slaves. Repeatable. [default: 502]",
     ),
 ]
 RtuPortOption = Annotated[
     list[int] | None,
     typer.Option(
         "--rtu-port",
+        metavar="PORT",
         min=1,
         max=65535,
         help="A TCP port of slaves that speak RTU over TCP. Repeatable.",

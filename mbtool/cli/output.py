@@ -1,63 +1,56 @@
-"""Where records go: a table, JSON lines or CSV; to standard output or a file."""
+"""Where records go: to standard output or a file, counted, and as many as wanted."""
 
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, contextmanager
-from enum import StrEnum
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from mbtool.core import MbtoolError, UsageError, WireEvent
+from mbtool.cli.options import EventChoice, Format
+from mbtool.cli.printers import printer_for
+from mbtool.cli.talk import say
+from mbtool.core import LinkError, MbtoolError, UsageError, WireEvent
 from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
-    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.workflows.decoding import Record
     from mbtool.workflows.where import Where
 
-    ProfileFor = Callable[[NamedTransaction], Profile | None]
-
-
-class Format(StrEnum):
-    """How records are printed."""
-
-    TABLE = "table"
-    JSONL = "jsonl"
-    CSV = "csv"
-
-
-class EventChoice(StrEnum):
-    """Which wire events are printed."""
-
-    NONE = "none"
-    TROUBLE = "trouble"
-    ALL = "all"
-
+STANDARD_OUTPUT = "-"
 
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
 
+class OutputLostError(LinkError):
+    """The file takes no more."""
+
+
 class Output:
-    """Prints what is wanted of the records it is given, and counts it."""
+    """Prints what is wanted of the records it is given, and counts it.
+
+    Its methods raise OutputLostError.
+    """
 
     def __init__(
         self,
         file: TextIO,
-        format_: Format,
+        name: str,
+        printer: Printer,
         events: EventChoice,
-        profile_for: ProfileFor,
         wanted: Where,
         limit: int | None,
     ) -> None:
         self._file = file
+        self._name = name
+        self._printer = printer
         self._events = events
         self._wanted = wanted
         self._limit = limit
         self._tally = Tally()
-        self._print, self._end = _printer(file, format_, profile_for)
 
     @property
     def on_terminal(self) -> bool:
@@ -75,19 +68,20 @@ class Output:
 
     def add(self, record: Record) -> None:
         """Print a record if it is wanted."""
-        if self._wants(record):
-            self._tally.add(record)
-            self._print(record, self._tally.transactions)
+        if not self._wants(record):
+            return
+        self._tally.add(record)
+        with _told_as_lost(self._name):
+            self._printer.print(record, self._tally.transactions)
 
-    def wait(self) -> bool:
-        """Show all that has been printed, before there is a pause. Always true."""
-        self._end()
-        self._file.flush()
-        return True
+    def wait(self) -> None:
+        """Show all that has been printed, before there is a pause."""
+        with _told_as_lost(self._name):
+            self._printer.flush()
+            self._file.flush()
 
-    def finish(self) -> str:
-        """Print the rest; the answer is a sentence about all of it."""
-        self.wait()
+    def sentence(self) -> str:
+        """What has been printed, in one sentence."""
         return self._tally.sentence()
 
     def _wants(self, record: Record) -> bool:
@@ -108,85 +102,61 @@ def open_output(
     limit: int | None = None,
 ) -> Iterator[Output]:
     """An output that is finished, and talked about, when its context ends. Raises UsageError."""
-    from mbtool.cli.talk import say
-
-    suffix = Path(path).suffix.lower() if path is not None else ""
-    chosen = format_ or _SUFFIXES.get(suffix, Format.TABLE)
+    chosen = format_ or _format_of(path)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
-    with _open_file(path) as file:
-        output = Output(file, chosen, shown, profile_for, wanted, limit)
+    to_file = path is not None and path != STANDARD_OUTPUT
+    name = path if path is not None and to_file else "standard output"
+    with _open_file(path if to_file else None) as file:
+        with _told_as_lost(name):
+            printer = printer_for(chosen, file, profile_for)
+        output = Output(file, name, printer, shown, wanted, limit)
         try:
             yield output
-        except MbtoolError:
-            sentence = output.finish()
-            if not output.is_empty:
-                say(sentence)
+        except OutputLostError:
             raise
-        else:
-            sentence = output.finish()
-            say(sentence if path in (None, "-") else f"{sentence} -> {path}")
+        except (MbtoolError, KeyboardInterrupt):
+            output.wait()
+            if not output.is_empty:
+                say(output.sentence())
+            raise
+        output.wait()
+        say(f"{output.sentence()} -> {path}" if to_file else output.sentence())
+
+
+def _format_of(path: str | None) -> Format:
+    if path is None or path == STANDARD_OUTPUT:
+        return Format.TABLE
+    try:
+        return _SUFFIXES[Path(path).suffix.lower()]
+    except KeyError:
+        raise UsageError(
+            f"{path}: its name says no format; let it end in {', '.join(_SUFFIXES)}, "
+            "or add --format"
+        ) from None
 
 
 @contextmanager
 def _open_file(path: str | None) -> Iterator[TextIO]:
-    if path is None or path == "-":
+    if path is None:
         yield sys.stdout
         return
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(Path(path).open("w", encoding="utf-8", newline=""))
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    try:
+        file = Path(path).open("w", encoding="utf-8", newline="")  # noqa: SIM115 - closed below
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    try:
         yield file
+    finally:
+        with suppress(OSError):  # Whatever cannot be written was told when it was flushed.
+            file.close()
 
 
-def _printer(
-    file: TextIO, format_: Format, profile_for: ProfileFor
-) -> tuple[Callable[[Record, int], None], Callable[[], None]]:
-    """What prints a record with its number, and what prints the rest."""
-    match format_:
-        case Format.JSONL:
-            from mbtool.logs.exports import event_to_jsonl, transaction_to_jsonl
-
-            def print_line(record: Record, _: int) -> None:
-                if isinstance(record, WireEvent):
-                    file.write(event_to_jsonl(record).decode())
-                else:
-                    file.write(transaction_to_jsonl(record).decode())
-
-            return print_line, lambda: None
-        case Format.CSV:
-            from mbtool.logs.exports import CsvWriter
-
-            writer = CsvWriter(file)
-
-            def print_row(record: Record, _: int) -> None:
-                if not isinstance(record, WireEvent):
-                    writer.write(record)
-
-            return print_row, lambda: None
-        case Format.TABLE:
-            return _table_printer(file, profile_for)
-
-
-def _table_printer(
-    file: TextIO, profile_for: ProfileFor
-) -> tuple[Callable[[Record, int], None], Callable[[], None]]:
-    from rich.console import Console
-
-    from mbtool.views.cells import day, event_row, transaction_row
-    from mbtool.views.transaction_table import TransactionTable
-
-    table = TransactionTable(Console(file=file))
-
-    def show(one: NamedTransaction, number: int) -> None:
-        row = transaction_row(number, one, profile_for(one))
-        table.add(row, day(one.start_ns))
-
-    def print_record(record: Record, number: int) -> None:
-        if isinstance(record, WireEvent):
-            table.add(event_row(record), day(record.ts_ns))
-        else:
-            show(record, number)
-
-    return print_record, table.flush
+@contextmanager
+def _told_as_lost(name: str) -> Iterator[None]:
+    """A full disk is told in the words of this program; a broken pipe stays what it is."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputLostError(f"{name}: cannot be written: {error.strerror or error}") from error

@@ -2,38 +2,56 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbtool.cli.options import PortOption, RemoteOption, RtuPortOption, WhereOption
-from mbtool.replay import OnMiss
 
 if TYPE_CHECKING:
     from mbtool.core import CutError
 
 
+class MissChoice(StrEnum):
+    """The values of replay.OnMiss, which would bring the protocol into every --help."""
+
+    IMAGE = "image"
+    EXCEPTION = "exception"
+    SILENT = "silent"
+
+
 def replay(
     file: Annotated[
-        str, typer.Argument(metavar="FILE", help="A log, or a packet capture; as for decode.")
+        str, typer.Argument(metavar="FILE", help="A log or a packet capture, as for decode.")
     ],
     on: Annotated[
         str,
-        typer.Option("--on", metavar="LINK", help="Where to answer: tcp:127.0.0.1:1502, rtu:PORT."),
+        typer.Option(
+            "--on",
+            metavar="LINK",
+            help="Where to answer: rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or "
+            "rtu+tcp:HOST:PORT.",
+        ),
     ],
     as_slave: Annotated[
         bool, typer.Option("--as-slave", help="Answer as the recorded slaves did.")
     ] = False,
     on_miss: Annotated[
-        OnMiss,
+        MissChoice,
         typer.Option(
             "--on-miss",
             help="What a request gets that was never recorded: an answer from the registers as "
             "they were at that moment of the recording, an exception, or silence.",
         ),
-    ] = OnMiss.IMAGE,
+    ] = MissChoice.IMAGE,
     speed: Annotated[
-        str, typer.Option("--speed", metavar="FACTOR|max", help="Divides recorded latencies.")
+        str,
+        typer.Option(
+            "--speed",
+            metavar="FACTOR|max",
+            help="How fast to answer: recorded latencies are divided by this; max leaves them out.",
+        ),
     ] = "1.0",
     where: WhereOption = None,
     raw: Annotated[
@@ -43,14 +61,15 @@ def replay(
     rtu_port: RtuPortOption = None,
     allow_remote: RemoteOption = False,
 ) -> None:
-    """Answer a live master as the slaves of a recording did, until Ctrl-C.
+    """Answer a live master as a recording's slaves did, until Ctrl-C.
 
-    A request gets its next recorded answer, after the last of them that one again.
+    A request gets its next recorded answer; when there is no further one, the last one again.
     """
     from mbtool.cli.options import condition
     from mbtool.cli.serve import serve
     from mbtool.cli.talk import say
     from mbtool.core import UsageError, parse_link
+    from mbtool.replay import OnMiss
     from mbtool.workflows.reading import ReadingOptions
     from mbtool.workflows.replaying import read_recording, recorded_slave
 
@@ -66,7 +85,7 @@ def replay(
     options = ReadingOptions(ports=port or (), rtu_ports=rtu_port or (), raw=raw)
     recording = read_recording(file, options, wanted, on_cut)
     shell = recorded_slave(
-        recording, link, on_miss=on_miss, speed=factor, allow_remote=allow_remote
+        recording, link, on_miss=OnMiss(on_miss.value), speed=factor, allow_remote=allow_remote
     )
     units = ", ".join(map(str, sorted(recording.units)))
     serve(shell, f"{file}: {len(recording.answers)} different requests to unit {units}")

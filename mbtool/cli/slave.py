@@ -13,26 +13,37 @@ from mbtool.cli.options import RemoteOption
 def slave(
     profile: Annotated[
         str,
-        typer.Argument(metavar="PROFILE", help="A built-in profile, or the path of a TOML file."),
+        typer.Argument(
+            metavar="PROFILE",
+            help="A built-in profile (see mbtool devices), or the path of a TOML file.",
+        ),
     ],
     on: Annotated[
         str,
         typer.Option(
-            "--on", metavar="LINK", help="Where to answer: rtu:PORT@19200-8E1, tcp:HOST:PORT."
+            "--on",
+            metavar="LINK",
+            help="Where to answer: rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or "
+            "rtu+tcp:HOST:PORT.",
         ),
     ],
-    unit: Annotated[int, typer.Option("--unit", min=0, max=255, help="The unit to answer as.")] = 1,
+    unit: Annotated[
+        int, typer.Option("--unit", metavar="UNIT", min=0, max=255, help="The unit to answer as.")
+    ] = 1,
     image: Annotated[
         Path | None,
         typer.Option(
             "--image",
             metavar="FILE",
-            help="Start values by the device's references: HR400001 = 4660.",
+            help="A TOML file of start values by the device's references: HR400001 = 4660.",
         ),
     ] = None,
     allow_remote: RemoteOption = False,
 ) -> None:
-    """Answer as a device, by its areas, limits and exceptions, until Ctrl-C."""
+    """Answer as a device does, until Ctrl-C.
+
+    It has the areas, limits and exceptions of the device's manual, and keeps what is written to it.
+    """
     from mbtool.cli.serve import serve
     from mbtool.core import parse_link
     from mbtool.devices import load_profile

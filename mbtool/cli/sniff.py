@@ -6,21 +6,28 @@ from typing import Annotated
 
 import typer
 
-from mbtool.cli.options import DeviceOption, PortOption, RtuPortOption, WhereOption
-from mbtool.cli.output import EventChoice, Format
+from mbtool.cli.options import (
+    DeviceOption,
+    EventsOption,
+    Format,
+    PortOption,
+    RtuPortOption,
+    WhereOption,
+)
 
 
 def sniff(
     links: Annotated[
         list[str],
         typer.Argument(
-            metavar="LINK...",
-            help="rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE, "
-            "tap:LISTEN=TARGET; several are heard at once.",
+            metavar="LINK",
+            help="rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE or tap:LISTEN=TARGET. "
+            "Several are heard at once.",
         ),
     ],
     write: Annotated[
-        str | None, typer.Option("--write", "-w", metavar="FILE.mcap", help="Log everything.")
+        str | None,
+        typer.Option("--write", "-w", metavar="FILE.mcap", help="Log all that is heard."),
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
@@ -28,29 +35,33 @@ def sniff(
     device: DeviceOption = None,
     where: WhereOption = None,
     duration: Annotated[
-        float | None, typer.Option("--duration", metavar="S", min=0, help="Stop after so long.")
+        float | None,
+        typer.Option("--duration", metavar="S", min=0, help="Stop after so many seconds."),
     ] = None,
     count: Annotated[
-        int | None, typer.Option("--count", min=1, help="Stop after so many transactions.")
+        int | None,
+        typer.Option("--count", metavar="N", min=1, help="Stop after so many transactions."),
     ] = None,
     rotate: Annotated[
         str | None,
         typer.Option(
-            "--rotate", metavar="100MB|1h", help="Go on in a next file at this size or age."
+            "--rotate",
+            metavar="100MB|1h",
+            help="Go on in a next file when the log has this size or age.",
         ),
     ] = None,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
-    events: Annotated[
-        EventChoice | None,
-        typer.Option("--events", help="Which wire events to print, as for decode."),
-    ] = None,
+    events: EventsOption = None,
 ) -> None:
-    """Listen, show each transaction as it ends, and log the bytes it was decoded from.
+    """Listen on links, show each transaction as it ends, and log it.
 
     Sniffing never writes to the line. --where chooses what is shown; the log gets everything.
     """
+    from functools import partial
+    from math import inf
+
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
@@ -66,12 +77,14 @@ def sniff(
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
     specs = [parse_link(link) for link in links]
     devices, wanted = assignments(device), condition(where)
-    rtu_ports = rtu_port or []
-    ports = port or ([] if rtu_ports else [DEFAULT_PORT])
-    decoder = Decoder(Namer(devices), lines=serial_lines(specs), ports=ports, rtu_ports=rtu_ports)
-    log = None
-    if write is not None:
-        log = begin_log(
+    ports, rtu_ports = port or [DEFAULT_PORT], rtu_port or []
+    sniffer = Sniffer(
+        specs,
+        Decoder(Namer(devices), lines=serial_lines(specs), ports=ports, rtu_ports=rtu_ports),
+        begin_log=None
+        if write is None
+        else partial(
+            begin_log,
             write,
             specs,
             devices,
@@ -79,25 +92,21 @@ def sniff(
             rtu_ports=rtu_ports,
             rotation=rotate,
             overwrite=overwrite,
-        )
-    sniffer = Sniffer(
-        specs,
-        decoder,
-        log=log,
+        ),
         ports=[*ports, *rtu_ports],
         on_lost=lambda error: say(f"mbtool: {error}"),
     )
     with (
-        open_output(None, format_, events, devices.profile_for, wanted, count) as out,
         interruptible() as interrupt,
         sniffer,
+        open_output(None, format_, events, devices.profile_for, wanted, count) as out,
     ):
-        say(f"listening on {', '.join(map(str, specs))}; Ctrl-C ends")
-        end_ns = None if duration is None else now_ns() + int(duration * 1e9)
+        say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
+        end_ns = inf if duration is None else now_ns() + duration * 1e9
 
         def stop(at_ns: int) -> bool:
             out.wait()
-            return interrupt.asked or out.is_full or (end_ns is not None and at_ns >= end_ns)
+            return interrupt.asked or out.is_full or at_ns >= end_ns
 
         for record in sniffer.records(stop):
             if not out.is_full:

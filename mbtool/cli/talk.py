@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
 
 def say(text: str) -> None:
-    """Tell something that is no data."""
-    print(text, file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+    """Tell something that is no data, if anyone still listens."""
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
 
 
 class Interrupt:

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import PurePath
 
@@ -19,6 +20,9 @@ from mbtool.core.evidence import Endpoint
 from mbtool.core.serial_format import SerialFormat
 
 MODBUS_PORT = 502
+
+_HOST = re.compile(r"[^\s/@\[\]]+")
+_PORT = re.compile(r"\d{1,5}", re.ASCII)
 
 _ASCII_FORMAT = SerialFormat(9600, 7, "E", 1)
 
@@ -113,17 +117,19 @@ def parse_link(text: str) -> LinkSpec:
 def _parse_serial(text: str, scheme: str, rest: str) -> SerialLink:
     port, at, settings = rest.rpartition("@")
     if not at:
-        port, settings = rest, ""
-    if not port:
+        port = rest
+    if not PurePath(port).name:
         raise UsageError(
             f"link {text!r}: no port is named, for example {scheme}:/dev/ttyUSB0@19200-8E1"
         )
     if "," in port:
         raise UsageError(f"link {text!r}: two taps on one line are not supported; name one port")
-    if settings:
+    if at:
         format_ = SerialFormat.parse(settings)
     else:
         format_ = _ASCII_FORMAT if scheme == "ascii" else SerialFormat()
+    if scheme == "rtu" and format_.data_bits != 8:  # Serial Line V1.02, 2.5.1.
+        raise UsageError(f"link {text!r}: RTU needs 8 data bits, for example {port}@19200-8E1")
     return SerialLink(port, format_, ascii=scheme == "ascii")
 
 
@@ -135,8 +141,8 @@ def _parse_endpoint(text: str, part: str) -> Endpoint:
         host, port = part, str(MODBUS_PORT)
     bracketed = host.startswith("[") and host.endswith("]")
     bare = host[1:-1] if bracketed else host
-    valid_port = port.isascii() and port.isdigit() and int(port) <= 65535
-    if not bare or (":" in bare and not bracketed) or not valid_port:
+    valid_host = _HOST.fullmatch(bare) is not None and (bracketed or ":" not in bare)
+    if not valid_host or _PORT.fullmatch(port) is None or int(port) > 65535:
         raise UsageError(
             f"link {text!r}: {part!r} is no address; write HOST:PORT, "
             "for example 127.0.0.1:1502 or [::1]:1502"

@@ -11,7 +11,11 @@ from typing import Self
 
 from mbtool.core.errors import UsageError
 
-_PATTERN = re.compile(r"(?P<baud>\d+)(?:-(?P<data>[78])(?P<parity>[NEO])(?P<stop>[12]))?", re.ASCII)
+_PATTERN = re.compile(
+    r"(?P<baud>\d{1,8})(?:-(?P<data>[78])(?P<parity>[NEO])(?P<stop>[12]))?", re.ASCII
+)
+
+_PARITIES = ("N", "E", "O")
 
 _FIXED_ABOVE_BAUD = 19200
 _FIXED_T1_5_NS = 750_000
@@ -31,6 +35,10 @@ class SerialFormat:
     def __post_init__(self) -> None:
         if self.baud <= 0:
             raise ValueError(f"baud must be positive, not {self.baud}")
+        if self.data_bits not in (7, 8) or self.parity not in _PARITIES:
+            raise ValueError(f"{self.data_bits}{self.parity} is no character format")
+        if self.stop_bits not in (1, 2):
+            raise ValueError(f"stop bits are 1 or 2, not {self.stop_bits}")
 
     @classmethod
     def parse(cls, text: str) -> Self:

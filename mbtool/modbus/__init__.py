@@ -8,6 +8,7 @@ from mbtool.modbus.framing import ascii_adu, crc, lrc, mbap_adu, rtu_adu
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
 from mbtool.modbus.mbap import MbapSplitter
 from mbtool.modbus.pdu import Pdu, encode_pdu, exception_pdu, parse_pdu, pdu_length, pdu_of
+from mbtool.modbus.reach import REACHING, Reach, reach_of, response_to, values_after
 from mbtool.modbus.rtu import RtuSplitter
 from mbtool.modbus.rtu_stream import RtuStreamSplitter
 from mbtool.modbus.tables import Table
@@ -15,6 +16,7 @@ from mbtool.modbus.transaction import Outcome, Transaction
 
 __all__ = [
     "FUNCTIONS",
+    "REACHING",
     "Adu",
     "Answer",
     "AsciiSplitter",
@@ -27,6 +29,7 @@ __all__ = [
     "MbapSplitter",
     "Outcome",
     "Pdu",
+    "Reach",
     "Responder",
     "RtuSplitter",
     "RtuStreamSplitter",
@@ -46,5 +49,8 @@ __all__ = [
     "parse_pdu",
     "pdu_length",
     "pdu_of",
+    "reach_of",
+    "response_to",
     "rtu_adu",
+    "values_after",
 ]

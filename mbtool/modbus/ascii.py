@@ -1,7 +1,8 @@
 """Cuts what one tap hears on a Modbus ASCII line into frames."""
 
 # A frame is a colon, an even number of hexadecimal digits, CR and LF (Serial Line V1.02, 2.5.2.1).
-# A colon always begins a frame anew, and a second of silence ends one that is incomplete.
+# A colon always begins a frame anew, and a second of silence ends one that is incomplete. So does
+# a clock that was set back.
 #
 # Holds at most one incomplete frame (513 characters) and a run of skipped ones (skips.MAX_RUN).
 
@@ -36,15 +37,25 @@ class AsciiSplitter:
         self._frame = bytearray()
         self._first_ns = 0
         self._last_ns = 0
-        self._noise = SkipRun("characters outside a frame")
+        self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame"))
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no frame has begun."""
+        return not self._frame
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the characters of one read; `ts_ns` is the time of the last one."""
         events: list[Adu | Skipped] = []
+        if not data:
+            return events
+        first_ns = ts_ns - (len(data) - 1) * self._character_ns
+        if ts_ns < self._last_ns:
+            events += self.close()
+            self._last_ns = first_ns
+        events += self.advance(first_ns - self._character_ns)
         for index, byte in enumerate(data):
-            at_ns = ts_ns - (len(data) - 1 - index) * self._character_ns
-            events += self.advance(at_ns - self._character_ns)
-            self._last_ns = max(self._last_ns, at_ns)
+            self._last_ns = max(self._last_ns, first_ns + index * self._character_ns)
             self._take(byte, events)
         return events
 

@@ -37,7 +37,9 @@ class Bus:
 
     def advance(self, now_ns: int) -> list[Decoded]:
         """Learn that the line was silent from the last byte until now."""
-        return [*self._join(self._splitter.advance(now_ns)), *self._pairing.advance(now_ns)]
+        decoded = self._join(self._splitter.advance(now_ns))
+        # What the splitter holds may be the response.
+        return [*decoded, *self._pairing.advance(now_ns)] if self._splitter.is_idle else decoded
 
     def close(self) -> list[Decoded]:
         """The capture ends."""
@@ -62,19 +64,25 @@ class Conversation:
         """Take the payload of one segment."""
         return self._join(self._splitters[direction].feed(data, ts_ns), direction)
 
-    def gap(self, direction: Direction, missing: int, ts_ns: int) -> list[Decoded]:
-        """Learn that bytes of one direction are missing here."""
+    def gap(
+        self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
+    ) -> list[Decoded]:
+        """Learn that bytes of one direction are missing here; 0 where nobody knows how many."""
         source, destination = _ordered(self._ends, direction)
         lost = WireEvent(
             ts_ns=ts_ns,
             link=self._ends.link,
-            kind=EventKind.GAP,
-            message=f"{missing} bytes are missing from the capture",
+            kind=kind,
+            message=f"{missing or 'an unknown number of'} bytes are missing from the capture",
             source=source,
             destination=destination,
             missing=missing,
         )
         return [*self._join(self._splitters[direction].gap(), direction), lost]
+
+    def advance(self, now_ns: int) -> list[Decoded]:
+        """Learn that nothing came until now."""
+        return [*self._pairing.advance(now_ns)]
 
     def close(self) -> list[Decoded]:
         """The connection or the capture ends."""
@@ -92,9 +100,12 @@ def _join(
 ) -> list[Decoded]:
     decoded: list[Decoded] = []
     for event in events:
-        decoded.append(event if isinstance(event, Adu) else _told(event, ends, direction))
         if isinstance(event, Adu):
+            decoded.append(event)
             decoded += pairing.feed(event)
+        else:
+            decoded += pairing.advance(event.ts_ns)
+            decoded.append(_told(event, ends, direction))
     return decoded
 
 

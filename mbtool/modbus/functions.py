@@ -8,17 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mbtool.modbus.layouts import (
-    Bits,
-    Bytes,
-    Choice,
-    FileAnswers,
-    FileGroups,
-    Layout,
-    Objects,
-    Registers,
-    Words,
-)
+from mbtool.modbus.group_layouts import FileAnswers, FileGroups, Objects
+from mbtool.modbus.layouts import Bits, Bytes, Choice, CoilValue, Layout, Registers, Words
 from mbtool.modbus.tables import Table
 
 EXCEPTION_BIT = 0x80
@@ -71,7 +62,7 @@ FUNCTIONS: dict[int, Function] = {
     ),
     0x05: Function(  # 6.5
         name="write single coil", short="write coil", table=Table.COILS, writes=True,
-        request=_WRITE_ONE, response=_WRITE_ONE,
+        request=Layout(ADDRESS, tail=CoilValue()), response=_WRITE_ONE,
     ),
     0x06: Function(  # 6.6
         name="write single register", short="write register", table=Table.HOLDING_REGISTERS,
@@ -101,7 +92,7 @@ FUNCTIONS: dict[int, Function] = {
     0x10: Function(  # 6.12
         name="write multiple registers", short="write registers", table=Table.HOLDING_REGISTERS,
         limit=123, writes=True,
-        request=Layout(ADDRESS, QUANTITY, tail=Registers()), response=_READ,
+        request=Layout(ADDRESS, QUANTITY, tail=Registers(quantity="quantity")), response=_READ,
     ),
     0x11: Function(  # 6.13
         name="report server id", short="report server id", serial_only=True,
@@ -124,7 +115,8 @@ FUNCTIONS: dict[int, Function] = {
         name="read/write multiple registers", short="read/write", table=Table.HOLDING_REGISTERS,
         limit=125, writes=True,
         request=Layout(
-            ADDRESS, QUANTITY, ("write_address", 2), ("write_quantity", 2), tail=Registers(),
+            ADDRESS, QUANTITY, ("write_address", 2), ("write_quantity", 2),
+            tail=Registers(quantity="write_quantity"),
         ),
         response=Layout(tail=Registers()),
     ),

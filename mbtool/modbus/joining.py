@@ -12,7 +12,7 @@ from mbtool.modbus.pdu import Pdu, parse_pdu
 from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.modbus.turns import mismatch
 
-COIL_ON = 0xFF00
+COIL_VALUES = {0x0000: 0, 0xFF00: 1}  # V1.1b3, 6.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +33,13 @@ def together(
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if asked.problem is not None:
         noticed.append(Verdict.MALFORMED_REQUEST)
-    outcome = Outcome.OK
+    malformed = answered.problem or (asked.problem is None and mismatch(asked, answered))
+    if malformed:
+        noticed.append(Verdict.MALFORMED_RESPONSE)
     if answered.exception_code is not None:
         outcome = Outcome.EXCEPTION
-    elif answered.problem or (asked.problem is None and mismatch(asked, answered)):
-        outcome = Outcome.MALFORMED
-        noticed.append(Verdict.MALFORMED_RESPONSE)
+    else:
+        outcome = Outcome.MALFORMED if malformed else Outcome.OK
     # A capture's clock may run backwards; then there is no latency to tell.
     latency_ns = response.start_ns - request.end_ns
     return _record(
@@ -115,8 +116,8 @@ def _record(ends: Ends, adu: Adu, asked: Pdu, answered: Pdu | None, **facts: Any
         destination=ends.slave,
         unit=adu.unit,
         transaction_id=adu.transaction_id,
-        function=asked.function if answered is None else answered.function,
-        function_name=function_name(asked.function if answered is None else answered.function),
+        function=asked.code,
+        function_name=function_name(asked.code),
         sub_function=asked.number("mei_type") if sub_function is None else sub_function,
         address=asked.number("address"),
         quantity=_quantity(asked),
@@ -147,7 +148,9 @@ def _values(pdu: Pdu) -> list[int] | None:
         return list(values)
     value = pdu.number("value")
     if value is not None:
-        return [int(value == COIL_ON)] if pdu.function == 0x05 else [value]
+        if pdu.function == 0x05:
+            return [COIL_VALUES[value]] if value in COIL_VALUES else None
+        return [value]
     for names in (("and_mask", "or_mask"), ("status", "event_count"), ("status",)):
         numbers = [pdu.number(name) for name in names]
         if None not in numbers:

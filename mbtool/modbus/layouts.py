@@ -9,6 +9,8 @@
 #
 # Parsing keeps what it can: of a PDU that is too short come the fields that are whole, of one that
 # is too long those that belong there. Encoding is strict and raises ValueError.
+#
+# The tails that consist of groups are in group_layouts.py.
 
 from __future__ import annotations
 
@@ -17,19 +19,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from mbtool.modbus.packing import bit_bytes, pack_bits, pack_words, unpack_bits, words
+
 Value = int | bytes | tuple[int, ...] | tuple["Group", ...]
 """An integer, opaque bytes, registers or bits, or the groups of a file or identification record."""
 Group = tuple[int | bytes | tuple[int, ...], ...]
 Fields = dict[str, Value]
 
+NO_LENGTH = 0
+"""The length of what does not say how long it is."""
 USUAL_DIAGNOSTIC_BYTES = 2
+"""Only sub-function 0 of function 08 may have more (V1.1b3, 6.8), and nothing tells how many."""
 
 
 class Tail(Protocol):
     """The variable part of a layout. `at` is where it begins in the PDU."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        """Its length in bytes, or None where more bytes are needed to know."""
+        """Its length in bytes, NO_LENGTH, or None where more bytes are needed to know."""
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
         """Add its fields; the answer says what is wrong, or is None."""
@@ -50,32 +57,32 @@ class Layout:
         self._tail = tail
 
     def length(self, pdu: bytes) -> int | None:
-        """The whole PDU's length by its structure, or None where more bytes are needed to know."""
+        """The whole PDU's length by its structure.
+
+        NO_LENGTH where its structure does not say, None where more bytes are needed to know.
+        """
         if self._tail is None:
             return self._size
         tail = self._tail.length(pdu, self._size)
-        return None if tail is None else self._size + tail
+        return self._size + tail if tail else tail
 
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
         """Its fields, and what is wrong with its form, if anything."""
         if len(pdu) < self._size:
-            return self._parse_short(pdu), f"{len(pdu)} bytes, where its function has {self._size}"
+            return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = dict(zip(self._names, self._head.unpack_from(pdu, 1), strict=True))
         if self._tail is not None:
             return fields, self._tail.parse(pdu, self._size, fields)
-        if len(pdu) > self._size:
-            return fields, f"{len(pdu)} bytes, where its function has {self._size}"
-        return fields, None
+        return fields, self._wrong_size(pdu) if len(pdu) > self._size else None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
         """The bytes after the function code. Raises ValueError for what cannot be sent."""
+        values = [_field(fields, name) for name in self._names]
         try:
-            head = self._head.pack(*(fields[name] for name in self._names))
-        except KeyError as error:
-            raise ValueError(f"field {error.args[0]!r} is missing") from error
+            head = self._head.pack(*values)
         except struct.error as error:
-            values = {name: fields[name] for name in self._names}
-            raise ValueError(f"a field does not fit its width: {values}") from error
+            given = dict(zip(self._names, values, strict=True))
+            raise ValueError(f"a field does not fit its width: {given}") from error
         return head + (self._tail.encode(fields) if self._tail is not None else b"")
 
     def _parse_short(self, pdu: bytes) -> Fields:
@@ -89,6 +96,10 @@ class Layout:
             at += width
         return fields
 
+    def _wrong_size(self, pdu: bytes) -> str:
+        least = "" if self._tail is None else "at least "
+        return f"{len(pdu)} bytes, where its function has {least}{self._size}"
+
 
 @dataclass(frozen=True, slots=True)
 class Registers:
@@ -97,17 +108,26 @@ class Registers:
     name: str = "values"
     count_width: int = 1
     """Width of the byte count."""
+    quantity: str | None = None
+    """The field that says how many registers there are; without it only the byte count does."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        return _counted_length(pdu, at, self.count_width)
+        return counted_length(pdu, at, self.count_width)
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        data, problem = _counted_data(pdu, at, self.count_width)
+        data, problem = counted_data(pdu, at, self.count_width)
         fields[self.name] = words(data)
-        return problem or ("an odd number of bytes for registers" if len(data) % 2 else None)
+        if problem is not None:
+            return problem
+        if len(data) % 2:
+            return "an odd number of bytes for registers"
+        quantity = fields.get(self.quantity) if self.quantity else None
+        if isinstance(quantity, int) and len(data) != 2 * quantity:
+            return f"{len(data) // 2} registers for a quantity of {quantity}"
+        return None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        return _counted(pack_words(_sequence(fields, self.name)), self.count_width)
+        return counted(pack_words(_integers(fields, self.name)), self.count_width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,17 +139,19 @@ class Bits:
     """The field that says how many of the bits count; without it all are kept."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        return _counted_length(pdu, at, 1)
+        return counted_length(pdu, at, 1)
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        data, problem = _counted_data(pdu, at, 1)
+        data, problem = counted_data(pdu, at, 1)
         bits = unpack_bits(data)
         quantity = fields.get(self.quantity) if self.quantity else None
         fields[self.name] = bits if not isinstance(quantity, int) else bits[:quantity]
+        if problem is None and isinstance(quantity, int) and len(data) != bit_bytes(quantity):
+            return f"{len(data)} bytes of bits for a quantity of {quantity}"
         return problem
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        return _counted(pack_bits(_sequence(fields, self.name)), 1)
+        return counted(pack_bits(_integers(fields, self.name)), 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,32 +160,31 @@ class Bytes:
 
     name: str = "data"
     count_width: int = 1
-    usual: int = 0
-    """The length to expect where no byte count tells it."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        return _counted_length(pdu, at, self.count_width) if self.count_width else self.usual
+        return counted_length(pdu, at, self.count_width) if self.count_width else NO_LENGTH
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
         if not self.count_width:
             fields[self.name] = pdu[at:]
             return None
-        fields[self.name], problem = _counted_data(pdu, at, self.count_width)
+        fields[self.name], problem = counted_data(pdu, at, self.count_width)
         return problem
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        data = fields.get(self.name, b"")
+        data = _field(fields, self.name)
         if not isinstance(data, bytes):
             raise ValueError(f"field {self.name!r} must be bytes")
-        return _counted(data, self.count_width) if self.count_width else data
+        return counted(data, self.count_width) if self.count_width else data
 
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Registers to the end of the PDU, without a count."""
+    """One register or more, to the end of the PDU, without a count."""
 
     name: str = "values"
     usual: int = USUAL_DIAGNOSTIC_BYTES
+    """The length to expect, since nothing tells it."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return self.usual
@@ -171,120 +192,36 @@ class Words:
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
         data = pdu[at:]
         fields[self.name] = words(data)
+        if not data:
+            return "its data is missing"
         return "an odd number of bytes for registers" if len(data) % 2 else None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        return pack_words(_sequence(fields, self.name))
+        return pack_words(_integers(fields, self.name))
 
 
 @dataclass(frozen=True, slots=True)
-class FileGroups:
-    """The sub-requests of the file record functions (V1.1b3, 6.14 and 6.15).
+class CoilValue:
+    """A value that is 0000H or FF00H (V1.1b3, 6.5). Any other is encoded too, and told."""
 
-    Each is `06 file record length`, and with `with_data` that many registers.
-    A group is parsed as (file, record, length) or (file, record, registers).
-    """
-
-    with_data: bool
+    name: str = "value"
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        return _counted_length(pdu, at, 1)
+        return 2
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        data, problem = _counted_data(pdu, at, 1)
-        groups: list[Group] = []
-        place = 0
-        while place + 7 <= len(data):
-            reference, file, record, length = struct.unpack_from(">BHHH", data, place)
-            place += 7
-            if reference != _FILE_REFERENCE:
-                problem = problem or f"reference type {reference}, where only 6 is defined"
-            if self.with_data:
-                groups.append((file, record, words(data[place : place + 2 * length])))
-                place += 2 * length
-            else:
-                groups.append((file, record, length))
-        fields["groups"] = tuple(groups)
-        return problem or (None if place == len(data) else _HALF_GROUP)
+        if len(pdu) < at + 2:
+            return "its value is missing"
+        fields[self.name] = value = int.from_bytes(pdu[at : at + 2])
+        if len(pdu) > at + 2:
+            return f"{len(pdu)} bytes, where its function has {at + 2}"
+        return None if value in (0x0000, 0xFF00) else f"value {value:04X}H for a coil"
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        data = b""
-        for group in _groups(fields):
-            file, record, last = group
-            registers = last if isinstance(last, tuple) else ()
-            length = len(registers) if self.with_data else last
-            data += struct.pack(">BHHH", _FILE_REFERENCE, file, record, length)
-            data += pack_words(registers)
-        return _counted(data, 1)
-
-
-@dataclass(frozen=True, slots=True)
-class FileAnswers:
-    """The sub-responses of read file record: `length 06 registers`; a group is the registers."""
-
-    def length(self, pdu: bytes, at: int) -> int | None:
-        return _counted_length(pdu, at, 1)
-
-    def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        data, problem = _counted_data(pdu, at, 1)
-        groups: list[Group] = []
-        place = 0
-        while place + 2 <= len(data):
-            length = data[place]
-            if length == 0:
-                break
-            groups.append((words(data[place + 2 : place + 1 + length]),))
-            place += 1 + length
-        fields["groups"] = tuple(groups)
-        return problem or (None if place == len(data) else _HALF_GROUP)
-
-    def encode(self, fields: Mapping[str, Value]) -> bytes:
-        data = b""
-        for (registers,) in _groups(fields):
-            body = pack_words(registers if isinstance(registers, tuple) else ())
-            data += bytes([1 + len(body), _FILE_REFERENCE]) + body
-        return _counted(data, 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Objects:
-    """The objects of a device identification: a number, then `id length value` (V1.1b3, 6.21)."""
-
-    def length(self, pdu: bytes, at: int) -> int | None:
-        if len(pdu) <= at:
-            return None
-        place = at + 1
-        for _ in range(pdu[at]):
-            if len(pdu) <= place + 1:
-                return None
-            place += 2 + pdu[place + 1]
-        return place - at
-
-    def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        objects: list[Group] = []
-        place = at + 1
-        count = pdu[at] if at < len(pdu) else 0
-        while len(objects) < count and place + 2 <= len(pdu):
-            end = place + 2 + pdu[place + 1]
-            if end > len(pdu):
-                break
-            objects.append((pdu[place], pdu[place + 2 : end]))
-            place = end
-        fields["objects"] = tuple(objects)
-        return None if len(objects) == count and place == len(pdu) else "its objects do not fill it"
-
-    def encode(self, fields: Mapping[str, Value]) -> bytes:
-        objects = fields.get("objects", ())
-        if not isinstance(objects, tuple):
-            raise ValueError("field 'objects' must be a tuple of (id, value)")
-        data = bytes([len(objects)])
-        for one in objects:
-            match one:
-                case (int(number), bytes(value)):
-                    data += bytes([number, len(value)]) + value
-                case _:
-                    raise ValueError("an object is (id, value as bytes)")
-        return data
+        value = _field(fields, self.name)
+        if not isinstance(value, int):
+            raise ValueError(f"field {self.name!r} must be an integer")
+        return pack_words([value])
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,9 +234,7 @@ class Choice:
     def length(self, pdu: bytes, at: int) -> int | None:
         if len(pdu) <= at:
             return None
-        layout = self.layouts.get(pdu[at], _OPAQUE)
-        rest = layout.length(pdu[at:])
-        return rest
+        return self.layouts.get(pdu[at], _OPAQUE).length(pdu[at:])
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
         if len(pdu) <= at:
@@ -310,49 +245,24 @@ class Choice:
         return problem
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        kind = fields.get(self.name)
+        kind = _field(fields, self.name)
         if not isinstance(kind, int):
-            raise ValueError(f"field {self.name!r} is missing")
+            raise ValueError(f"field {self.name!r} must be an integer")
         return bytes([kind]) + self.layouts.get(kind, _OPAQUE).encode(fields)
 
 
-_FILE_REFERENCE = 6
-_HALF_GROUP = "its byte count does not end with a group"
-_OPAQUE = Layout(tail=Bytes("data", count_width=0))
+_OPAQUE = Layout(tail=Bytes(count_width=0))
 
 
-def words(data: bytes) -> tuple[int, ...]:
-    """Big-endian 16-bit registers; an odd last byte is left out."""
-    count = len(data) // 2
-    return struct.unpack_from(f">{count}H", data)
-
-
-def pack_words(values: Sequence[int]) -> bytes:
-    """Registers as bytes. Raises ValueError outside 0..65535."""
-    try:
-        return struct.pack(f">{len(values)}H", *values)
-    except struct.error as error:
-        raise ValueError(f"registers hold 0..65535, not {list(values)}") from error
-
-
-def unpack_bits(data: bytes) -> tuple[int, ...]:
-    """Every bit, the lowest of the first byte first."""
-    return tuple(byte >> bit & 1 for byte in data for bit in range(8))
-
-
-def pack_bits(values: Sequence[int]) -> bytes:
-    """Bits as bytes, the first in bit 0 of the first byte, the rest of the last byte 0."""
-    number = sum(1 << place for place, value in enumerate(values) if value)
-    return number.to_bytes((len(values) + 7) // 8, "little")
-
-
-def _counted_length(pdu: bytes, at: int, width: int) -> int | None:
+def counted_length(pdu: bytes, at: int, width: int) -> int | None:
+    """The length of a byte count of a width and of what it counts."""
     if len(pdu) < at + width:
         return None
     return width + int.from_bytes(pdu[at : at + width])
 
 
-def _counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
+def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
+    """What a byte count counts, as far as it is there, and what is wrong with it."""
     if len(pdu) < at + width:
         return b"", "its byte count is missing"
     count = int.from_bytes(pdu[at : at + width])
@@ -361,21 +271,24 @@ def _counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
     return data, None if held == count else f"byte count {count}, but {held} bytes follow"
 
 
-def _counted(data: bytes, width: int) -> bytes:
+def counted(data: bytes, width: int) -> bytes:
+    """Bytes behind their count. Raises ValueError for too many."""
     if len(data) >= 1 << 8 * width:
         raise ValueError(f"{len(data)} bytes of data do not fit a byte count of {width} bytes")
     return len(data).to_bytes(width) + data
 
 
-def _sequence(fields: Mapping[str, Value], name: str) -> Sequence[int]:
-    values = fields.get(name, ())
-    if not isinstance(values, tuple | list):
-        raise ValueError(f"field {name!r} must be a sequence of integers")
-    return [int(value) for value in values if isinstance(value, int)]
+def _field(fields: Mapping[str, Value], name: str) -> Value:
+    try:
+        return fields[name]
+    except KeyError:
+        raise ValueError(f"field {name!r} is missing") from None
 
 
-def _groups(fields: Mapping[str, Value]) -> Sequence[Group]:
-    groups = fields.get("groups", ())
-    if not isinstance(groups, tuple) or not all(isinstance(group, tuple) for group in groups):
-        raise ValueError("field 'groups' must be a tuple of tuples")
-    return [group for group in groups if isinstance(group, tuple)]
+def _integers(fields: Mapping[str, Value], name: str) -> Sequence[int]:
+    values = _field(fields, name)
+    if isinstance(values, tuple | list):
+        integers = [value for value in values if isinstance(value, int)]
+        if len(integers) == len(values):
+            return integers
+    raise ValueError(f"field {name!r} must be a sequence of integers")

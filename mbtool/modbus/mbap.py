@@ -10,12 +10,14 @@
 # In step, a plausible header is believed; one with another protocol id is one foreign ADU. A header
 # that cannot be puts the splitter out of step: it drops one byte and looks again, and then believes
 # only a header whose length agrees with the structure of the PDU behind it, since zeros in register
-# data look like headers. Whether to drop depends only on bytes, never on where a chunk ended.
+# data look like headers. So out of step an ADU of a function that no table knows is skipped.
+# Whether to drop depends only on bytes, never on where a chunk ended.
 #
 # Holds at most one incomplete ADU (260 bytes) and a run of skipped bytes (skips.MAX_RUN).
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
@@ -31,6 +33,10 @@ if TYPE_CHECKING:
 MIN_LENGTH = 2
 MAX_LENGTH = 254
 
+_MODBUS = b"\x00\x00"
+_HEADER = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
+"""A transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
+
 
 class MbapSplitter:
     """Bytes of one direction in, `Adu` and `Skipped` out, in order."""
@@ -38,7 +44,7 @@ class MbapSplitter:
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
         self._buffer = TimedBuffer()
-        self._skips = SkipRun("no Modbus/TCP header")
+        self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header"))
         self._in_step = True
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
@@ -66,35 +72,42 @@ class MbapSplitter:
         return events
 
     def _step(self, events: list[Adu | Skipped]) -> bool:
-        """Consume one ADU or one byte; False where more bytes are needed to decide."""
-        buffer = self._buffer
-        if len(buffer) < MBAP_BYTES:
+        """Consume one ADU or what is none; False where more bytes are needed to decide."""
+        size = self._size_here()
+        if size is None or size > len(self._buffer):
             return False
-        head = buffer.peek(MBAP_BYTES)
+        if size:
+            self._skips.end(events)
+            self._give(size, events)
+        else:
+            self._drop(events)
+        return True
+
+    def _size_here(self) -> int | None:
+        """The size of the ADU at the front; 0 where there is none, None where bytes are needed."""
+        head = self._buffer.peek(MBAP_BYTES)
+        if len(head) < MBAP_BYTES:
+            return None
         length = head[4] << 8 | head[5]
+        size = MBAP_BYTES - 1 + length
         if not MIN_LENGTH <= length <= MAX_LENGTH:
-            return self._drop_byte(events)
-        foreign = head[2] != 0 or head[3] != 0
-        if foreign and not self._in_step:
-            return self._drop_byte(events)
-        size = 6 + length
-        if not self._in_step:
-            verdict = self._agrees(size)
-            if verdict is None:
-                return False
-            if not verdict:
-                return self._drop_byte(events)
-        if len(buffer) < size:
-            return False
-        self._skips.end(events)
-        start_ns = buffer.first_ns
-        end_ns = buffer.ns_at(size - 1)
-        raw = buffer.take(size)
-        if foreign:
-            protocol = raw[2] << 8 | raw[3]
-            reason = f"protocol id {protocol:04X}H, where Modbus has 0000H"
+            return 0
+        if self._in_step:
+            return size
+        if head[2:4] != _MODBUS:
+            return 0
+        pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
+        if pdu_size is None:
+            return None if len(self._buffer) < size else 0
+        return size if pdu_size == length - 1 else 0
+
+    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
+        start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
+        raw = self._buffer.take(size)
+        if raw[2:4] != _MODBUS:
+            reason = f"protocol id {raw[2:4].hex().upper()}H, where Modbus has 0000H"
             events.append(Skipped(start_ns, EventKind.FOREIGN, reason, raw))
-            return True
+            return
         events.append(
             Adu(
                 start_ns=start_ns,
@@ -111,18 +124,11 @@ class MbapSplitter:
             )
         )
         self._in_step = True
-        return True
 
-    def _agrees(self, size: int) -> bool | None:
-        """Whether the PDU's structure has the header's length; None where more bytes are needed."""
-        available = min(size, len(self._buffer))
-        expected = pdu_length(self._buffer.peek(available)[MBAP_BYTES:], self._direction)
-        if expected is None:
-            return None if available < size else False
-        return expected == size - MBAP_BYTES
-
-    def _drop_byte(self, events: list[Adu | Skipped]) -> bool:
-        ts_ns = self._buffer.first_ns
-        self._skips.add(self._buffer.take(1), ts_ns, events)
+    def _drop(self, events: list[Adu | Skipped]) -> None:
+        """Drop the bytes before the next place where a whole header may stand."""
+        undecided = len(self._buffer) - MBAP_BYTES + 1
+        place = self._buffer.find(_HEADER, 1)
+        for piece, ts_ns in self._buffer.drain(min(place or undecided, undecided)):
+            self._skips.add(piece, ts_ns, events)
         self._in_step = False
-        return True

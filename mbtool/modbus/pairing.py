@@ -2,26 +2,30 @@
 
 # On a network a response belongs to the oldest open request of its connection with the same
 # transaction id, unit and function: masters may pipeline, slaves may answer out of order, and some
-# masters always send id 0. A response whose id no open request has belongs to the only open request
-# of its unit and function, if there is just one; otherwise nobody asked for it.
+# masters always send id 0. Some slaves answer with an id of their own: a response whose id no open
+# request has belongs to the only open request, if it can be its answer. Otherwise nobody asked.
 #
 # On a bus there is one open request. The next request ends it unanswered, whoever it is for.
 #
 # A request that goes unanswered is a transaction of its own, and the equal request after it says in
-# `retries` how many went before.
+# `retries` how many went before. On a network the answer to the later one may come while the
+# earlier one is still open; that is a retry too.
 #
 # Holds at most MAX_OPEN requests, and as many counts of unanswered ones; beyond that the oldest
-# request is given up as unanswered.
+# of each is given up.
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Adu, Verdict
-from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.joining import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.turns import answers, is_answer_to
 
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
@@ -39,8 +43,9 @@ class Pairing:
         self._ends = ends
         self._bus = bus
         self._timeout_ns = BUS_TIMEOUT_NS if bus else NETWORK_TIMEOUT_NS
-        self._open: deque[Adu] = deque()
+        self._open: deque[_Open] = deque()
         self._unanswered: dict[tuple[int, bytes], int] = {}
+        """How many requests of a unit and a PDU stayed without an answer in a row."""
 
     def feed(self, adu: Adu) -> list[Transaction]:
         """Take the next ADU, in order of time."""
@@ -48,19 +53,20 @@ class Pairing:
         if adu.direction is not Direction.RESPONSE:
             self._ask(adu, done)
             return done
-        request, verdicts = self._match(adu)
-        if request is None:
+        place, verdicts = self._match(adu)
+        if place is None:
             done.append(unsolicited(self._ends, adu))
             return done
-        self._open.remove(request)
-        retries = self._unanswered.pop((request.unit, request.pdu), 0)
-        done.append(together(self._ends, request, adu, retries, verdicts))
+        answered = self._open[place]
+        del self._open[place]
+        retries = self._retries(answered, place)
+        done.append(together(self._ends, answered.adu, adu, retries, verdicts))
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
         """Learn that no response came until now."""
         done: list[Transaction] = []
-        while self._open and now_ns - self._open[0].end_ns > self._timeout_ns:
+        while self._open and now_ns - self._open[0].adu.end_ns > self._timeout_ns:
             self._give_up(done)
         return done
 
@@ -79,27 +85,54 @@ class Pairing:
                 return
         elif len(self._open) >= MAX_OPEN:
             self._give_up(done)
-        self._open.append(request)
+        self._open.append(_Open(request))
 
-    def _match(self, response: Adu) -> tuple[Adu | None, tuple[Verdict, ...]]:
-        function = response.pdu[0] & ~EXCEPTION_BIT if response.pdu else None
-        same = [
-            request
-            for request in self._open
-            if request.unit == response.unit and request.pdu[:1] == bytes([function or 0])
-        ]
-        for request in same:
-            if request.transaction_id == response.transaction_id:
-                return request, ()
-        if len(same) == 1 and len(self._open) == 1:
-            return same[0], (Verdict.OTHER_TRANSACTION_ID,)
+    def _match(self, response: Adu) -> tuple[int | None, tuple[Verdict, ...]]:
+        """Which open request a response belongs to, and what is odd about it."""
+        for place, one in enumerate(self._open):
+            asked = one.adu
+            if (
+                asked.transaction_id == response.transaction_id
+                and asked.unit == response.unit
+                and answers(asked.pdu[0], response.pdu[0])
+            ):
+                return place, ()
+        if not self._bus and len(self._open) == 1:
+            asked = self._open[0].adu
+            if asked.unit == response.unit and is_answer_to(
+                parse_pdu(asked.pdu, Direction.REQUEST), response.pdu
+            ):
+                return 0, (Verdict.OTHER_TRANSACTION_ID,)
         return None, ()
 
+    def _retries(self, answered: _Open, place: int) -> int:
+        """How many equal requests without an answer an answered one ends."""
+        earlier = [
+            one for one in islice(self._open, place) if one.key == answered.key and one.counts
+        ]
+        for one in earlier:
+            one.counts = False
+        return self._unanswered.pop(answered.key, 0) + len(earlier)
+
     def _give_up(self, done: list[Transaction]) -> None:
-        request = self._open.popleft()
-        key = (request.unit, request.pdu)
-        retries = self._unanswered.pop(key, 0)
-        if len(self._unanswered) >= MAX_OPEN:
-            del self._unanswered[next(iter(self._unanswered))]
-        self._unanswered[key] = retries + 1
-        done.append(no_answer(self._ends, request, retries))
+        given_up = self._open.popleft()
+        retries = 0
+        if given_up.counts:
+            retries = self._unanswered.pop(given_up.key, 0)
+            if len(self._unanswered) >= MAX_OPEN:
+                del self._unanswered[next(iter(self._unanswered))]
+            self._unanswered[given_up.key] = retries + 1
+        done.append(no_answer(self._ends, given_up.adu, retries))
+
+
+@dataclass(slots=True)
+class _Open:
+    """A request that waits for its response."""
+
+    adu: Adu
+    counts: bool = True
+    """Whether it counts as a retry of the equal request after it, should it stay unanswered."""
+
+    @property
+    def key(self) -> tuple[int, bytes]:
+        return self.adu.unit, self.adu.pdu

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import MAX_PDU, Transport
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, Function
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 
 _EXCEPTION = Layout(("exception_code", 1))
@@ -96,14 +96,12 @@ def exception_pdu(function: int, exception_code: int) -> bytes:
 def pdu_length(pdu: bytes, direction: Direction) -> int | None:
     """How long a PDU is by its structure, from its first bytes.
 
-    None where more bytes are needed to know. 0 where its function has no known form.
+    None where more bytes are needed to know, 0 where nothing in it says. For function 08, which
+    does not say either, it is the usual length.
     """
     if not pdu:
         return None
-    code = pdu[0]
-    if code not in FUNCTIONS and not (direction is Direction.RESPONSE and code & EXCEPTION_BIT):
-        return 0
-    return _layout(code, direction).length(pdu)
+    return _layout(pdu[0], direction).length(pdu)
 
 
 def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
@@ -116,11 +114,6 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
         case Transport.ASCII:
             binary = bytes.fromhex(raw[1 : len(raw) - 2].decode("ascii"))
             return binary[0], binary[1:-1]
-
-
-def function_of(code: int) -> Function | None:
-    """The table's entry for a code with or without the exception bit."""
-    return FUNCTIONS.get(code & ~EXCEPTION_BIT)
 
 
 def _layout(code: int, direction: Direction) -> Layout:

@@ -1,7 +1,8 @@
-"""Which registers or bits a request reads and writes, and what it leaves there."""
+"""Which registers or bits a request reads and writes, what it leaves there, and its response."""
 
 # REACHING lists the functions whose form says where they read and write (V1.1b3, section 6). What
-# a mask write (16) leaves depends on what was there before.
+# a mask write (16) leaves depends on what was there before. Whether the addresses exist is for the
+# one who asks: a device's areas, or what a recording has seen.
 
 from __future__ import annotations
 
@@ -9,12 +10,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 from mbtool.core import Direction
-from mbtool.modbus import FUNCTIONS, Table, encode_pdu
+from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H
+from mbtool.modbus.pdu import encode_pdu
+from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.modbus import Pdu
+    from mbtool.modbus.pdu import Pdu
 
 REACHING = frozenset({0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F, 0x10, 0x16, 0x17})
 
@@ -22,7 +25,7 @@ _COIL_VALUES = {0x0000: 0, 0xFF00: 1}
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
+class Reach:
     """The addresses that a request reads and those that it writes, of one table."""
 
     table: Table
@@ -30,7 +33,7 @@ class Access:
     writes: range = range(0)
 
 
-def access_of(request: Pdu) -> Access | None:
+def reach_of(request: Pdu) -> Reach | None:
     """What a request reaches; None where it is not among REACHING, or breaks its form or limits."""
     if request.code not in REACHING or request.problem is not None:
         return None
@@ -38,20 +41,20 @@ def access_of(request: Pdu) -> Access | None:
     table, address = cast("Table", function.table), _number(request, "address")
     match request.code:
         case 0x01 | 0x02 | 0x03 | 0x04:
-            access = Access(table, reads=_span(address, _number(request, "quantity")))
+            reach = Reach(table, reads=_span(address, _number(request, "quantity")))
         case 0x05 if _number(request, "value") not in _COIL_VALUES:
             return None
         case 0x05 | 0x06 | 0x16:
-            access = Access(table, writes=_span(address, 1))
+            reach = Reach(table, writes=_span(address, 1))
         case 0x0F | 0x10:
-            access = Access(table, writes=_span(address, _number(request, "quantity")))
+            reach = Reach(table, writes=_span(address, _number(request, "quantity")))
         case _:  # 17
-            access = Access(
+            reach = Reach(
                 table,
                 reads=_span(address, _number(request, "quantity")),
                 writes=_span(_number(request, "write_address"), _number(request, "write_quantity")),
             )
-    return access if _is_whole(access, request, function.limit) else None
+    return reach if _is_allowed(reach, request, function.limit) else None
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
@@ -79,13 +82,11 @@ def response_to(request: Pdu, pdu: bytes, values: Sequence[int]) -> bytes:
             return encode_pdu(request.code, Direction.RESPONSE, values=tuple(values))
 
 
-def _is_whole(access: Access, request: Pdu, limit: int) -> bool:
-    spans = [span for span in (access.reads, access.writes) if span]
-    if request.code == 0x17 and len(spans) < 2:
-        return False
-    if request.code in (0x0F, 0x10, 0x17) and len(_values(request)) != len(access.writes):
-        return False
-    return bool(spans) and all(len(span) <= limit and span.stop <= 0x10000 for span in spans)
+def _is_allowed(reach: Reach, request: Pdu, limit: int) -> bool:
+    """Whether the quantities are within the standard's limits."""
+    if request.code == 0x17:
+        return 1 <= len(reach.reads) <= limit and 1 <= len(reach.writes) <= WRITE_LIMIT_17H
+    return 1 <= len(reach.reads or reach.writes) <= limit
 
 
 def _span(address: int, quantity: int) -> range:

@@ -4,33 +4,39 @@
 # an adapter glued frames or tore one, structure helps: from each place the lengths that its
 # function has as a request and as a response are tried, the likelier role first, and the CRC
 # decides. A CRC alone never does, since every valid frame that ends in 00 is also valid one byte
-# shorter. A frame of a function that no table knows is found where a whole burst has a correct
-# CRC. A burst that ends in the beginning of a frame waits for the next one for HOLD_NS at most.
+# shorter; a length that leaves nothing of the burst is preferred, then one whose PDU has the form
+# of its function. A frame of a function that no table knows is found where a whole burst has a
+# correct CRC; torn or glued it is not. A burst that ends in the beginning of a frame waits for the
+# next one for HOLD_NS at most.
 #
 # Times: a byte's time is when its last bit arrived. The bytes of one read get their times back from
-# the last one by the character time. What comes out depends on these times only, not on how the
-# bytes were cut into reads.
+# the last one by the character time; a read that came late does not make them earlier than those
+# before. What comes out depends on these times only, not on how the bytes were cut into reads. A
+# clock that was set back ends what was held.
 #
-# Holds at most WINDOW bytes. When a window is full without a silence, all but its last 256 bytes
+# Holds less than WINDOW bytes. When a window is full without a silence, all but its last 256 bytes
 # are decided.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, Skipped, Transport, Verdict
-from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
-from mbtool.modbus.pdu import pdu_length
+from mbtool.modbus.framing import crc
+from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.rtu_structure import MIN_FRAME, frame_size, why_skipped
 from mbtool.modbus.turns import Turns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
 WINDOW = 1024
-MIN_FRAME = 4
 HOLD_NS = 40_000_000
 """Twice and a half what an FTDI adapter's 16 ms latency timer puts into the middle of a frame."""
+
+_ROLES = (Direction.REQUEST, Direction.RESPONSE)
 
 
 class RtuSplitter:
@@ -45,20 +51,36 @@ class RtuSplitter:
         self._times: list[int] = []
         self._burst_over = False
         """What the buffer holds is the beginning of a frame that waits for the next burst."""
+        self._given: tuple[int, Verdict] | None = None
+        """When the last byte given out arrived, and what that makes of a frame close behind it."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no byte waits to be decided."""
+        return not self._data
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one read; `ts_ns` is the time of the last one."""
         events: list[Adu | Skipped] = []
+        if not data:
+            return events
         first_ns = ts_ns - (len(data) - 1) * self._character_ns
-        if self._data and data:
-            events += self.advance(max(first_ns, self._times[-1]) - self._character_ns)
-        last_ns = self._times[-1] if self._times else first_ns
+        if self._data:
+            last_ns = self._times[-1]
+            if ts_ns < last_ns:
+                events += self.close()
+            else:
+                events += self.advance(first_ns - self._character_ns)
+        earliest_ns = self._times[-1] if self._times else first_ns
         self._burst_over = False
-        for index, byte in enumerate(data):
-            last_ns = max(last_ns, first_ns + index * self._character_ns)
-            self._data.append(byte)
-            self._times.append(last_ns)
-            if len(self._data) >= WINDOW:
+        while data:
+            room = WINDOW - len(self._data)
+            piece, data = data[:room], data[room:]
+            self._data += piece
+            for _ in piece:
+                self._times.append(max(first_ns, earliest_ns))
+                first_ns += self._character_ns
+            if len(self._data) == WINDOW:
                 self._explain(events, burst_over=False)
         return events
 
@@ -83,83 +105,61 @@ class RtuSplitter:
 
     def _explain(self, events: list[Adu | Skipped], *, burst_over: bool) -> None:
         """Give out the frames of the buffer and the bytes between them."""
-        place = begin = 0
+        place = 0
         while place < (len(self._data) if burst_over else len(self._data) - MAX_RTU_ADU):
-            size = self._frame_at(place, begin, burst_over=burst_over)
-            if not size:
+            size = self._frame_at(place, burst_over=burst_over)
+            if size:
+                self._skip(place, events)
+                self._give(size, events)
+                place = 0
+            else:
                 place += 1
-                continue
-            skipped = place - begin
-            self._skip(skipped, events)
-            self._give(size, events, after_noise=skipped > 0, glued=self._is_glued(size))
-            place = begin = 0
-        if not burst_over:
+        self._burst_over = burst_over
+        if not burst_over or not self._is_beginning():
             self._skip(place, events)
-            return
-        self._burst_over = True
-        if not self._is_beginning():
-            self._skip(len(self._data), events)
 
-    def _frame_at(self, place: int, begin: int, *, burst_over: bool) -> int:
+    def _frame_at(self, place: int, *, burst_over: bool) -> int:
         """The size of the frame that begins at a place, or 0."""
-        head = bytes(self._data[place : place + MAX_RTU_ADU])
-        if len(head) < MIN_FRAME:
-            return 0
         rest = len(self._data) - place
+        if rest < MIN_FRAME:
+            return 0
+        head = bytes(self._data[place : place + MAX_RTU_ADU])
         sizes = []
         for role in self._turns.order(head[0], head[1], self._times[place]):
-            size = _size(head, role)
-            if MIN_FRAME <= size <= len(head) and crc(head[:size]) == 0:
-                sizes.append(size)
-        if burst_over and rest in sizes:
-            return rest
+            size = frame_size(head, role)
+            if size and size <= len(head) and crc(head[:size]) == 0:
+                if size == rest and burst_over:
+                    return size
+                sizes.append((parse_pdu(head[1 : size - 2], role).problem is not None, size))
         if sizes:
-            return sizes[0]
-        whole = burst_over and place == begin and rest <= MAX_RTU_ADU
+            return min(sizes, key=lambda malformed_and_size: malformed_and_size[0])[1]
+        whole = burst_over and rest <= MAX_RTU_ADU and self._begins_burst(place)
         return rest if whole and crc(head) == 0 else 0
+
+    def _begins_burst(self, place: int) -> bool:
+        return place == 0 or self._silence(place) >= self._t3_5_ns
 
     def _is_beginning(self) -> bool:
         """Whether the buffer can be the beginning of a frame whose end is still to come."""
         head = bytes(self._data)
         if not 1 <= len(head) < MAX_RTU_ADU:
             return False
-        if len(head) < MIN_FRAME:
-            return True
-        for role in (Direction.REQUEST, Direction.RESPONSE):
-            length = pdu_length(head[1:], role)
-            if length is None or len(head) < length + RTU_EXTRA_BYTES <= MAX_RTU_ADU:
-                return True
-        return False
-
-    def _is_glued(self, size: int) -> bool:
-        """Whether the byte behind the frame follows it without a silence."""
-        if size >= len(self._data):
-            return False
-        return self._silence(size) < self._t3_5_ns
+        sizes = [frame_size(head, role) for role in _ROLES]
+        return len(head) < MIN_FRAME or any(
+            size is None or len(head) < size <= MAX_RTU_ADU for size in sizes
+        )
 
     def _silence(self, index: int) -> int:
         """How long the line was silent before the byte at an index."""
         return self._times[index] - self._times[index - 1] - self._character_ns
 
-    def _give(
-        self, size: int, events: list[Adu | Skipped], *, after_noise: bool, glued: bool
-    ) -> None:
-        raw = bytes(self._data[:size])
-        start_ns = self._times[0] - self._character_ns
-        end_ns = self._times[size - 1]
-        longest = max((self._silence(index) for index in range(1, size)), default=0)
-        verdicts = []
-        if after_noise:
-            verdicts.append(Verdict.NOISE_BEFORE)
-        if glued:
-            verdicts.append(Verdict.GLUED)
-        if longest >= self._t3_5_ns:
-            verdicts.append(Verdict.SPLIT)
-        elif longest > self._t1_5_ns:
-            verdicts.append(Verdict.T1_5_BROKEN)
-        judgement = self._turns.judge(raw[0], raw[1:-2], start_ns)
-        self._turns.spoke(judgement, raw[0], raw[1:-2], end_ns)
-        self._drop(size)
+    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
+        verdicts = self._verdicts(size)
+        raw, times = self._take(size, Verdict.GLUED)
+        unit, pdu, received = raw[0], raw[1:-2], int.from_bytes(raw[-2:], "little")
+        start_ns, end_ns = times[0] - self._character_ns, times[-1]
+        judgement = self._turns.judge(unit, pdu, start_ns)
+        self._turns.spoke(judgement, unit, pdu, end_ns)
         events.append(
             Adu(
                 start_ns=start_ns,
@@ -168,36 +168,47 @@ class RtuSplitter:
                 direction=judgement.direction,
                 direction_by=judgement.by,
                 confidence=judgement.confidence,
-                unit=raw[0],
-                pdu=raw[1:-2],
+                unit=unit,
+                pdu=pdu,
                 raw=raw,
-                checksum=Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2])),
-                verdicts=tuple(verdicts),
+                checksum=Checksum(received, crc(raw[:-2])),
+                verdicts=verdicts,
             )
         )
 
-    def _skip(self, size: int, events: list[Adu | Skipped]) -> None:
-        if not size:
-            return
-        raw = bytes(self._data[:size])
-        kind, reason = _why_skipped(raw)
-        events.append(Skipped(self._times[0], kind, reason, raw))
-        self._drop(size)
+    def _verdicts(self, size: int) -> tuple[Verdict, ...]:
+        """What is to be noticed about the frame at the front."""
+        verdicts = []
+        if self._given is not None:
+            given_ns, verdict = self._given
+            if self._times[0] - given_ns - self._character_ns < self._t3_5_ns:
+                verdicts.append(verdict)
+        if size < len(self._data) and not self._begins_burst(size):
+            verdicts.append(Verdict.GLUED)
+        steps = (after - before for before, after in pairwise(self._times[:size]))
+        longest_ns = max(steps) - self._character_ns
+        if longest_ns >= self._t3_5_ns:
+            verdicts.append(Verdict.SPLIT)
+        elif longest_ns > self._t1_5_ns:
+            verdicts.append(Verdict.T1_5_BROKEN)
+        return tuple(dict.fromkeys(verdicts))
 
-    def _drop(self, size: int) -> None:
+    def _skip(self, size: int, events: list[Adu | Skipped]) -> None:
+        """Give out bytes as skipped: a frame with a wrong CRC whole, other bytes by bursts."""
+        while size:
+            kind, reason = why_skipped(bytes(self._data[:size]), _ROLES)
+            cut = size
+            if kind is not EventKind.BAD_CHECK:
+                cut = next((each for each in range(1, size) if self._begins_burst(each)), size)
+                kind, reason = why_skipped(bytes(self._data[:cut]), _ROLES)
+            raw, times = self._take(cut, Verdict.NOISE_BEFORE)
+            events.append(Skipped(times[0], kind, reason, raw))
+            size -= cut
+
+    def _take(self, size: int, leaves: Verdict) -> tuple[bytes, list[int]]:
+        """Remove and return the first bytes and their times."""
+        raw, times = bytes(self._data[:size]), self._times[:size]
         del self._data[:size]
         del self._times[:size]
-
-
-def _size(head: bytes, role: Direction) -> int:
-    """A frame's size by its structure in a role, or 0 where it is not known."""
-    length = pdu_length(head[1:], role)
-    return length + RTU_EXTRA_BYTES if length else 0
-
-
-def _why_skipped(raw: bytes) -> tuple[EventKind, str]:
-    if len(raw) >= MIN_FRAME and len(raw) in (_size(raw, role) for role in Direction):
-        received, computed = int.from_bytes(raw[-2:], "little"), crc(raw[:-2])
-        reason = f"a frame with CRC {received:04X}H, where {computed:04X}H would be right"
-        return EventKind.BAD_CHECK, reason
-    return EventKind.SKIPPED, "no frame with a correct CRC begins here"
+        self._given = times[-1], leaves
+        return raw, times

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from mbtool.core import EventKind
+from typing import TYPE_CHECKING
+
 from mbtool.modbus.adu import Adu, Skipped
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.core import EventKind
 
 MAX_RUN = 1024
 """Bytes after which a run is given out and the next begins, so that noise has a bound."""
 
 
 class SkipRun:
-    """A run of skipped bytes. Holds at most MAX_RUN of them."""
+    """A run of skipped bytes. Holds less than MAX_RUN of them."""
 
-    __slots__ = ("_bytes", "_first_ns", "_reason")
+    __slots__ = ("_bytes", "_first_ns", "_why")
 
-    def __init__(self, reason: str) -> None:
-        self._reason = reason
+    def __init__(self, why: Callable[[bytes], tuple[EventKind, str]]) -> None:
+        """`why` says of a run what it is."""
+        self._why = why
         self._bytes = bytearray()
         self._first_ns = 0
 
@@ -24,16 +31,18 @@ class SkipRun:
 
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:
         """Take bytes that arrived at a time; a full run goes to `events`."""
-        for byte in data:
+        while data:
             if not self._bytes:
                 self._first_ns = ts_ns
-            self._bytes.append(byte)
-            if len(self._bytes) >= MAX_RUN:
+            room = MAX_RUN - len(self._bytes)
+            self._bytes += data[:room]
+            data = data[room:]
+            if len(self._bytes) == MAX_RUN:
                 self.end(events)
 
     def end(self, events: list[Adu | Skipped]) -> None:
         """Give the run to `events`, if there is one."""
         if self._bytes:
             raw = bytes(self._bytes)
-            events.append(Skipped(self._first_ns, EventKind.SKIPPED, self._reason, raw))
+            events.append(Skipped(self._first_ns, *self._why(raw), raw))
             self._bytes.clear()

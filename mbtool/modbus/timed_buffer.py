@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import re
+    from collections.abc import Iterator
 
 
 class TimedBuffer:
@@ -38,9 +43,14 @@ class TimedBuffer:
                 return ts_ns
         raise IndexError(index)
 
-    def peek(self, size: int) -> bytes:
-        """The first bytes, left in place; fewer where there are fewer."""
-        return bytes(self._data[:size])
+    def peek(self, size: int, at: int = 0) -> bytes:
+        """Some bytes, left in place; fewer where there are fewer."""
+        return bytes(self._data[at : at + size])
+
+    def find(self, pattern: re.Pattern[bytes], at: int) -> int | None:
+        """Where a pattern first stands, from an index on."""
+        match = pattern.search(self._data, at)
+        return None if match is None else match.start()
 
     def take(self, size: int) -> bytes:
         """Remove and return the first bytes."""
@@ -50,3 +60,12 @@ class TimedBuffer:
         while self._marks and self._marks[0][0] <= self._taken:
             self._marks.popleft()
         return taken
+
+    def drain(self, size: int) -> Iterator[tuple[bytes, int]]:
+        """Remove the first bytes, in pieces that share a time."""
+        left = min(size, len(self._data))
+        while left:
+            end, ts_ns = self._marks[0]
+            piece = self.take(min(left, end - self._taken))
+            left -= len(piece)
+            yield piece, ts_ns

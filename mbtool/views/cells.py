@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import date
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MAX_VALUES = 16
 """How many values a result lists before it says how many more there are."""
+
+MAX_BITS = 32
 
 MAX_RAW = 16
 """How many bytes of skipped ones are shown."""
@@ -51,6 +53,9 @@ class Row:
             self.latency,
         )
 
+
+_EPOCH = date(1970, 1, 1).toordinal()
+_DAY_S = 86_400
 
 HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency")
 
@@ -106,7 +111,7 @@ def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> 
     if writes and transaction.points:
         text = describe(transaction)
     elif writes and transaction.request_values:
-        text = f"{text} := {values_text(transaction.request_values)}"
+        text = f"{text} := {_values(transaction, transaction.request_values)}"
     elif not text and transaction.sub_function is not None:
         text = f"sub-function {transaction.sub_function:02X}"
     if transaction.retries:
@@ -119,7 +124,10 @@ def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> 
 def result_text(transaction: NamedTransaction) -> str:
     """How it ended, and what a read brought."""
     if transaction.exception is not None:
-        text = f"exception {transaction.exception:02X} {transaction.exception_name or ''}".rstrip()
+        name = transaction.exception_name or ""
+        text = f"exception {transaction.exception:02X}"
+        if not name.startswith(text):  # A code without a name of its own is called by its number.
+            text = f"{text} {name}".rstrip()
         unasked = transaction.outcome is Outcome.UNSOLICITED
         return f"unsolicited {text}" if unasked else text
     match transaction.outcome:
@@ -131,17 +139,20 @@ def result_text(transaction: NamedTransaction) -> str:
             return "malformed answer"
         case Outcome.UNSOLICITED:
             values = transaction.response_values
-            return f"unsolicited {values_text(values)}" if values else "unsolicited"
+            return f"unsolicited {_values(transaction, values)}" if values else "unsolicited"
     function = FUNCTIONS.get(transaction.function)
     if transaction.points and not (function is not None and function.writes):
         return "; ".join(describe_points(transaction.points))
-    return values_text(transaction.response_values) if transaction.response_values else "ok"
+    values = transaction.response_values
+    return _values(transaction, values) if values else "ok"
 
 
-def values_text(values: list[int]) -> str:
-    """Registers or bits; of many, the first."""
-    text = ", ".join(map(str, values[:MAX_VALUES]))
-    return text if len(values) <= MAX_VALUES else f"{text}, ... ({len(values)} values)"
+def values_text(values: list[int], *, bits: bool = False) -> str:
+    """Registers with commas, or bits with spaces; of many, the first."""
+    shown = MAX_BITS if bits else MAX_VALUES
+    joint = " " if bits else ", "
+    text = joint.join(map(str, values[:shown]))
+    return text if len(values) <= shown else f"{text}{joint}... ({len(values)} values)"
 
 
 def latency_text(latency_ns: int | None) -> str:
@@ -154,19 +165,27 @@ def latency_text(latency_ns: int | None) -> str:
 
 
 def clock_time(ts_ns: int) -> str:
-    """Time of day in UTC, to the millisecond."""
-    return f"{_moment(ts_ns):%H:%M:%S}.{ts_ns // 1_000_000 % 1000:03d}"
+    """Time of day in UTC, to the millisecond; of any integer, since a capture may hold any."""
+    seconds, milliseconds = divmod(ts_ns // 1_000_000, 1000)
+    minutes, second = divmod(seconds % _DAY_S, 60)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}:{second:02d}.{milliseconds:03d}"
 
 
 def day(ts_ns: int) -> str:
-    """The date in UTC."""
-    return f"{_moment(ts_ns):%Y-%m-%d}"
-
-
-def _moment(ts_ns: int) -> datetime:
-    return datetime.fromtimestamp(ts_ns // 1_000_000_000, UTC)
+    """The date in UTC; beyond the years that a date can have, the days since 1970."""
+    days = ts_ns // (_DAY_S * 1_000_000_000)
+    try:
+        return date.fromordinal(_EPOCH + days).isoformat()
+    except (ValueError, OverflowError):
+        return f"day {days}"
 
 
 def _shortened(raw: bytes) -> str:
     text = raw[:MAX_RAW].hex(" ")
     return text if len(raw) <= MAX_RAW else f"{text} ..."
+
+
+def _values(transaction: NamedTransaction, values: list[int]) -> str:
+    function = FUNCTIONS.get(transaction.function)
+    bits = function is not None and function.table is not None and function.table.is_bits
+    return values_text(values, bits=bits)

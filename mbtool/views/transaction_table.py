@@ -1,14 +1,17 @@
 """Shows transactions as a table that grows line by line, on a terminal or into a pipe."""
 
 # Widths must be known before the first line is shown and a capture may be endless, so the columns
-# take their widths from the first lines, at most SAMPLE of them, and keep them; what and result
-# share what is left of the terminal. A cell that is too long is cut with an ellipsis on a terminal.
-# In a pipe or a file nothing is cut, and a long cell moves the rest of its line to the right.
+# take their widths from the first lines, at most SAMPLE of them; what and result share what is left
+# of the terminal, and on a narrow one the function's name makes room for them. Where one of these
+# two is too long it is cut with an ellipsis, and stands in full below its line; any other column
+# grows when it must. In a pipe or a file nothing is cut: a long cell moves the rest of its line to
+# the right, and each transaction is one line.
 #
 # Text that came off a wire is never read as markup, nor are control characters in it sent on.
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -22,9 +25,12 @@ if TYPE_CHECKING:
 
 SAMPLE = 100
 _GAP = "  "
-_LEFTOVER = (5, 6)
-"""What and result: the columns that share what is left."""
-_CAPS = (7, 12, 24, 4, 22, 60, 60, 9)
+_FUNCTION, _WHAT, _RESULT = 4, 5, 6
+_LEFTOVER = (_WHAT, _RESULT)
+"""The columns that share what is left."""
+_CODE = 6
+"""What is left of the function on a narrow terminal: its code, and that there is a name."""
+_CAPS = (7, 12, 24, 4, 22, 60, 60, 10)
 _MINIMA = (2, 12, 5, 4, 18, 12, 8, 8)
 
 
@@ -36,6 +42,7 @@ class TransactionTable:
         self._sample = sample
         self._waiting: list[tuple[str, Row]] = []
         self._widths: tuple[int, ...] | None = None
+        self._styles: dict[str, tuple[str, str]] = {}
         self._day = ""
 
     def add(self, row: Row, day: str) -> None:
@@ -50,55 +57,109 @@ class TransactionTable:
     def flush(self) -> None:
         """Show what waits for the widths to be settled."""
         if self._widths is None and self._waiting:
-            total = self._console.width if self._console.is_terminal else None
-            self._widths = _widths([row for _, row in self._waiting], total)
+            self._settle([row for _, row in self._waiting])
             self._print_line(HEADINGS, "bold")
         waiting, self._waiting = self._waiting, []
         for day, row in waiting:
             self._print(row, day)
 
+    def _settle(self, rows: Sequence[Row]) -> None:
+        total = self._console.width if self._console.is_terminal else None
+        self._widths = _widths(rows, total, self._widths or _MINIMA)
+
     def _print(self, row: Row, day: str) -> None:
+        if _outgrows(row, self._widths or ()):
+            self._settle([row])
         if day != self._day:
             self._day = day
-            self._print_line(("", f"{day} UTC"), "dim")
+            self._print_text(f"{' ' * self._indent}{day} UTC", "dim")
         style = ("red" if row.number else "yellow") if row.trouble else ""
         self._print_line(row.cells(), style)
+        if self._console.is_terminal:
+            self._print_long(row, style)
+
+    def _print_long(self, row: Row, style: str) -> None:
+        """Show in full below its line what is cut in it."""
+        widths = self._widths or ()
+        for index in _LEFTOVER:
+            cell = row.cells()[index]
+            if len(cell) > widths[index]:
+                indent = " " * self._indent
+                for line in wrap(cell, max(self._console.width - len(indent), 20)):
+                    self._print_text(indent + _printable(line), f"dim {style}")
 
     def _print_line(self, cells: Sequence[str], style: str) -> None:
         widths = self._widths or ()
         whole = not self._console.is_terminal
         parts = [
             _fitted(cell, width, whole=whole, right=index == 0)
-            for index, (cell, width) in enumerate(zip(cells, widths, strict=False))
+            for index, (cell, width) in enumerate(zip(cells, widths, strict=True))
         ]
-        line = _GAP.join(parts).rstrip()
-        self._console.print(Text(line, style=style), soft_wrap=True)
+        self._print_text(_GAP.join(parts).rstrip(), style)
+
+    def _print_text(self, line: str, style: str) -> None:
+        before, after = self._codes(style) if style else ("", "")
+        self._console.file.write(f"{before}{line}{after}\n")
+
+    def _codes(self, style: str) -> tuple[str, str]:
+        """What switches a style on and off; known once, as Console.print takes its time."""
+        codes = self._styles.get(style)
+        if codes is None:
+            with self._console.capture() as capture:
+                self._console.print(Text("|", style=style), end="")
+            before, _, after = capture.get().partition("|")
+            codes = self._styles[style] = before, after
+        return codes
+
+    @property
+    def _indent(self) -> int:
+        """Where the second column begins."""
+        return (self._widths or (0,))[0] + len(_GAP)
+
+
+def _printable(text: str) -> str:
+    """Text that came off a wire or from a file, without what a terminal would obey."""
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:
-    if not cell.isprintable():
-        cell = "".join(char if char.isprintable() else "?" for char in cell)
+    cell = _printable(cell)
     if len(cell) > width and not whole:
         cell = cell[: width - 1] + "\u2026"
     return cell.rjust(width) if right else cell.ljust(width)
 
 
-def _widths(rows: Sequence[Row], total: int | None) -> tuple[int, ...]:
+def _outgrows(row: Row, widths: Sequence[int]) -> bool:
+    """Whether a column that does not share what is left is too narrow for a row."""
+    return any(
+        width < len(cell) and width < cap
+        for index, (cell, width, cap) in enumerate(zip(row.cells(), widths, _CAPS, strict=True))
+        if index not in (_FUNCTION, *_LEFTOVER)
+    )
+
+
+def _widths(rows: Sequence[Row], total: int | None, minima: Sequence[int]) -> tuple[int, ...]:
     """Each column's width; with a total, what and result fill it."""
     columns = zip(HEADINGS, *(row.cells() for row in rows), strict=True)
     widths = [
         max(min(max(map(len, column)), cap), minimum)
-        for column, cap, minimum in zip(columns, _CAPS, _MINIMA, strict=True)
+        for column, cap, minimum in zip(columns, _CAPS, minima, strict=True)
     ]
     if total is None:
         return tuple(widths)
-    what, result = _LEFTOVER
-    rest = sum(width for index, width in enumerate(widths) if index not in _LEFTOVER)
-    left = max(total - len(_GAP) * (len(widths) - 1) - rest, _MINIMA[what] + _MINIMA[result])
+    least = _MINIMA[_WHAT] + _MINIMA[_RESULT]
+    taken = sum(width for index, width in enumerate(widths) if index not in _LEFTOVER)
+    left = total - len(_GAP) * (len(widths) - 1) - taken
+    if left < least:
+        narrower = max(widths[_FUNCTION] - (least - left), _CODE)
+        left = max(left + widths[_FUNCTION] - narrower, least)
+        widths[_FUNCTION] = narrower
     # What is addressed matters more than the end of a long list of values.
-    if widths[what] + widths[result] > left:
-        widths[what] = max(min(widths[what], left * 3 // 5), left - widths[result])
+    if widths[_WHAT] + widths[_RESULT] > left:
+        widths[_WHAT] = max(min(widths[_WHAT], left * 3 // 5), left - widths[_RESULT])
     else:
-        widths[what] += (left - widths[what] - widths[result]) // 2
-    widths[result] = left - widths[what]
+        widths[_WHAT] += (left - widths[_WHAT] - widths[_RESULT]) // 2
+    widths[_RESULT] = left - widths[_WHAT]
     return tuple(widths)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
@@ -91,8 +92,8 @@ class Demo:
                 ]
             )
             decoder = Decoder(Namer(self.assignments), lines=serial_lines(links))
-            log = begin_log(self._log_path, links, self.assignments, overwrite=True)
-            sniffer = stack.enter_context(Sniffer(links, decoder, log=log))
+            begin = partial(begin_log, self._log_path, links, self.assignments)
+            sniffer = stack.enter_context(Sniffer(links, decoder, begin_log=begin))
             (tap,) = (source for source in sniffer.sources if isinstance(source, TapSource))
             masters = threading.Thread(
                 target=self._ask_all,

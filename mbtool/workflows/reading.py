@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from mbtool.core import Chunk, InputError, Packet, SerialLink, UsageError, WireE
 from mbtool.devices import Assignment, Assignments, Namer, parse_who, profile_from_json
 from mbtool.logs import LogReader, follow
 from mbtool.modbus import Transaction
-from mbtool.sources.files import CaptureKind, open_capture
+from mbtool.sources.files import STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.decoding import Decoder
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ class Reading:
         self._options = options
         self._current: CaptureFile | None = None
         self._done = 0
+        self._evidence = 0
+        self._found = False
+        self.assignments = options.assignments
+        """The profiles in use: those of the options, and those of the log that is being read."""
 
     @property
     def fraction(self) -> float | None:
@@ -61,8 +66,27 @@ class Reading:
         part = self._current.fraction() if self._current is not None else 0.0
         return None if part is None else (self._done + part) / len(self._paths)
 
+    @property
+    def why_empty(self) -> str | None:
+        """One line for a reader where a whole pass brought nothing, not even an event."""
+        if self._found or self._done < len(self._paths):
+            return None
+        names = ", ".join(self._paths)
+        if not self._evidence:
+            return f"{names}: empty; there is neither a packet nor a transaction in it"
+        ports = (*(self._options.ports or (DEFAULT_PORT,)), *self._options.rtu_ports)
+        return (
+            f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
+            "name other ports with --port, for RTU over TCP with --rtu-port"
+        )
+
     def records(self) -> Iterator[Record]:
         """Give everything, file by file."""
+        for record in self._records():
+            self._found = True
+            yield record
+
+    def _records(self) -> Iterator[Record]:
         options = self._options
         decoder = Decoder(
             Namer(options.assignments),
@@ -76,26 +100,35 @@ class Reading:
                     if capture.kind is CaptureKind.MCAP:
                         yield from self._log_records(capture)
                     else:
-                        for packet in capture.packets():
-                            yield from decoder.feed(packet)
+                        yield from self._capture_records(capture, decoder)
                 self._done += 1
         except InputError:
             yield from decoder.close()
             raise
         yield from decoder.close()
 
+    def _capture_records(self, capture: CaptureFile, decoder: Decoder) -> Iterator[Record]:
+        for packet in capture.packets():
+            self._evidence += 1
+            yield from decoder.feed(packet)
+
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
         log = LogReader(capture.stream, capture.name)
         if self._options.raw:
-            yield from decoded_again(log, self._options)
+            self.assignments = _all_assignments(log, self._options.assignments)
+            yield from decoded_again(log, self._options, self.assignments)
         else:
+            with suppress(UsageError):  # The log's transactions are named; only figures lack.
+                self.assignments = _all_assignments(log, self._options.assignments)
             yield from _renamed(log, self._options.assignments)
 
 
-def decoded_again(log: LogReader, options: ReadingOptions) -> Iterator[Record]:
+def decoded_again(
+    log: LogReader, options: ReadingOptions, assignments: Assignments
+) -> Iterator[Record]:
     """Decode a log's evidence afresh."""
     decoder = Decoder(
-        Namer(_all_assignments(log, options.assignments)),
+        Namer(assignments),
         lines=_lines(log),
         ports=options.ports or _ports(log, PORTS) or (DEFAULT_PORT,),
         rtu_ports=options.rtu_ports or _ports(log, RTU_PORTS),
@@ -111,9 +144,11 @@ def decoded_again(log: LogReader, options: ReadingOptions) -> Iterator[Record]:
 
 def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:
     """Read a log that is being written; `wait` says when to look again, or False to end."""
+    if path == STANDARD_INPUT:
+        raise UsageError("--follow reads a log on disk, not standard input; name the log")
     with open_capture(path) as capture:
-        if capture.kind is not CaptureKind.MCAP or path == "-":
-            raise UsageError(f"{path}: only a log that mbtool is writing can be followed")
+        if capture.kind is not CaptureKind.MCAP:
+            raise UsageError(f"{path}: not a log (.mcap); only a log of mbtool can be followed")
     namer = Namer(options.assignments)
     for item in follow(path, wait):
         if not isinstance(item, Chunk | Packet):
@@ -156,4 +191,5 @@ def _lines(log: LogReader) -> dict[str, SerialLink]:
 
 def _ports(log: LogReader, key: str) -> tuple[int, ...]:
     texts = (one.get(key, "") for one in log.links.values())
-    return tuple(sorted({int(port) for text in texts for port in text.split()}))
+    ports = {port for text in texts for port in text.split()}
+    return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

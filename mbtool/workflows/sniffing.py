@@ -1,7 +1,8 @@
 """Listens on links, decodes what is heard, and logs both."""
 
 # One loop for all sources: an item goes into the log as evidence before it is decoded, and what is
-# decoded follows it into the log before anyone sees it. When the run ends, sources are closed
+# decoded follows it into the log before anyone sees it. The log is begun when all sources are open,
+# so that a link which is not there leaves no log behind. When the run ends, sources are closed
 # first, then all that they had heard is decoded, and last the log is made whole.
 
 from __future__ import annotations
@@ -9,7 +10,15 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Protocol, Self
 
-from mbtool.core import Chunk, EventKind, LinkError, Packet, SerialLink, UsageError, WireEvent
+from mbtool.core import (
+    Chunk,
+    EventKind,
+    LinkError,
+    Packet,
+    SerialLink,
+    UsageError,
+    WireEvent,
+)
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.live import live_source
@@ -46,14 +55,15 @@ class Sniffer:
         links: Sequence[LinkSpec],
         decoder: Decoder,
         *,
-        log: Log | None = None,
+        begin_log: Callable[[], Log] | None = None,
         ports: Sequence[int] = (),
         on_lost: Callable[[LinkError], None] = lambda _error: None,
     ) -> None:
         """`on_lost` is told when a link goes away while others stay."""
         self._links = links
         self._decoder = decoder
-        self._log = log
+        self._begin_log = begin_log
+        self._log: Log | None = None
         self._ports = ports
         self._on_lost = on_lost
         self._inbox = Inbox()
@@ -61,26 +71,33 @@ class Sniffer:
         self.sources: list[LiveSource] = []
         """One for each link, in their order, once the context is entered."""
         self._open = 0
-        self._over = False
         self._discarded = 0
         """How many bytes or packets bounds have cost."""
 
+    @property
+    def places(self) -> list[str]:
+        """The links as opened."""
+        return [source.place for source in self.sources]
+
     def __enter__(self) -> Self:
+        """Raises LinkError, and what beginning the log raises."""
         with ExitStack() as opened:
-            if self._log is not None:
-                opened.callback(self._log.close, {})
             for link in self._links:
                 source = live_source(link, self._inbox, ports=self._ports)
                 self.sources.append(opened.enter_context(source))
+            if self._begin_log is not None:
+                self._log = self._begin_log()
             self._open_sources = opened.pop_all()
         self._open = len(self._links)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for _record in self._rest():
-            pass  # Nobody looks any more, but the log wants it.
-        if self._log is not None:
-            self._log.close({"discarded": str(self._discarded)})
+        try:
+            for _record in self._rest():
+                pass  # Nobody looks any more, but the log wants it.
+        finally:
+            if self._log is not None:
+                self._log.close({"discarded": str(self._discarded)})
 
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
         """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
@@ -109,10 +126,7 @@ class Sniffer:
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
-        """Close the sources and give what they had still heard. Does nothing the second time."""
-        if self._over:
-            return
-        self._over = True
+        """Close the sources and give what they had still heard; a second time, what is left."""
         self._open_sources.close()
         while (item := self._inbox.get(0)) is not None:
             if not isinstance(item, Ended):

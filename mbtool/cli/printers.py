@@ -1,0 +1,84 @@
+"""Prints records in a format: a table, JSON lines or CSV."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol, TextIO
+
+from mbtool.cli.options import Format
+from mbtool.core import WireEvent
+from mbtool.logs import CsvWriter, event_to_jsonl, transaction_to_jsonl
+from mbtool.views.cells import day, event_row, transaction_row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.workflows.decoding import Record
+
+    ProfileFor = Callable[[NamedTransaction], Profile | None]
+
+
+class Printer(Protocol):
+    """Writes records to a file. Both methods raise OSError where the file takes no more."""
+
+    def print(self, record: Record, number: int) -> None:
+        """Print a record; `number` counts the transactions."""
+
+    def flush(self) -> None:
+        """Print what was held back."""
+
+
+def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Printer:
+    """What prints to a file in a format; `profile_for` says whose figures a finding has."""
+    match format_:
+        case Format.TABLE:
+            return _TablePrinter(file, profile_for)
+        case Format.JSONL:
+            return _JsonLinesPrinter(file)
+        case Format.CSV:
+            return _CsvPrinter(file)
+
+
+class _TablePrinter:
+    def __init__(self, file: TextIO, profile_for: ProfileFor) -> None:
+        from mbtool.cli.console import PipeConsole
+        from mbtool.views.transaction_table import TransactionTable
+
+        self._profile_for = profile_for
+        self._table = TransactionTable(PipeConsole(file=file))
+
+    def print(self, record: Record, number: int) -> None:
+        if isinstance(record, WireEvent):
+            self._table.add(event_row(record), day(record.ts_ns))
+        else:
+            row = transaction_row(number, record, self._profile_for(record))
+            self._table.add(row, day(record.start_ns))
+
+    def flush(self) -> None:
+        self._table.flush()
+
+
+class _JsonLinesPrinter:
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def print(self, record: Record, number: int) -> None:
+        if isinstance(record, WireEvent):
+            self._file.write(event_to_jsonl(record).decode())
+        else:
+            self._file.write(transaction_to_jsonl(record).decode())
+
+    def flush(self) -> None:
+        pass
+
+
+class _CsvPrinter:
+    def __init__(self, file: TextIO) -> None:
+        self._writer = CsvWriter(file)
+
+    def print(self, record: Record, number: int) -> None:
+        if not isinstance(record, WireEvent):
+            self._writer.write(record)
+
+    def flush(self) -> None:
+        pass

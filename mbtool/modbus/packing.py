@@ -1,0 +1,43 @@
+"""Registers and bits, to bytes and back."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def words(data: bytes) -> tuple[int, ...]:
+    """Big-endian 16-bit registers; an odd last byte is left out."""
+    return struct.unpack_from(f">{len(data) // 2}H", data)
+
+
+def pack_words(values: Sequence[int]) -> bytes:
+    """Registers as bytes. Raises ValueError outside 0..65535."""
+    try:
+        return struct.pack(f">{len(values)}H", *values)
+    except struct.error as error:
+        raise ValueError(f"registers hold 0..65535, not {list(values)}") from error
+
+
+def unpack_bits(data: bytes) -> tuple[int, ...]:
+    """Every bit, the lowest of the first byte first (V1.1b3, 6.1)."""
+    return tuple(byte >> bit & 1 for byte in data for bit in range(8))
+
+
+def pack_bits(values: Sequence[int]) -> bytes:
+    """Bits as bytes, the first in bit 0 of the first byte, the rest of the last byte 0.
+
+    Raises ValueError for what is neither 0 nor 1.
+    """
+    if any(value not in (0, 1) for value in values):
+        raise ValueError(f"bits are 0 or 1, not {list(values)}")
+    digits = "".join("1" if value else "0" for value in reversed(values))
+    return int(digits or "0", 2).to_bytes((len(values) + 7) // 8, "little")
+
+
+def bit_bytes(quantity: int) -> int:
+    """How many bytes hold a quantity of bits."""
+    return (quantity + 7) // 8

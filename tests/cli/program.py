@@ -1,0 +1,93 @@
+"""Runs the command line: in this process where text counts, in one of its own where signals do."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+from mbtool.cli.main import run
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pytest
+
+PATIENCE_S = 30.0
+_COMMAND = [sys.executable, "-c", "from mbtool.cli.main import main; main()"]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command said, and how it ended."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.out.splitlines()
+
+
+class CommandLine:
+    """Runs commands at a width of 100."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("COLUMNS", "100")
+        self._capsys = capsys
+
+    def __call__(self, *arguments: object) -> Said:
+        self._capsys.readouterr()
+        code = run([str(one) for one in arguments])
+        out, err = self._capsys.readouterr()
+        return Said(code, out, err)
+
+
+class Program:
+    """A command in a process of its own; a context manager whose exit ends it."""
+
+    def __init__(
+        self,
+        *arguments: object,
+        stdin: int = subprocess.DEVNULL,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        self.process = subprocess.Popen(
+            [*_COMMAND, *map(str, arguments)],
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "COLUMNS": "100", **(environment or {})},
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self.process:
+            self.process.kill()
+
+    def await_said(self, word: str) -> str:
+        """The first line on standard error that has a word in it."""
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            if word in line:
+                return line
+        raise AssertionError(f"ended without saying {word!r}")
+
+    def end(self, signal_number: int | None = None) -> Said:
+        """Send a signal, if one is given, and wait for the end."""
+        if signal_number is not None:
+            self.process.send_signal(signal_number)
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        return Said(self.process.returncode, out, err)
+
+
+def said(*arguments: object, environment: Mapping[str, str] | None = None) -> Said:
+    """Run a command in a process of its own to its end."""
+    with Program(*arguments, environment=environment) as program:
+        return program.end()

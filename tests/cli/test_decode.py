@@ -1,0 +1,239 @@
+"""mbtool decode: exact text, formats, and what chooses what is printed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+from typing import TYPE_CHECKING, Any
+
+import jsonschema
+import pytest
+
+from mbtool.cli import exit_codes
+from mbtool.logs import CSV_COLUMNS, LogWriter, json_schema
+from mbtool.logs.schemas import TRANSACTION
+from tests.cli.program import Program
+from tests.logs.samples import EVENT, NAMED, transaction, write_log
+from tests.packets.building import pcap
+from tests.workflows.evidence import capture_file, captured
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.program import CommandLine
+
+TABLE = """\
+ #  time          link      unit  function            what          result       latency
+    1970-01-01 UTC
+ 1  00:00:00.004  10.0.0.2  1     03 read holding     holding 0..1  4660, 22136  1.0 ms
+ 2  00:00:00.006  10.0.0.2  1     03 read holding     holding 0..1  4660, 22136  1.0 ms
+ 3  00:00:00.008  10.0.0.2  1     03 read holding     holding 0..1  4660, 22136  1.0 ms
+"""
+
+
+def _jsonl(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_prints_a_table_and_says_what_it_was(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture)
+    assert told.code == exit_codes.DONE
+    assert told.out == TABLE
+    assert told.err == "3 transactions: 3 ok\n"
+
+
+def test_names_what_a_device_says(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--device", "10.0.0.2=idec-ft1a-touch", "--limit", 1)
+    assert "HR400001..400002  4660, 22136" in told.out
+
+
+def test_each_json_line_agrees_with_the_logs_schema(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_log(path, [NAMED, transaction(1), EVENT])
+    schema = json.loads(json_schema(TRANSACTION))
+    told = mbtool("decode", path, "--format", "jsonl")
+    lines = _jsonl(told.out)
+    assert len(lines) == 2
+    for line in lines:
+        jsonschema.validate(line, schema)
+        assert line["response_raw"] == line["response_raw"].lower()
+    assert lines[0]["points"][1] == {
+        "name": "level",
+        "reference": "HR400002",
+        "value": 2.5,
+        "text": "2.5 m",
+        "unit": "m",
+    }
+
+
+def test_csv_has_a_row_for_each_and_reads_back(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--format", "csv")
+    rows = list(csv.DictReader(told.lines))
+    assert list(rows[0]) == list(CSV_COLUMNS)
+    assert [row["response_values"] for row in rows] == ["4660 22136"] * 3
+    assert [row["outcome"] for row in rows] == ["ok"] * 3
+
+
+@pytest.mark.parametrize(
+    ("name", "begins"), [("a.jsonl", '{"link"'), ("a.CSV", "request_ns,"), ("a.txt", " #  time")]
+)
+def test_the_name_of_the_output_says_its_format(
+    mbtool: CommandLine, capture: Path, tmp_path: Path, name: str, begins: str
+) -> None:
+    path = tmp_path / name
+    told = mbtool("decode", capture, "-o", path)
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err == f"3 transactions: 3 ok -> {path}\n"
+    assert path.read_text().startswith(begins)
+
+
+def test_a_format_may_have_any_name(mbtool: CommandLine, capture: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    assert mbtool("decode", capture, "-o", path, "--format", "jsonl").code == exit_codes.DONE
+    assert len(_jsonl(path.read_text())) == 3
+
+
+def test_stops_at_a_limit(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--limit", 2)
+    assert told.out == "".join(TABLE.splitlines(keepends=True)[:4])
+    assert told.err == "2 transactions: 2 ok\n"
+
+
+def test_prints_only_what_is_wanted(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_log(path, [transaction(unit=unit) for unit in (1, 2, 3, 2)])
+    told = mbtool("decode", path, "--where", "unit == 2", "--format", "jsonl")
+    assert [line["unit"] for line in _jsonl(told.out)] == [2, 2]
+
+
+@pytest.mark.parametrize(
+    ("events", "kinds"),
+    [
+        ([], []),
+        (["--events", "none"], []),
+        (["--events", "trouble"], ["gap"]),
+        (["--events", "all"], ["opened", "gap", "closed"]),
+    ],
+)
+def test_prints_the_events_that_are_asked_for(
+    mbtool: CommandLine, tmp_path: Path, events: list[str], kinds: list[str]
+) -> None:
+    path = tmp_path / "a.pcap"
+    packets = captured(3)
+    del packets[5]  # A request is missing from the capture.
+    path.write_bytes(pcap(packets))
+    told = mbtool("decode", path, "--format", "jsonl", *events)
+    found = [line["kind"] for line in _jsonl(told.out) if "kind" in line]
+    assert [kind for kind in found if kind != "skipped"] == kinds
+
+
+def test_a_table_shows_trouble(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_log(path, [EVENT])
+    told = mbtool("decode", path)
+    assert "gap                 60 bytes are missing" in told.out
+    assert told.err == "0 transactions; 1 event: 1 gap\n"
+
+
+def test_reads_parts_in_their_order(mbtool: CommandLine, tmp_path: Path) -> None:
+    packets = captured(3)
+    (tmp_path / "a.pcap").write_bytes(pcap(packets[:4]))
+    (tmp_path / "b.pcap").write_bytes(pcap(packets[4:]))
+    assert mbtool("decode", tmp_path / "a.pcap", tmp_path / "b.pcap").out == TABLE
+
+
+def test_prints_what_comes_before_a_cut(mbtool: CommandLine, capture: Path) -> None:
+    capture.write_bytes(capture.read_bytes()[:-1])
+    told = mbtool("decode", capture)
+    assert told.code == exit_codes.UNREADABLE
+    assert told.out == TABLE
+    first, second = told.err.splitlines()
+    assert first == "3 transactions: 3 ok"
+    assert second.startswith(f"mbtool: {capture}: ")
+
+
+@pytest.mark.parametrize(
+    ("data", "more", "why"),
+    [
+        (pcap([]), [], "empty; there is neither a packet nor a transaction in it"),
+        (capture_file(), ["--port", "1502"], "no Modbus at TCP port 1502; name other ports"),
+    ],
+)
+def test_says_why_nothing_came(
+    mbtool: CommandLine, tmp_path: Path, data: bytes, more: list[str], why: str
+) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(data)
+    told = mbtool("decode", path, *more)
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err.splitlines()[0] == "0 transactions"
+    assert told.err.splitlines()[1].startswith(f"{path}: {why}")
+
+
+def test_a_filter_that_nothing_passes_needs_no_reason(mbtool: CommandLine, capture: Path) -> None:
+    assert mbtool("decode", capture, "--where", "unit == 9").err == "0 transactions\n"
+
+
+def test_reads_standard_input(capture: Path) -> None:
+    with capture.open("rb") as stdin, Program("decode", "-", stdin=stdin.fileno()) as program:
+        told = program.end()
+    assert (told.code, told.out) == (exit_codes.DONE, TABLE)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_it_waits_for_input_ends_it_with_what_came(number: int) -> None:
+    reading, writing = os.pipe()
+    with Program("decode", "-", "--format", "jsonl", stdin=reading) as program:
+        os.close(reading)
+        with os.fdopen(writing, "wb") as pipe:
+            pipe.write(capture_file(500))
+            pipe.flush()
+            assert program.process.stdout is not None
+            first = program.process.stdout.readline()
+            told = program.end(number)
+    assert told.code == exit_codes.INTERRUPTED
+    lines = _jsonl(first + told.out)
+    assert told.err == f"{len(lines)} transactions: {len(lines)} ok\n"
+
+
+def test_follows_a_log_as_it_grows(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    log = LogWriter(path, capture={})
+    log.write(transaction(1))
+    log.tick(0)
+    log.tick(10_000_000_000)
+    with Program("decode", path, "--follow", "--format", "jsonl") as program:
+        assert program.process.stdout is not None
+        assert json.loads(program.process.stdout.readline())["unit"] == 1
+        log.write(transaction(2, unit=2))
+        log.tick(20_000_000_000)
+        assert json.loads(program.process.stdout.readline())["unit"] == 2
+        log.close()
+        told = program.end()
+    assert (told.code, told.err) == (exit_codes.DONE, "2 transactions: 2 ok\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_following_ends_with_a_signal(tmp_path: Path, number: int) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.write(transaction(1))
+        log.tick(0)
+        log.tick(10_000_000_000)
+        with Program("decode", path, "--follow") as program:
+            assert program.process.stdout is not None
+            for _ in range(3):
+                program.process.stdout.readline()
+            told = program.end(number)
+    assert told.code == exit_codes.INTERRUPTED
+    assert told.err == "1 transaction: 1 ok\n"
+
+
+def test_a_capture_is_not_followed(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--follow")
+    assert told.code == exit_codes.USAGE
+    assert told.err == (
+        f"mbtool: {capture}: not a log (.mcap); only a log of mbtool can be followed\n"
+    )

@@ -1,0 +1,342 @@
+"""The command line as a whole: help, wrong usage, wrong input, and streams that close."""
+
+from __future__ import annotations
+
+import ast
+import gzip
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mbtool import __version__
+from mbtool.cli import exit_codes
+from mbtool.sources.virtual_line import VirtualLine
+from tests.cli.program import CommandLine, said
+from tests.logs.samples import NAMED, transaction, write_log
+from tests.workflows.bench import FAST
+from tests.workflows.evidence import capture_file
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+COMMANDS = ("sniff", "decode", "replay", "slave", "devices", "line", "demo")
+
+
+def test_says_its_version(mbtool: CommandLine) -> None:
+    assert mbtool("--version") == mbtool("--version")
+    assert mbtool("--version").out == f"mbtool {__version__}\n"
+
+
+def test_without_a_command_it_shows_its_help_and_that_is_wrong_usage(mbtool: CommandLine) -> None:
+    told = mbtool()
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == mbtool("--help").out
+
+
+def test_help_lists_the_commands(mbtool: CommandLine) -> None:
+    told = mbtool("--help")
+    assert told.code == exit_codes.DONE
+    listed = told.out.partition("Commands:\n")[2].splitlines()
+    assert [line.split()[0] for line in listed] == list(COMMANDS)
+    assert all(re.fullmatch(r"  \w+ +[A-Z].*\.", line) for line in listed)
+    assert not any(line.endswith("...") for line in listed)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_help_is_in_sentences_and_fits_a_terminal(mbtool: CommandLine, command: str) -> None:
+    told = mbtool(command, "-h")
+    assert told.code == exit_codes.DONE
+    assert max(map(len, told.out.splitlines())) <= 80
+    options = re.split(r"\n  (?=-)", told.out.partition("Options:\n")[2])
+    for option in options:
+        text = " ".join(option.split())
+        text = re.sub(r" \[.*?\](?= |$)", "", text)
+        assert text.endswith((".", "HR400001 = 4660.")), text
+
+
+def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
+    text = README.read_text(encoding="utf-8")
+    used = {
+        (command, option)
+        for command, rest in re.findall(r"mbtool (\w+)([^\n`]*)", text)
+        if command in COMMANDS
+        for option in re.findall(
+            r"(?<=\s)--?[a-z][a-z-]*", rest.partition("|")[0].partition("#")[0]
+        )
+    }
+    assert ("sniff", "-w") in used
+    for command, option in sorted(used):
+        assert re.search(rf"[ ,]{option}[ ,\n]", mbtool(command, "--help").out), (command, option)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["nonsense"], "No such command 'nonsense'; see mbtool --help"),
+        (["--nonsense"], "No such option: --nonsense; see mbtool --help"),
+        (["decode"], "Missing argument 'FILE'; see mbtool decode --help"),
+        (["slave", "fa3-at1m8x"], "Missing option '--on'; see mbtool slave --help"),
+        (["decode", "a", "--format", "xml"], "'xml' is not one of 'table', 'jsonl', 'csv'"),
+        (["decode", "a", "--limit", "0"], "greater than or equal to 1; see mbtool decode"),
+        (["decode", "a", "--port", "70000"], "Invalid value for '--port'"),
+        (["decode", "a", "--where", "unit ="], "--where 'unit =' is no expression; for example"),
+        (["decode", "a", "--device", "5"], "device '5': write WHO=PROFILE, for example"),
+        (["decode", "a", "--device", "x=fa3-at1m8x"], "device 'x': WHO is 5, "),
+        (["decode", "a", "--device", "5=pump"], "profile 'pump'"),
+        (["decode", "a", "-o", "a.parquet"], "a.parquet: its name says no format"),
+        (["decode", "a", "-o", "absent/a.csv"], "absent/a.csv: cannot be written: No such file"),
+        (["decode", "a.csv", "-o", "a.csv"], "a.csv: it is read, and would be written over"),
+        (["decode", "a", "b", "--follow"], "--follow goes with one log, and not with --raw"),
+        (["decode", "a", "--follow", "--raw"], "--follow goes with one log, and not with --raw"),
+        (["decode", "-", "--follow"], "--follow reads a log on disk, not standard input"),
+        (["sniff", "usb0"], "link 'usb0': write rtu:PORT@19200-8E1, "),
+        (["sniff", "rtu:/dev/ttyUSB0@fast"], "line settings 'fast': write baud"),
+        (["sniff", "tap:1502"], "link 'tap:1502': a tap needs where to listen"),
+        (["sniff", "tcp:127.0.0.1:1502"], "put a tap before it"),
+        (["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "--rotate", "1h"], "name one with -w FILE"),
+        (
+            ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "absent/a.mcap"],
+            "absent/a.mcap: the log cannot be created",
+        ),
+        (
+            ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "a.mcap", "--rotate", "often"],
+            "rotation 'often': write a size in KB",
+        ),
+        (
+            ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "tap:127.0.0.1:0=127.0.0.1:9"],
+            "two links are called '127.0.0.1:9'",
+        ),
+        (["sniff", "rtu:a", "--duration", "-1"], "Invalid value for '--duration'"),
+        (["slave", "pump", "--on", "tcp:127.0.0.1:0"], "profile 'pump'"),
+        (["slave", "fa3-at1m8x", "--on", "tcp:0.0.0.0:0"], "add --allow-remote"),
+        (["slave", "fa3-at1m8x", "--on", "net:lo"], "link net:lo: a slave needs rtu:PORT"),
+        (["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0", "--unit", "256"], "'--unit'"),
+        (["replay", "a", "--on", "tcp:127.0.0.1:0"], "say which side to play: --as-slave"),
+        (["replay", "a", "--as-slave", "--on", "tcp:x:y:z"], "is no address; write HOST:PORT"),
+        (
+            ["replay", "a", "--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "0"],
+            "--speed '0': write a factor more than 0, or max",
+        ),
+        (
+            ["replay", "a", "--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "nan"],
+            "--speed 'nan': write",
+        ),
+        (
+            ["replay", "a", "--as-slave", "--on", "tcp:127.0.0.1:0", "--on-miss", "x"],
+            "'x' is not one of 'image', 'exception', 'silent'",
+        ),
+        (["devices", "pump"], "profile 'pump'"),
+        (["line", "--settings", "fast"], "line settings 'fast': write baud"),
+    ],
+    ids=lambda one: " ".join(one) if isinstance(one, list) else "",
+)
+def test_wrong_usage_is_one_line_that_says_what_would_be_right(
+    mbtool: CommandLine,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    problem: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = mbtool(*arguments)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err.startswith("mbtool: ")
+    assert told.err.count("\n") == 1
+    assert problem in told.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (None, "there is no such file"),
+        (b"", "empty; a capture has at least a header"),
+        (b"hello\n", "a text file, no capture; pcap, pcapng and MCAP are read"),
+        (b"PK\x03\x04" + bytes(60), "a zip archive, no capture"),
+        (bytes(64), "a file that begins with 00 00 00 00"),
+        (capture_file()[:3], "ends inside the first bytes of its header"),
+        (capture_file()[:20], "ends"),
+        (gzip.compress(capture_file())[:30], "the compressed stream ends before its end mark"),
+    ],
+)
+@pytest.mark.parametrize("command", ["decode", "replay"])
+def test_a_file_that_cannot_be_read_is_one_line(
+    mbtool: CommandLine, tmp_path: Path, command: str, data: bytes | None, problem: str
+) -> None:
+    path = tmp_path / "a.pcap"
+    if data is not None:
+        path.write_bytes(data)
+    more = ["--as-slave", "--on", "tcp:127.0.0.1:0"] if command == "replay" else []
+    told = mbtool(command, path, *more)
+    if command == "replay" and "end" in problem:
+        # What comes before a cut is played; here it is nothing.
+        assert told.code == exit_codes.USAGE
+        assert "no request to play an answer for" in told.err
+        return
+    assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
+    assert told.err.startswith(f"mbtool: {path}: ")
+    assert told.err.count("\n") == 1
+    assert problem in told.err
+
+
+def test_a_folder_is_no_capture(mbtool: CommandLine, tmp_path: Path) -> None:
+    told = mbtool("decode", tmp_path)
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err == f"mbtool: {tmp_path}: a directory; name a capture file in it\n"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read any file")
+def test_a_file_that_may_not_be_read_is_one_line(mbtool: CommandLine, capture: Path) -> None:
+    capture.chmod(0)
+    told = mbtool("decode", capture)
+    assert told.code == exit_codes.UNREADABLE
+    assert "not permitted" in told.err
+
+
+@pytest.mark.parametrize("command", ["sniff", "slave"])
+def test_a_port_that_is_not_there_is_one_line_and_leaves_no_log(
+    mbtool: CommandLine, tmp_path: Path, command: str
+) -> None:
+    link = f"rtu:{tmp_path}/absent@9600-8N1"
+    if command == "sniff":
+        told = mbtool("sniff", link, "-w", tmp_path / "a.mcap")
+    else:
+        told = mbtool("slave", "idec-ft1a-touch", "--on", link)
+    assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
+    assert told.err.startswith(f"mbtool: serial port {tmp_path}/absent: is not there; ")
+    assert told.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["sniff", "slave"])
+def test_a_port_that_is_in_use_is_one_line(mbtool: CommandLine, command: str) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    termios = pytest.importorskip("termios")
+    with VirtualLine(ends=2, format=FAST) as line:
+        port = line.ports[0]
+        descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            fcntl.ioctl(descriptor, termios.TIOCEXCL)
+            link = f"rtu:{port}"
+            if command == "sniff":
+                told = mbtool("sniff", link, "--duration", "0")
+            else:
+                told = mbtool("slave", "idec-ft1a-touch", "--on", link)
+        finally:
+            os.close(descriptor)
+    assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
+    assert f"serial port {port}: is in use by another program" in told.err
+
+
+@pytest.mark.parametrize("command", ["sniff", "slave"])
+def test_an_address_in_use_is_one_line(mbtool: CommandLine, command: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        place = f"127.0.0.1:{server.getsockname()[1]}"
+        if command == "sniff":
+            told = mbtool("sniff", f"tap:{place}=127.0.0.1:9")
+        else:
+            told = mbtool("slave", "fa3-at1m8x", "--on", f"tcp:{place}")
+    assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
+    assert place in told.err
+    assert "in use" in told.err
+    assert told.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["sniff", "tap:127.0.0.1:0=127.0.0.1:9"], ["demo"]])
+def test_a_log_that_is_there_is_not_written_over(
+    mbtool: CommandLine, tmp_path: Path, arguments: list[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_text("mine")
+    told = mbtool(*arguments, "-w", path)
+    assert told.code == exit_codes.USAGE
+    assert "the file exists, and a recording is not overwritten" in told.err.splitlines()[-1]
+    assert path.read_text() == "mine"
+
+
+def _said_through(redirection: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a command by a shell that does something to its streams."""
+    code = "from mbtool.cli.main import main; main()"
+    return subprocess.run(
+        ["bash", "-o", "pipefail", "-c", f'"$@" {redirection}', "bash", sys.executable, "-c", code]
+        + [str(one) for one in arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("format_", ["table", "jsonl", "csv"])
+def test_a_reader_that_has_seen_enough_ends_it(tmp_path: Path, format_: str) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(2000))
+    ran = _said_through("| head -n 1", "decode", path, "--format", format_)
+    assert ran.returncode == exit_codes.DONE
+    assert ran.stdout.count("\n") == 1
+    assert "Traceback" not in ran.stderr
+    assert "Broken pipe" not in ran.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [["devices"], ["devices", "fa3-at1m8x"], ["--help"], ["--version"]]
+)
+def test_a_pipe_that_nobody_reads_ends_it(arguments: list[str]) -> None:
+    ran = _said_through("| true", *arguments)
+    assert (ran.returncode, ran.stderr) == (exit_codes.DONE, "")
+
+
+@pytest.mark.parametrize("redirection", [">&-", ">&- 2>&-", "2>&-"])
+def test_closed_streams_are_no_error(capture: Path, redirection: str) -> None:
+    ran = _said_through(redirection, "decode", capture)
+    assert ran.returncode == exit_codes.DONE
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("format_", ["table", "jsonl", "csv"])
+def test_a_full_disk_is_one_line(capture: Path, format_: str) -> None:
+    ran = _said_through("> /dev/full", "decode", capture, "--format", format_)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: standard output: cannot be written: No space left on device\n"
+    ran = _said_through("", "decode", capture, "--format", format_, "-o", "/dev/full")
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: /dev/full: cannot be written: No space left on device\n"
+
+
+def test_a_terminal_without_unicode_is_shown_what_it_can_show(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    write_log(log, [transaction(reference="27 \u2103")])
+    told = said("decode", log, environment={"PYTHONIOENCODING": "ascii"})
+    assert told.code == exit_codes.DONE
+    assert r"27 \u2103" in told.out
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["decode", "--help"], ["sniff", "--help"], ["decode", "a.mcap"]]
+)
+def test_loads_only_what_it_uses(tmp_path: Path, arguments: list[str]) -> None:
+    log = tmp_path / "a.mcap"
+    write_log(log, [NAMED])
+    code = (
+        "import sys\nfrom mbtool.cli.main import run\n"
+        "code = run(sys.argv[1:])\n"
+        "print(sorted(name for name in sys.modules if '.' not in name))\n"
+        "sys.exit(code)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code, *(str(log) if one == "a.mcap" else one for one in arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    loaded = set(ast.literal_eval(ran.stdout.splitlines()[-1]))
+    heavy = {"scapy", "numpy", "textual", "serial", "asyncio"}
+    assert not loaded & heavy
+    if "--help" in arguments:
+        assert not loaded & {"mcap", "rich", "msgspec", "zstandard"}

@@ -1,0 +1,24 @@
+"""Errors by whose they are."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import CutError, InputError, LinkError, MbtoolError, ProfileError, UsageError
+
+
+def test_profile_error_names_file_key_and_problem() -> None:
+    error = ProfileError("pump.toml", "areas[0].last", "ends before it begins")
+    assert str(error) == "pump.toml: areas[0].last: ends before it begins"
+    assert (error.file, error.key, error.problem) == (
+        "pump.toml", "areas[0].last", "ends before it begins",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [(ProfileError, UsageError), (CutError, InputError), (LinkError, MbtoolError)],
+)
+def test_error_is_caught_by_its_kind(error: type[MbtoolError], kind: type[MbtoolError]) -> None:
+    assert issubclass(error, kind)
+    assert issubclass(kind, MbtoolError)

@@ -1,0 +1,71 @@
+"""Line settings and the times that follow from them."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import SerialFormat, UsageError
+
+
+@pytest.mark.parametrize(
+    ("baud", "t1_5_us", "t3_5_us"),
+    [  # Serial Line V1.02, 2.5.1.1: 11 bits a character, fixed above 19200.
+        (1200, 13_750, 32_083),
+        (2400, 6_875, 16_041),
+        (4800, 3_437, 8_020),
+        (9600, 1_718, 4_010),
+        (19200, 859, 2_005),
+        (38400, 750, 1_750),
+        (57600, 750, 1_750),
+        (115200, 750, 1_750),
+    ],
+)
+def test_silences_follow_from_the_baud_rate(baud: int, t1_5_us: int, t3_5_us: int) -> None:
+    line = SerialFormat(baud)
+    assert line.t1_5_ns // 1000 == t1_5_us
+    assert line.t3_5_ns // 1000 == t3_5_us
+
+
+@pytest.mark.parametrize(("baud", "microseconds"), [(38400, 286), (57600, 190), (115200, 95)])
+def test_character_time_follows_from_the_baud_rate(baud: int, microseconds: int) -> None:
+    assert SerialFormat(baud).character_ns // 1000 == microseconds
+
+
+@pytest.mark.parametrize(
+    ("text", "bits"), [("9600-8E1", 11), ("9600-8N1", 10), ("9600-8N2", 11), ("9600-7E1", 10)]
+)
+def test_character_has_start_data_parity_and_stop_bits(text: str, bits: int) -> None:
+    assert SerialFormat.parse(text).character_bits == bits
+
+
+@pytest.mark.parametrize("text", ["19200-8E1", "9600-7O2", "115200-8N1"])
+def test_settings_read_as_they_are_written(text: str) -> None:
+    assert str(SerialFormat.parse(text)) == text
+
+
+def test_letters_may_be_small_and_the_format_left_out() -> None:
+    assert SerialFormat.parse("9600-8n1") == SerialFormat(9600, 8, "N", 1)
+    assert SerialFormat.parse("38400") == SerialFormat(38400, 8, "E", 1)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "fast", "0", "9600-", "9600-8E", "9600-9N1", "9600-8N3", "9600 8N1", "9" * 5000]
+)
+def test_settings_that_cannot_be_are_the_users_mistake(text: str) -> None:
+    with pytest.raises(UsageError, match="for example 19200-8E1"):
+        SerialFormat.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        ((0, 8, "E", 1), "baud must be positive"),
+        ((9600, 9, "E", 1), "no character format"),
+        ((9600, 8, "e", 1), "no character format"),
+        ((9600, 8, "NE", 1), "no character format"),
+        ((9600, 8, "E", 3), "stop bits are 1 or 2"),
+    ],
+)
+def test_no_impossible_format_can_be_made(settings: tuple[int, int, str, int], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        SerialFormat(*settings)

@@ -1,0 +1,239 @@
+"""Each cell of the transaction table as text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices import PointValue, load_profile
+from mbtool.modbus import FUNCTIONS, Outcome, function_name
+from mbtool.views.cells import (
+    HEADINGS,
+    clock_time,
+    day,
+    event_row,
+    function_text,
+    latency_text,
+    result_text,
+    transaction_row,
+    what_text,
+)
+from tests.logs.samples import transaction, transactions
+
+NOON_NS = 1_700_000_000_000_000_000 // 86_400_000_000_000 * 86_400_000_000_000 + 43_200_000_000_000
+TOUCH = load_profile("idec-ft1a-touch")
+
+
+def _point(name: str, text: str, value: float, reference: str = "") -> PointValue:
+    return PointValue(name=name, reference=reference or name, value=value, text=text)
+
+
+def test_a_row_has_a_cell_for_each_heading() -> None:
+    row = transaction_row(12, transaction(request_ns=NOON_NS, reference="HR400001..400002"))
+    assert dict(zip(HEADINGS, row.cells(), strict=True)) == {
+        "#": "12",
+        "time": "12:00:00.000",
+        "link": "rs485",
+        "unit": "1",
+        "function": "03 read holding",
+        "what": "HR400001..400002",
+        "result": "4660, 22136",
+        "latency": "0.4 ms",
+    }
+    assert not row.trouble
+
+
+@pytest.mark.parametrize(
+    ("fields", "result", "trouble"),
+    [
+        ({}, "4660, 22136", False),
+        ({"response_values": None}, "ok", False),
+        (
+            {
+                "outcome": Outcome.EXCEPTION,
+                "exception": 2,
+                "exception_name": "illegal data address",
+            },
+            "exception 02 illegal data address",
+            True,
+        ),
+        (
+            {"outcome": Outcome.EXCEPTION, "exception": 0x11, "exception_name": "exception 11H"},
+            "exception 11",
+            True,
+        ),
+        ({"outcome": Outcome.NO_ANSWER, "response_values": None}, "no answer", True),
+        ({"outcome": Outcome.BROADCAST, "response_values": None}, "broadcast", False),
+        ({"outcome": Outcome.MALFORMED}, "malformed answer", True),
+        ({"outcome": Outcome.UNSOLICITED}, "unsolicited 4660, 22136", True),
+        ({"outcome": Outcome.UNSOLICITED, "response_values": None}, "unsolicited", True),
+        (
+            {
+                "outcome": Outcome.UNSOLICITED,
+                "exception": 4,
+                "exception_name": "server device failure",
+            },
+            "unsolicited exception 04 server device failure",
+            True,
+        ),
+    ],
+)
+def test_says_how_a_transaction_ended(fields: dict[str, Any], result: str, trouble: bool) -> None:
+    row = transaction_row(1, transaction(**fields))
+    assert (row.result, row.trouble) == (result, trouble)
+
+
+@pytest.mark.parametrize("code", FUNCTIONS)
+def test_calls_each_function_of_the_standard_by_its_short_name(code: int) -> None:
+    text = function_text(transaction(function=code, function_name=function_name(code)))
+    assert text == f"{code:02X} {FUNCTIONS[code].short}"
+
+
+def test_calls_a_function_of_the_makers_own_as_he_does() -> None:
+    assert function_text(transaction(function=0x42, function_name="read model name")) == (
+        "42 read model name"
+    )
+
+
+def test_says_that_it_does_not_know_a_function() -> None:
+    text = function_text(transaction(function=0x41, function_name=function_name(0x41)))
+    assert text == "41 unknown function"
+
+
+@pytest.mark.parametrize(
+    ("fields", "what"),
+    [
+        ({"reference": "holding 0..1"}, "holding 0..1"),
+        ({"reference": None}, ""),
+        ({"function": 6, "reference": "HR400001", "request_values": [7]}, "HR400001 := 7"),
+        ({"function": 5, "reference": "C1", "request_values": [1]}, "C1 := 1"),
+        (
+            {"function": 15, "reference": "C1..3", "request_values": [1, 0, 1]},
+            "C1..3 := 1 0 1",
+        ),
+        (
+            {
+                "function": 6,
+                "reference": "0102H",
+                "request_values": [0x5C],
+                "points": [_point("A/D conversion", "CH1 CH2 enabled", 0x5C, "0102H")],
+            },
+            "0102H A/D conversion: CH1 CH2 enabled",
+        ),
+        ({"function": 8, "sub_function": 4, "reference": None}, "sub-function 04"),
+        ({"reference": "HR400001", "retries": 2}, "HR400001 (retry 2)"),
+        ({"function": 17, "reference": None, "retries": 1}, "(retry 1)"),
+    ],
+)
+def test_says_what_is_addressed_and_written(fields: dict[str, Any], what: str) -> None:
+    assert what_text(transaction(**fields)) == what
+
+
+def test_findings_have_the_figures_of_their_profile() -> None:
+    one = transaction(function=16, reference="HR400001..400110", findings=["FT1A-Q16"])
+    assert what_text(one, TOUCH) == "HR400001..400110  ! FT1A-Q16 limit is 100"
+    assert what_text(one) == "HR400001..400110  ! FT1A-Q16 the quantity is not allowed"
+
+
+def test_each_finding_is_named() -> None:
+    one = transaction(reference="HR400001", findings=["FT1A-Q3", "FT1A-A3"])
+    assert what_text(one, TOUCH) == (
+        "HR400001  ! FT1A-Q3 limit is 125  ! FT1A-A3 not an address that one can read"
+    )
+
+
+def test_a_read_brings_its_points() -> None:
+    points = [
+        _point("CH1 digital value", "12000", 12000, "RWr2"),
+        _point("CH2 digital value", "4000", 4000, "RWr3"),
+    ]
+    assert result_text(transaction(points=points)) == "digital value: CH1 12000, CH2 4000"
+
+
+def test_of_many_registers_the_first_are_shown() -> None:
+    text = result_text(transaction(response_values=list(range(125))))
+    assert text == f"{', '.join(map(str, range(16)))}, ... (125 values)"
+
+
+def test_of_many_bits_the_first_are_shown() -> None:
+    text = result_text(transaction(function=1, response_values=[1] * 2000))
+    assert text == f"{'1 ' * 32}... (2000 values)"
+
+
+@pytest.mark.parametrize(
+    ("latency_ns", "text"),
+    [
+        (None, ""),
+        (0, "0.0 ms"),
+        (8_249_999, "8.2 ms"),
+        (999_900_000, "999.9 ms"),
+        (9_999_000_000, "9999.0 ms"),
+        (10_000_000_000, "10.0 s"),
+    ],
+)
+def test_writes_latencies_in_milliseconds_and_long_ones_in_seconds(
+    latency_ns: int | None, text: str
+) -> None:
+    assert latency_text(latency_ns) == text
+
+
+@pytest.mark.parametrize(
+    ("ts_ns", "date", "time"),
+    [
+        (0, "1970-01-01", "00:00:00.000"),
+        (-1, "1969-12-31", "23:59:59.999"),
+        (1_700_000_000_123_999_999, "2023-11-14", "22:13:20.123"),
+        (4_102_444_800_000_000_000, "2100-01-01", "00:00:00.000"),
+        (253_402_300_799_999_999_999, "9999-12-31", "23:59:59.999"),
+        (253_402_300_800_000_000_000, "day 2932897", "00:00:00.000"),
+    ],
+)
+def test_writes_any_time(ts_ns: int, date: str, time: str) -> None:
+    assert (day(ts_ns), clock_time(ts_ns)) == (date, time)
+
+
+def test_an_event_is_a_row_without_a_number() -> None:
+    event = WireEvent(
+        ts_ns=NOON_NS,
+        link="rs485",
+        kind=EventKind.SKIPPED,
+        message="3 bytes: no frame begins here",
+        raw=bytes.fromhex("00 ff 17"),
+    )
+    row = event_row(event)
+    assert row.cells() == (
+        "",
+        "12:00:00.000",
+        "rs485",
+        "",
+        "skipped",
+        "3 bytes: no frame begins here",
+        "00 ff 17",
+        "",
+    )
+    assert row.trouble
+
+
+def test_of_many_skipped_bytes_the_first_are_shown() -> None:
+    event = WireEvent(ts_ns=0, link="a", kind=EventKind.SKIPPED, message="", raw=bytes(17))
+    assert event_row(event).result == f"{'00 ' * 16}..."
+
+
+@pytest.mark.parametrize("kind", [EventKind.OPENED, EventKind.CLOSED])
+def test_that_a_connection_opens_or_closes_is_no_trouble(kind: EventKind) -> None:
+    assert not event_row(WireEvent(ts_ns=0, link="a", kind=kind, message="")).trouble
+
+
+@given(transactions, st.sampled_from([None, TOUCH]))
+def test_any_transaction_has_a_row(one: Any, profile: Any) -> None:
+    assert len(transaction_row(1, one, profile).cells()) == len(HEADINGS)
+
+
+@given(st.integers())
+def test_any_integer_is_a_time(ts_ns: int) -> None:
+    assert len(clock_time(ts_ns)) == len("00:00:00.000")
+    assert day(ts_ns)

@@ -1,0 +1,89 @@
+"""Masters that ask one request at a time."""
+
+from __future__ import annotations
+
+import socket
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink
+from mbtool.modbus import Answer
+from mbtool.slave import SerialSlave, TcpSlave
+from mbtool.sources.virtual_line import VirtualLine
+from mbtool.workflows import asking
+from mbtool.workflows.asking import RtuMaster, TcpMaster
+from tests.slave.scripted import Scripted
+from tests.workflows.bench import ANY, FAST
+from tests.workflows.evidence import READ, VALUES, WRITE
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def _only_writes(unit: int, pdu: bytes) -> Answer | None:
+    return Answer(pdu) if pdu == WRITE else None
+
+
+def _device(unit: int, pdu: bytes) -> Answer | None:
+    return Answer(VALUES if pdu == READ else pdu)
+
+
+def test_asks_over_tcp() -> None:
+    script = Scripted(lambda _unit, _pdu: Answer(VALUES))
+    with TcpSlave(TcpLink(ANY), script) as slave, TcpMaster(slave.endpoint) as master:
+        assert master.ask(1, READ) == VALUES
+        assert master.ask(5, READ) == VALUES
+    assert script.asked == [(1, READ), (5, READ)]
+
+
+def test_silence_over_tcp_is_no_answer_and_a_late_one_is_not_the_next_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(asking, "TIMEOUT_S", 0.2)
+    with (
+        TcpSlave(TcpLink(ANY), Scripted(_only_writes)) as slave,
+        TcpMaster(slave.endpoint) as master,
+    ):
+        assert master.ask(1, READ) is None
+        assert master.ask(1, WRITE) == WRITE
+
+
+def test_a_closed_connection_is_no_answer_or_a_lost_link() -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        TcpMaster(Endpoint("127.0.0.1", server.getsockname()[1])) as master,
+    ):
+        server.accept()[0].close()
+        assert master.ask(1, READ) is None
+        with pytest.raises(LinkError, match="lost"):
+            master.ask(1, READ)
+
+
+def test_says_whom_it_cannot_reach() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(LinkError, match=f"127.0.0.1:{port}: cannot be reached"):
+        TcpMaster(Endpoint("127.0.0.1", port))
+
+
+def test_asks_on_a_serial_line() -> None:
+    with VirtualLine(ends=2, format=FAST) as line:
+        slave, master = (SerialLink(port, FAST) for port in line.ports)
+        with SerialSlave(slave, Scripted(_device)), RtuMaster(master) as rtu:
+            assert rtu.ask(1, WRITE) == WRITE
+            assert rtu.ask(2, READ) == VALUES
+
+
+def test_silence_on_a_serial_line_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(asking, "TIMEOUT_S", 0.2)
+    with (
+        VirtualLine(ends=2, format=FAST) as line,
+        RtuMaster(SerialLink(line.ports[1], FAST)) as rtu,
+    ):
+        assert rtu.ask(1, READ) is None
+
+
+def test_a_port_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="absent: is not there"):
+        RtuMaster(SerialLink(str(tmp_path / "absent"), FAST))

@@ -1,0 +1,437 @@
+"""Evidence of every kind, decoded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    Endpoint,
+    EventKind,
+    Packet,
+    Quiet,
+    SerialFormat,
+    SerialLink,
+    WireEvent,
+)
+from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
+from mbtool.logs import LogWriter
+from mbtool.modbus import Outcome, Transport, ascii_adu, mbap_adu, rtu_adu
+from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamOpened
+from mbtool.workflows import decoding
+from mbtool.workflows.decoding import Decoder
+from mbtool.workflows.reading import Reading, ReadingOptions
+from tests.workflows.evidence import (
+    CONNECTION,
+    LINE,
+    MS,
+    READ,
+    REFUSED,
+    START_NS,
+    VALUES,
+    WRITE,
+    captured,
+    exchange,
+    heard,
+    of_link,
+    relayed,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    import pytest
+
+    from mbtool.workflows.decoding import Evidence, Record
+
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+
+
+def _decoder(*devices: str) -> Decoder:
+    return Decoder(
+        Namer(Assignments(parse_assignment(one) for one in devices)),
+        lines={LINE.name: LINE},
+        ports=(502,),
+    )
+
+
+def _decoded(items: Iterable[Evidence], decoder: Decoder | None = None) -> list[Record]:
+    decoder = decoder or _decoder()
+    records = [record for item in items for record in decoder.feed(item)]
+    return [*records, *decoder.close()]
+
+
+def _outcomes(records: Iterable[Record]) -> list[str]:
+    return [
+        record.kind.value if isinstance(record, WireEvent) else record.outcome.value
+        for record in records
+    ]
+
+
+def test_the_reads_of_a_serial_line_become_transactions() -> None:
+    items = [*exchange(0), *exchange(100, READ, REFUSED), heard(200, WRITE), heard(220, WRITE)]
+    first, second, third = _decoded(items)
+    assert isinstance(first, NamedTransaction)
+    assert (first.link, first.transport, first.response_values) == (
+        "rs485",
+        Transport.RTU,
+        [0x1234, 0x5678],
+    )
+    assert first.reference == "holding 0..1"
+    assert isinstance(second, NamedTransaction)
+    assert second.exception == 2
+    assert isinstance(third, NamedTransaction)
+    assert third.request_values == [7]
+
+
+def test_transactions_have_the_words_of_their_device() -> None:
+    (one,) = _decoded(exchange(0), _decoder("1=idec-ft1a-touch"))
+    assert isinstance(one, NamedTransaction)
+    assert (one.device, one.reference) == ("idec-ft1a-touch", "HR400001..400002")
+
+
+def test_a_serial_line_that_nobody_described_is_rtu() -> None:
+    (one,) = _decoded([heard(0, READ, link="other"), heard(20, VALUES, link="other")])
+    assert (one.link, _outcomes([one])) == ("other", ["ok"])
+
+
+def test_an_ascii_line_is_decoded_as_ascii() -> None:
+    decoder = Decoder(
+        Namer(), lines={"com": SerialLink("com", SerialFormat(9600, 7, "E", 1), ascii=True)}
+    )
+    data = ascii_adu(1, READ)
+    (one,) = _decoded([Chunk(ts_ns=START_NS, link="com", data=data)], decoder)
+    assert isinstance(one, NamedTransaction)
+    assert (one.transport, one.outcome) == (Transport.ASCII, Outcome.NO_ANSWER)
+
+
+def test_the_bytes_of_a_relay_become_transactions_however_they_are_cut() -> None:
+    request = relayed(0, REQUEST, READ)
+    answer = relayed(5, RESPONSE, VALUES)
+    cut = [
+        Chunk(
+            ts_ns=answer.ts_ns,
+            link=answer.link,
+            data=answer.data[at : at + 1],
+            direction=RESPONSE,
+            connection=CONNECTION,
+        )
+        for at in range(len(answer.data))
+    ]
+    (whole,) = _decoded([request, answer])
+    assert _decoded([request, *cut]) == [whole]
+    assert isinstance(whole, NamedTransaction)
+    assert (whole.source, whole.destination) == ("10.0.0.1:50211", "10.0.0.9:502")
+
+
+def test_a_relay_of_rtu_frames_is_told_by_its_slaves_port() -> None:
+    connection = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 4001))
+    decoder = Decoder(Namer(), rtu_ports=(4001,))
+    items = [
+        Chunk(
+            ts_ns=START_NS + at * MS,
+            link=connection.link,
+            data=rtu_adu(1, pdu),
+            direction=direction,
+            connection=connection,
+        )
+        for at, direction, pdu in ((0, REQUEST, READ), (5, RESPONSE, VALUES))
+    ]
+    (one,) = _decoded(items, decoder)
+    assert isinstance(one, NamedTransaction)
+    assert one.transport is Transport.RTU_TCP
+
+
+def test_packets_become_transactions_and_connection_events() -> None:
+    records = _decoded(captured(2))
+    assert _outcomes(records) == ["opened", "ok", "ok", "closed"]
+    assert records[0].link == "10.0.0.2"
+
+
+def test_packets_of_other_ports_are_left_alone() -> None:
+    decoder = Decoder(Namer(), ports=(1502,))
+    assert _decoded(captured(2), decoder) == []
+
+
+def test_two_connections_to_one_slave_are_kept_apart() -> None:
+    other = Connection(Endpoint("10.0.0.2", 50300), CONNECTION.slave, 2)
+    records = _decoded(
+        [
+            relayed(0, REQUEST, READ),
+            relayed(1, REQUEST, WRITE, connection=other),
+            relayed(2, RESPONSE, WRITE, connection=other),
+            relayed(3, RESPONSE, VALUES),
+        ]
+    )
+    assert [
+        (one.source, one.function, one.outcome.value)
+        for one in records
+        if isinstance(one, NamedTransaction)
+    ] == [("10.0.0.2:50300", 6, "ok"), ("10.0.0.1:50211", 3, "ok")]
+
+
+def test_a_gap_of_a_relay_is_an_event_and_nothing_is_joined_over_it() -> None:
+    half = relayed(0, REQUEST, READ)
+    records = _decoded(
+        [
+            Chunk(
+                ts_ns=half.ts_ns,
+                link=half.link,
+                data=half.data[:5],
+                direction=REQUEST,
+                connection=CONNECTION,
+            ),
+            StreamGap(START_NS + MS, CONNECTION, REQUEST, 7),
+            relayed(10, REQUEST, READ, number=2),
+            relayed(15, RESPONSE, VALUES, number=2),
+        ]
+    )
+    assert _outcomes(records) == ["skipped", "gap", "ok"]
+
+
+def test_the_end_of_a_connection_ends_its_open_requests() -> None:
+    records = _decoded(
+        [
+            StreamOpened(START_NS, CONNECTION, joined=False),
+            relayed(1, REQUEST, READ),
+            StreamClosed(START_NS + 2 * MS, CONNECTION, CloseReason.RESET),
+        ]
+    )
+    assert _outcomes(records) == ["opened", "no-answer", "closed"]
+
+
+def test_a_connection_that_a_bound_closed_is_discarded() -> None:
+    records = _decoded([StreamClosed(START_NS, CONNECTION, CloseReason.DISCARDED)])
+    assert _outcomes(records) == ["discarded"]
+
+
+def test_what_a_line_lost_breaks_off_what_it_held() -> None:
+    first, second = heard(0, READ), heard(1, VALUES)
+    lost = WireEvent(
+        ts_ns=START_NS + MS // 2,
+        link=LINE.name,
+        kind=EventKind.DISCARDED,
+        message="decoding fell behind",
+        missing=100,
+    )
+    half = Chunk(ts_ns=first.ts_ns, link=LINE.name, data=first.data[:4])
+    records = _decoded([half, lost, second, *exchange(100)])
+    assert _outcomes(records)[:2] == ["skipped", "discarded"]
+    assert _outcomes(records)[-1] == "ok"
+
+
+def test_an_event_of_a_source_passes() -> None:
+    event = WireEvent(ts_ns=START_NS, link="eth0", kind=EventKind.DISCARDED, message="", missing=3)
+    assert _decoded([event]) == [event]
+
+
+def test_silence_on_a_line_ends_a_frame() -> None:
+    decoder = _decoder()
+    for chunk in exchange(0):
+        assert decoder.feed(chunk) == []
+    records = decoder.feed(Quiet(START_NS + 40 * MS, LINE.name))
+    assert _outcomes(records) == ["ok"]
+    assert decoder.close() == []
+
+
+def test_silence_on_one_line_is_none_on_another() -> None:
+    decoder = _decoder()
+    for chunk in exchange(0):
+        decoder.feed(chunk)
+    assert decoder.feed(Quiet(START_NS + 40 * MS, "eth0")) == []
+
+
+def test_closing_twice_gives_nothing_more() -> None:
+    decoder = _decoder()
+    decoder.feed(heard(0, READ))
+    assert _outcomes(decoder.close()) == ["no-answer"]
+    assert decoder.close() == []
+
+
+def test_holds_a_bounded_number_of_conversations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decoding, "MAX_CONVERSATIONS", 3)
+    decoder = _decoder()
+    connections = [
+        Connection(Endpoint("10.0.0.1", 50000 + number), CONNECTION.slave) for number in range(5)
+    ]
+    records = [
+        record
+        for at, connection in enumerate(connections)
+        for record in decoder.feed(relayed(at, REQUEST, READ, connection=connection))
+    ]
+    # The two that were silent longest made room.
+    assert [one.source for one in records if isinstance(one, NamedTransaction)] == [
+        "10.0.0.1:50000",
+        "10.0.0.1:50001",
+    ]
+    assert _outcomes(decoder.close()) == ["no-answer"] * 3
+
+
+def test_what_is_used_stays_when_room_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decoding, "MAX_CONVERSATIONS", 2)
+    other, third = (
+        Connection(Endpoint("10.0.0.2", port), CONNECTION.slave) for port in (50300, 50301)
+    )
+    records = _decoded(
+        [
+            relayed(0, REQUEST, READ),
+            relayed(1, REQUEST, READ, connection=other),
+            relayed(2, REQUEST, READ, number=2),
+            relayed(3, REQUEST, READ, connection=third),
+            relayed(4, RESPONSE, VALUES),
+        ]
+    )
+    assert _outcomes(records).count("ok") == 1
+
+
+_frames = st.lists(
+    st.tuples(
+        st.sampled_from([READ, VALUES, WRITE, REFUSED, b"\x41\x00", b"\x03"]),
+        st.integers(1, 3),
+        st.integers(1, 7000),
+        st.booleans(),
+        st.booleans(),
+    ),
+    max_size=12,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(_frames)
+def test_a_line_gives_the_same_live_and_from_its_bytes(
+    frames: list[tuple[bytes, int, int, bool, bool]],
+) -> None:
+    at_ms = 0
+    evidence: list[Evidence] = []
+    live: list[Evidence] = []
+    for pdu, unit, pause_ms, is_told, is_broken in frames:
+        if is_told and evidence:
+            # A millisecond before the frame begins; at 19200 baud it takes at most 6 ms.
+            live.append(Quiet(START_NS + (at_ms + pause_ms) * MS, LINE.name))
+        at_ms += pause_ms + 10
+        chunk = heard(at_ms, pdu, unit)
+        if is_broken:
+            chunk = Chunk(ts_ns=chunk.ts_ns, link=chunk.link, data=chunk.data[:-1] + b"\xee")
+        evidence.append(chunk)
+        live.append(chunk)
+    live.append(Quiet(START_NS + (at_ms + 20_000) * MS, LINE.name))
+    assert _decoded(live) == _decoded(evidence)
+
+
+_pieces = st.lists(
+    st.tuples(
+        st.sampled_from([READ, WRITE, VALUES, REFUSED, b"\x41\x00"]),
+        st.sampled_from([REQUEST, RESPONSE]),
+        st.integers(0, 2),
+        st.integers(1, 70_000),
+        st.booleans(),
+    ),
+    max_size=12,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(_pieces, st.integers(1, 20))
+def test_a_relay_gives_the_same_live_and_from_its_bytes(
+    pieces: list[tuple[bytes, Direction, int, int, bool]], size: int
+) -> None:
+    at_ms = 0
+    evidence: list[Evidence] = []
+    live: list[Evidence] = []
+    for pdu, direction, number, pause_ms, is_told in pieces:
+        at_ms += pause_ms
+        if is_told:
+            live.append(Quiet(START_NS + at_ms * MS - 1, CONNECTION.link))
+        chunk = relayed(at_ms, direction, pdu, number=number)
+        evidence.append(chunk)
+        live += [
+            Chunk(
+                ts_ns=chunk.ts_ns,
+                link=chunk.link,
+                data=chunk.data[at : at + size],
+                direction=direction,
+                connection=CONNECTION,
+            )
+            for at in range(0, len(chunk.data), size)
+        ]
+    assert _decoded(live) == _decoded(evidence)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.one_of(
+            st.builds(
+                Chunk,
+                ts_ns=st.integers(0, 2**62),
+                link=st.sampled_from([LINE.name, "b", CONNECTION.link]),
+                data=st.binary(max_size=30),
+                direction=st.sampled_from([REQUEST, RESPONSE]),
+                connection=st.sampled_from([None, CONNECTION]),
+            ),
+            st.builds(Quiet, st.integers(0, 2**62), st.sampled_from([LINE.name, "b"])),
+            st.builds(
+                Packet,
+                ts_ns=st.integers(0, 2**62),
+                link=st.just("eth0"),
+                link_type=st.sampled_from([1, 101, 999]),
+                data=st.binary(max_size=80),
+                original_length=st.integers(0, 2000),
+            ),
+            st.builds(
+                StreamGap,
+                st.integers(0, 2**62),
+                st.just(CONNECTION),
+                st.sampled_from([REQUEST, RESPONSE]),
+                st.integers(0, 100),
+            ),
+        ),
+        max_size=12,
+    )
+)
+def test_no_evidence_raises(items: list[Evidence]) -> None:
+    _decoded(items)
+
+
+def test_a_log_decodes_to_what_was_decoded_live(tmp_path: Path) -> None:
+    items: list[Evidence] = [
+        *exchange(0),
+        relayed(30, REQUEST, READ),
+        Quiet(START_NS + 60 * MS, LINE.name),
+        relayed(70, RESPONSE, VALUES),
+        *captured(2),
+        *exchange(200, READ, REFUSED),
+        heard(300, READ),
+        Quiet(START_NS + 9000 * MS, LINE.name),
+        relayed(9100, REQUEST, WRITE, number=9),
+    ]
+    decoder = _decoder("1=idec-ft1a-touch")
+    path = tmp_path / "a.mcap"
+    live: list[Record] = []
+    with LogWriter(path, capture={}) as log:
+        log.add_link(LINE.name, {"spec": str(LINE)})
+        for item in items:
+            if isinstance(item, Chunk | Packet):
+                log.write(item)
+            for record in decoder.feed(item):
+                live.append(record)
+                log.write(record)
+        for record in decoder.close():
+            live.append(record)
+            log.write(record)
+    devices = Assignments([parse_assignment("1=idec-ft1a-touch")])
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    again = list(Reading([str(path)], ReadingOptions(raw=True, assignments=devices)).records())
+    assert logged == live
+    for link in (LINE.name, CONNECTION.link, "10.0.0.2"):
+        assert of_link(again, link) == of_link(live, link)
+    assert len(again) == len(live)
+    assert mbap_adu(0, 1, READ) in {
+        one.request_raw for one in again if isinstance(one, NamedTransaction)
+    }

@@ -1,0 +1,43 @@
+"""The whole loop on this machine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import UsageError, WireEvent
+from mbtool.modbus import Outcome
+from mbtool.workflows.demo import MODULE_UNIT, TOUCH_UNIT, Demo, module_requests, touch_requests
+from mbtool.workflows.reading import Reading, ReadingOptions
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_the_log_answers_as_the_devices_did(tmp_path: Path) -> None:
+    path = tmp_path / "demo.mcap"
+    run = Demo(str(path))
+    records = list(run.record())
+    transactions = [one for one in records if not isinstance(one, WireEvent)]
+    asked = len(touch_requests()) + len(module_requests())
+    assert len(transactions) == asked
+    assert {one.device for one in transactions} == {"idec-ft1a-touch", "fa3-at1m8x"}
+    assert [one.unit for one in transactions].count(TOUCH_UNIT) == len(touch_requests())
+    assert [one.unit for one in transactions].count(MODULE_UNIT) == len(module_requests())
+    refused = [one for one in transactions if one.outcome is not Outcome.OK]
+    assert [(one.exception, one.findings) for one in refused] == [
+        (2, ["FA3-A3"]),
+        (2, ["FT1A-Q16"]),
+    ]
+    assert list(Reading([str(path)], ReadingOptions()).records()) == records
+    agreement = run.replay()
+    assert (agreement.asked, agreement.differences) == (asked, ())
+
+
+def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
+    path = tmp_path / "demo.mcap"
+    path.write_text("mine")
+    with pytest.raises(UsageError, match="the file exists"):
+        list(Demo(str(path)).record())
+    assert path.read_text() == "mine"

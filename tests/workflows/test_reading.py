@@ -1,0 +1,336 @@
+"""Recordings of every kind, read back."""
+
+from __future__ import annotations
+
+import gzip
+from typing import TYPE_CHECKING
+
+import pytest
+import zstandard
+
+from mbtool.core import CutError, EventKind, InputError, UsageError, WireEvent
+from mbtool.devices import (
+    Assignments,
+    NamedTransaction,
+    Namer,
+    parse_assignment,
+    profile_to_json,
+)
+from mbtool.logs import LogWriter
+from mbtool.workflows.decoding import Decoder
+from mbtool.workflows.reading import Reading, ReadingOptions, followed
+from tests.packets.building import pcap
+from tests.workflows.evidence import (
+    LINE,
+    READ,
+    REFUSED,
+    capture_file,
+    captured,
+    exchange,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mbtool.workflows.decoding import Record
+
+
+def _devices(*texts: str) -> Assignments:
+    return Assignments([parse_assignment(text) for text in texts])
+
+
+def _read(path: Path, **options: object) -> list[Record]:
+    return list(Reading([str(path)], ReadingOptions(**options)).records())  # type: ignore[arg-type]
+
+
+def _transactions(records: list[Record]) -> list[NamedTransaction]:
+    return [record for record in records if not isinstance(record, WireEvent)]
+
+
+def _serial_log(path: Path, *devices: str, baud: str = "19200-8E1") -> Path:
+    """A log of two exchanges on a serial line, decoded with these devices."""
+    assignments = _devices(*devices)
+    decoder = Decoder(Namer(assignments), lines={LINE.name: LINE})
+    with LogWriter(path, capture={"host": "bench"}) as log:
+        log.add_link(LINE.name, {"spec": f"rtu:/dev/rs485@{baud}"})
+        for one in assignments:
+            log.add_device(str(one.who), one.profile.name)
+            log.add_profile(one.profile.name, profile_to_json(one.profile))
+        for chunk in [*exchange(0), *exchange(100, READ, REFUSED)]:
+            log.write(chunk)
+            for record in decoder.feed(chunk):
+                log.write(record)
+        for record in decoder.close():
+            log.write(record)
+    return path
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, zstandard.compress])
+def test_reads_a_capture_plain_and_packed(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
+    path = tmp_path / "capture"
+    path.write_bytes(pack(capture_file(3)))
+    records = _read(path)
+    assert [one.response_values for one in _transactions(records)] == [[0x1234, 0x5678]] * 3
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, zstandard.compress])
+def test_reads_a_log_plain_and_packed(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
+    plain = _serial_log(tmp_path / "plain.mcap")
+    packed = tmp_path / "packed"
+    packed.write_bytes(pack(plain.read_bytes()))
+    assert len(_read(packed)) == 2
+    assert _read(packed) == _read(plain)
+    assert _read(packed, raw=True) == _read(plain)
+
+
+def test_several_captures_are_parts_of_one(tmp_path: Path) -> None:
+    packets = captured(3)
+    paths = [tmp_path / "a.pcap", tmp_path / "b.pcap"]
+    # The first part ends between a request and its response.
+    paths[0].write_bytes(pcap(packets[:4]))
+    paths[1].write_bytes(pcap(packets[4:]))
+    records = list(Reading([str(path) for path in paths], ReadingOptions()).records())
+    whole = tmp_path / "whole.pcap"
+    whole.write_bytes(capture_file(3))
+    assert records == _read(whole)
+    assert all(one.latency_ns is not None for one in _transactions(records))
+
+
+def test_ports_say_what_is_modbus(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file())
+    assert _read(path, ports=(1502,)) == []
+    assert len(_transactions(_read(path, ports=(1502, 502)))) == 3
+
+
+def test_a_log_is_decoded_afresh_by_what_it_says_of_its_links_and_devices(tmp_path: Path) -> None:
+    path = _serial_log(tmp_path / "a.mcap", "1=idec-ft1a-touch")
+    raw = _read(path, raw=True)
+    assert raw == _read(path)
+    assert {one.device for one in _transactions(raw)} == {"idec-ft1a-touch"}
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_given_profile_takes_the_place_of_the_logs(tmp_path: Path, raw: bool) -> None:
+    path = _serial_log(tmp_path / "a.mcap", "1=idec-ft1a-touch")
+    records = _transactions(_read(path, raw=raw, assignments=_devices("1=fa3-at1m8x")))
+    assert {one.device for one in records} == {"fa3-at1m8x"}
+    assert records[0].reference == "RWw0..RWw1"
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_profile_given_for_others_leaves_the_logs_own(tmp_path: Path, raw: bool) -> None:
+    path = _serial_log(tmp_path / "a.mcap", "1=idec-ft1a-touch")
+    records = _transactions(_read(path, raw=raw, assignments=_devices("9=fa3-at1m8x")))
+    assert {one.device for one in records} == {"idec-ft1a-touch"}
+
+
+def test_the_profiles_in_use_are_known_while_a_log_is_read(tmp_path: Path) -> None:
+    reading = Reading(
+        [str(_serial_log(tmp_path / "a.mcap", "1=idec-ft1a-touch"))], ReadingOptions()
+    )
+    one = next(reading.records())
+    assert isinstance(one, NamedTransaction)
+    profile = reading.assignments.profile_for(one)
+    assert profile is not None
+    assert profile.name == "idec-ft1a-touch"
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_log_with_a_profile_from_elsewhere_is_read_or_refused(tmp_path: Path, raw: bool) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.add_device("1", "new")
+        log.add_profile("new", b'{"name": "new", "colour": "red"}')
+        for chunk in exchange(0):
+            log.write(chunk)
+    if raw:
+        with pytest.raises(UsageError, match="profile new"):
+            _read(path, raw=True)
+    else:
+        assert _read(path) == []
+
+
+def test_a_log_with_senseless_ports_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.add_link("eth0", {"spec": "net:eth0", "ports": "x 502 99999999999", "rtu_ports": "-1"})
+        for packet in captured(2):
+            log.write(packet)
+    assert len(_transactions(_read(path, raw=True))) == 2
+
+
+def test_a_cut_capture_gives_all_before_the_cut(tmp_path: Path) -> None:
+    whole = capture_file(3)
+    path = tmp_path / "cut.pcap"
+    # In the last packet: two of the goodbye's three are whole.
+    path.write_bytes(whole[:-1])
+    records: list[Record] = []
+    with pytest.raises(CutError, match=r"cut\.pcap"):
+        records.extend(Reading([str(path)], ReadingOptions()).records())
+    assert len(_transactions(records)) == 3
+
+
+def test_a_request_before_a_cut_comes_out_unanswered(tmp_path: Path) -> None:
+    whole = pcap(captured(1)[:5])
+    path = tmp_path / "cut.pcap"
+    path.write_bytes(whole[:-3])
+    records: list[Record] = []
+    with pytest.raises(CutError):
+        records.extend(Reading([str(path)], ReadingOptions()).records())
+    assert [one.outcome.value for one in _transactions(records)] == ["no-answer"]
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_cut_log_gives_all_before_the_cut(tmp_path: Path, raw: bool) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.add_link(LINE.name, {"spec": str(LINE)})
+        for at_ms in range(0, 1000, 100):
+            for chunk in exchange(at_ms):
+                log.write(chunk)
+            log.write(_read_of(tmp_path))
+            log.tick(at_ms * 10_000_000)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 3])
+    records: list[Record] = []
+    with pytest.raises(CutError):
+        records.extend(Reading([str(path)], ReadingOptions(raw=raw)).records())
+    assert 1 <= len(_transactions(records)) < 10
+
+
+def _read_of(tmp_path: Path) -> NamedTransaction:
+    path = tmp_path / "one.pcap"
+    path.write_bytes(capture_file(1))
+    return _transactions(_read(path))[0]
+
+
+def test_the_parts_after_an_absent_file_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(1))
+    reading = Reading([str(path), str(tmp_path / "absent"), str(path)], ReadingOptions())
+    records: list[Record] = []
+    with pytest.raises(InputError, match="absent: there is no such file"):
+        records.extend(reading.records())
+    assert len(_transactions(records)) == 1
+
+
+def test_says_how_far_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(3))
+    reading = Reading([str(path), str(path)], ReadingOptions())
+    assert reading.fraction == 0.0
+    fractions = [reading.fraction or 0.0 for _ in reading.records()]
+    assert fractions == sorted(fractions)
+    assert 0 < fractions[0] <= 0.5
+    assert 0.5 < fractions[-1] <= 1
+
+
+@pytest.mark.parametrize(
+    ("data", "ports", "why"),
+    [
+        (pcap([]), (), "a.pcap: empty; there is neither a packet nor a transaction in it"),
+        (
+            capture_file(),
+            (1502, 4001),
+            "a.pcap: no Modbus at TCP port 1502, 4001; name other ports with --port, "
+            "for RTU over TCP with --rtu-port",
+        ),
+        (capture_file(), (), None),
+    ],
+)
+def test_says_why_nothing_came(
+    tmp_path: Path, data: bytes, ports: tuple[int, ...], why: str | None
+) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(data)
+    reading = Reading([str(path)], ReadingOptions(ports=ports))
+    assert reading.why_empty is None
+    list(reading.records())
+    assert reading.why_empty == (f"{tmp_path}/{why}" if why is not None else None)
+
+
+class _Growing:
+    """A log that gets one exchange more each time a reader waits, and is closed at last."""
+
+    def __init__(self, path: Path, rounds: int, *, closes: bool) -> None:
+        self._log = LogWriter(path, capture={})
+        self._rounds = rounds
+        self._closes = closes
+        self._now_ns = 0
+        self.waited = 0
+
+    def wait(self) -> bool:
+        if self.waited == self._rounds:
+            if not self._closes:
+                return False
+            self._log.close()
+            return True
+        self.waited += 1
+        decoder = Decoder(Namer(), lines={LINE.name: LINE})
+        for chunk in exchange(self.waited * 100):
+            self._log.write(chunk)
+            decoder.feed(chunk)
+        for record in decoder.close():
+            self._log.write(record)
+        self._now_ns += 1_000_000_000
+        self._log.tick(self._now_ns)
+        return True
+
+    def close(self) -> None:
+        self._log.close()
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_follows_a_log_until_it_is_closed_or_nobody_waits(tmp_path: Path, closes: bool) -> None:
+    path = tmp_path / "a.mcap"
+    growing = _Growing(path, 3, closes=closes)
+    records = list(followed(str(path), ReadingOptions(), growing.wait))
+    growing.close()
+    assert len(records) == 3
+
+
+def test_follows_in_the_words_of_a_given_profile(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    growing = _Growing(path, 1, closes=True)
+    options = ReadingOptions(assignments=_devices("1=idec-ft1a-touch"))
+    (one,) = followed(str(path), options, growing.wait)
+    assert isinstance(one, NamedTransaction)
+    assert one.reference == "HR400001..400002"
+
+
+def _never() -> bool:
+    raise AssertionError("there is nothing to wait for")
+
+
+def test_only_a_log_on_disk_can_be_followed(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file())
+    packed = tmp_path / "a.mcap.gz"
+    packed.write_bytes(gzip.compress(_serial_log(tmp_path / "a.mcap").read_bytes()))
+    with pytest.raises(UsageError, match=r"a\.pcap: not a log"):
+        next(followed(str(path), ReadingOptions(), _never))
+    with pytest.raises(UsageError, match="name the log"):
+        next(followed("-", ReadingOptions(), _never))
+    with pytest.raises(InputError, match=r"a\.mcap\.gz"):
+        next(followed(str(packed), ReadingOptions(), _never))
+
+
+def test_events_of_a_log_come_in_their_place(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    event = WireEvent(ts_ns=1, link=LINE.name, kind=EventKind.GAP, message="gap", missing=3)
+    with LogWriter(path, capture={}) as log:
+        log.write(event)
+    assert _read(path) == [event]
+
+
+def test_a_reading_that_is_left_early_closes_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(3))
+    reading = Reading([str(path)], ReadingOptions())
+    records = reading.records()
+    next(records)
+    assert reading.fraction is not None
+    del records
+    assert reading.fraction is None
