@@ -32,7 +32,6 @@ PURE_ROOMS = ("core", "modbus", "packets", "devices", "replay")
 WITHOUT_A_TEST_OF_THEIR_OWN = {
     "modbus/adu.py": "data without behaviour",
     "modbus/answer.py": "data and a protocol",
-    "modbus/transaction.py": "data without behaviour",
     "packets/stream_events.py": "data without behaviour",
     "sources/relay.py": "a tap's connections, which test_tap.py tests",
     "sources/clock.py": "the system's clock, in one line",
@@ -42,6 +41,7 @@ WITHOUT_A_TEST_OF_THEIR_OWN = {
 
 WITHOUT_A_MODULE_OF_THEIR_OWN = {
     "cases/test_worked_examples.py",
+    "cases/test_worked_examples_pdu.py",
     "test_architecture.py",
 }
 """Tests of several rooms at once, beside those in the folders below."""

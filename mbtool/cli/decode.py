@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from time import sleep
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -71,7 +70,7 @@ def decode(
     """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
-    from mbtool.cli.talk import say
+    from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError
     from mbtool.workflows.reading import Reading, ReadingOptions, followed
 
@@ -89,18 +88,25 @@ def decode(
     def profile_for(one: NamedTransaction) -> Profile | None:
         return reading.assignments.profile_for(one)
 
-    with open_output(output, format_, events, profile_for, wanted, limit) as out:
+    with (
+        open_output(output, format_, events, profile_for, wanted, limit) as out,
+        interruptible() as interrupt,
+    ):
 
         def wait() -> bool:
             out.wait()
-            sleep(_LOOK_AGAIN_S)
-            return True
+            return not interrupt.wait(_LOOK_AGAIN_S)
 
-        records = followed(files[0], options, wait) if follow else reading.records()
+        if follow:
+            records = followed(files[0], options, wait)
+        else:
+            records = interrupt.breakable(reading.records())
         for record in records if follow or out.on_terminal else _with_progress(reading, records):
             out.add(record)
             if out.is_full:
                 break
+        if interrupt.asked:
+            raise KeyboardInterrupt
     if not follow and reading.why_empty is not None:
         say(reading.why_empty)
 

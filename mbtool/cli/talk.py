@@ -6,11 +6,14 @@ import signal
 import sys
 import threading
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import FrameType
+
+
+T = TypeVar("T")
 
 
 def say(text: str) -> None:
@@ -24,6 +27,7 @@ class Interrupt:
 
     def __init__(self) -> None:
         self._event = threading.Event()
+        self._at_once = False
 
     @property
     def asked(self) -> bool:
@@ -35,9 +39,26 @@ class Interrupt:
 
     def ask(self, _signal: int, _frame: FrameType | None) -> None:
         """Note the first signal; a second one ends the program at once."""
-        if self.asked:
+        if self.asked or self._at_once:
             raise KeyboardInterrupt
         self._event.set()
+
+    def breakable(self, items: Iterator[T]) -> Iterator[T]:
+        """Give items; the wait for one, which may be long, is broken off by KeyboardInterrupt.
+
+        What is done with an item is not: a line half written would be lost.
+        """
+        while True:
+            self._at_once = True
+            try:
+                if self.asked:
+                    raise KeyboardInterrupt
+                item = next(items, None)
+            finally:
+                self._at_once = False
+            if item is None:
+                return
+            yield item
 
 
 @contextmanager

@@ -92,9 +92,10 @@ def _finish(keys: dict[str, Any], file: str) -> Profile:
 def _unknown_name(name: str) -> str:
     known = builtin_profiles()
     near = difflib.get_close_matches(name.lower(), known, n=2, cutoff=0.5)
-    guess = f"did you mean {' or '.join(near)}? " if near else ""
+    guess = f"; did you mean {' or '.join(near)}?" if near else "."
     return (
-        f"profile {name!r}: {guess}The built-in ones are {', '.join(known)}; "
+        f"profile {name!r}: there is none of that name{guess} "
+        f"The built-in ones are {', '.join(known)}; "
         "a file of your own is named by its path, for example ./pump.toml"
     )
 

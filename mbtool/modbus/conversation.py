@@ -111,11 +111,12 @@ def _join(
 
 def _told(skipped: Skipped, ends: Ends, direction: Direction | None) -> WireEvent:
     source, destination = _ordered(ends, direction)
+    size = len(skipped.raw)
     return WireEvent(
         ts_ns=skipped.ts_ns,
         link=ends.link,
         kind=skipped.kind,
-        message=f"{len(skipped.raw)} bytes: {skipped.reason}",
+        message=f"{size} byte{'' if size == 1 else 's'}: {skipped.reason}",
         source=source,
         destination=destination,
         raw=skipped.raw,

@@ -40,8 +40,6 @@ def together(
         outcome = Outcome.EXCEPTION
     else:
         outcome = Outcome.MALFORMED if malformed else Outcome.OK
-    # A capture's clock may run backwards; then there is no latency to tell.
-    latency_ns = response.start_ns - request.end_ns
     return _record(
         ends,
         request,
@@ -51,13 +49,24 @@ def together(
         response_values=_response_values(asked, answered),
         request_ns=request.end_ns,
         response_ns=response.end_ns,
-        latency_ns=latency_ns if latency_ns >= 0 else None,
+        latency_ns=_latency_ns(request, response),
         retries=retries,
         request_raw=request.raw,
         response_raw=response.raw,
         verdicts=list(dict.fromkeys(noticed)),
         confidence=min(request.confidence, response.confidence),
     )
+
+
+def _latency_ns(request: Adu, response: Adu) -> int | None:
+    """From the end of the request to the start of the response.
+
+    Where an adapter glued the two, the response's start is only known to lie behind; that is 0. A
+    capture whose clock ran backwards has no latency to tell.
+    """
+    if response.end_ns < request.end_ns:
+        return None
+    return max(response.start_ns - request.end_ns, 0)
 
 
 def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:

@@ -97,7 +97,7 @@ class Pairing:
                 and answers(asked.pdu[0], response.pdu[0])
             ):
                 return place, ()
-        if not self._bus and len(self._open) == 1:
+        if len(self._open) == 1:
             asked = self._open[0].adu
             if asked.unit == response.unit and is_answer_to(
                 parse_pdu(asked.pdu, Direction.REQUEST), response.pdu

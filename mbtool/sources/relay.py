@@ -78,7 +78,9 @@ class Relay:
         host, port = transport.get_extra_info("peername")[:2]
         self._connection = Connection(Endpoint(host, port), self._target, self._number)
         if self._on_accept(self, transport, self._connection.master):
-            transport.pause_reading()
+            # Up to Python 3.11.3 asyncio adds the reader after connection_made, whatever that did,
+            # so a pause must come later than that.
+            loop.call_soon(transport.pause_reading)
             self._call = loop.create_task(self._call_target(self._connection))
 
     def received(self, side: _Side, ts_ns: int, data: bytes) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import (
     Direction,
     Endpoint,
+    LinkError,
     SerialFormat,
     SerialLink,
     TapLink,
@@ -49,7 +50,7 @@ MODULE_UNIT = 0
 """What the module's manual tells a master to write; the module ignores it."""
 
 Exchange = tuple[int, bytes, bytes | None]
-"""Unit, request PDU and response PDU."""
+"""Unit, request PDU and response PDU; no response where the slave stayed silent."""
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
@@ -129,7 +130,10 @@ class Demo:
 
     def _ask(self, master: Master, unit: int, requests: Sequence[bytes]) -> None:
         for pdu in requests:
-            self._exchanges.append((unit, pdu, master.ask(unit, pdu)))
+            answer = master.ask(unit, pdu)
+            if answer is None:
+                raise LinkError(f"unit {unit} does not answer the request {pdu.hex(' ')}")
+            self._exchanges.append((unit, pdu, answer))
 
 
 def touch_requests() -> list[bytes]:

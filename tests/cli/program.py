@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
+from threading import Timer
 from typing import TYPE_CHECKING, Self
 
 from mbtool.cli.main import run
+from mbtool.core import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -83,11 +86,25 @@ class Program:
         """Send a signal, if one is given, and wait for the end."""
         if signal_number is not None:
             self.process.send_signal(signal_number)
-        out, err = self.process.communicate(timeout=PATIENCE_S)
-        return Said(self.process.returncode, out, err)
+        # communicate() would lose what a readline() before it has buffered.
+        alarm = Timer(PATIENCE_S, self.process.kill)
+        alarm.start()
+        try:
+            out = self.process.stdout.read() if self.process.stdout is not None else ""
+            err = self.process.stderr.read() if self.process.stderr is not None else ""
+            return Said(self.process.wait(), out, err)
+        finally:
+            alarm.cancel()
 
 
 def said(*arguments: object, environment: Mapping[str, str] | None = None) -> Said:
     """Run a command in a process of its own to its end."""
     with Program(*arguments, environment=environment) as program:
         return program.end()
+
+
+def endpoint_in(text: str) -> Endpoint:
+    """The first loopback address with a port in what a command says."""
+    match = re.search(r"127\.0\.0\.1:(\d+)", text)
+    assert match is not None, text
+    return Endpoint("127.0.0.1", int(match[1]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 from typing import TYPE_CHECKING, Any
 
@@ -74,25 +75,6 @@ def test_csv_has_a_row_for_each_and_reads_back(mbtool: CommandLine, capture: Pat
     assert list(rows[0]) == list(CSV_COLUMNS)
     assert [row["response_values"] for row in rows] == ["4660 22136"] * 3
     assert [row["outcome"] for row in rows] == ["ok"] * 3
-
-
-@pytest.mark.parametrize(
-    ("name", "begins"), [("a.jsonl", '{"link"'), ("a.CSV", "request_ns,"), ("a.txt", " #  time")]
-)
-def test_the_name_of_the_output_says_its_format(
-    mbtool: CommandLine, capture: Path, tmp_path: Path, name: str, begins: str
-) -> None:
-    path = tmp_path / name
-    told = mbtool("decode", capture, "-o", path)
-    assert (told.code, told.out) == (exit_codes.DONE, "")
-    assert told.err == f"3 transactions: 3 ok -> {path}\n"
-    assert path.read_text().startswith(begins)
-
-
-def test_a_format_may_have_any_name(mbtool: CommandLine, capture: Path, tmp_path: Path) -> None:
-    path = tmp_path / "a.log"
-    assert mbtool("decode", capture, "-o", path, "--format", "jsonl").code == exit_codes.DONE
-    assert len(_jsonl(path.read_text())) == 3
 
 
 def test_stops_at_a_limit(mbtool: CommandLine, capture: Path) -> None:
@@ -195,7 +177,8 @@ def test_a_signal_while_it_waits_for_input_ends_it_with_what_came(number: int) -
             told = program.end(number)
     assert told.code == exit_codes.INTERRUPTED
     lines = _jsonl(first + told.out)
-    assert told.err == f"{len(lines)} transactions: {len(lines)} ok\n"
+    assert lines
+    assert re.match(rf"{len(lines)} transactions?: {len(lines)} ok\n", told.err)
 
 
 def test_follows_a_log_as_it_grows(tmp_path: Path) -> None:
@@ -215,8 +198,7 @@ def test_follows_a_log_as_it_grows(tmp_path: Path) -> None:
     assert (told.code, told.err) == (exit_codes.DONE, "2 transactions: 2 ok\n")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_following_ends_with_a_signal(tmp_path: Path, number: int) -> None:
+def test_following_ends_with_ctrl_c(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path, capture={}) as log:
         log.write(transaction(1))
@@ -226,7 +208,7 @@ def test_following_ends_with_a_signal(tmp_path: Path, number: int) -> None:
             assert program.process.stdout is not None
             for _ in range(3):
                 program.process.stdout.readline()
-            told = program.end(number)
+            told = program.end(signal.SIGINT)
     assert told.code == exit_codes.INTERRUPTED
     assert told.err == "1 transaction: 1 ok\n"
 

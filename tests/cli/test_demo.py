@@ -23,8 +23,3 @@ def test_shows_the_loop_and_keeps_the_log_that_is_asked_for(
     assert told.lines[-1] == "22 of 22 answers agree with the devices' own."
     again = mbtool("decode", path)
     assert again.lines == told.lines[:-1]
-
-
-def test_leaves_nothing_behind(mbtool: CommandLine, tmp_path: Path) -> None:
-    assert mbtool("demo").code == exit_codes.DONE
-    assert list(tmp_path.iterdir()) == []

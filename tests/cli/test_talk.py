@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import signal
+from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli.talk import interruptible
+from mbtool.cli.talk import Interrupt, interruptible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -20,3 +24,35 @@ def test_the_first_signal_is_a_wish_and_the_second_ends_at_once(number: int) -> 
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
     assert signal.getsignal(number) is before
+
+
+def _signalled() -> Iterator[str]:
+    """A wait for input into which Ctrl-C comes."""
+    yield "one"
+    signal.raise_signal(signal.SIGINT)
+    yield "two"
+
+
+def test_a_wait_for_the_next_item_is_broken_off() -> None:
+    got: list[str] = []
+    with interruptible() as interrupt, pytest.raises(KeyboardInterrupt):
+        got.extend(interrupt.breakable(_signalled()))
+    assert got == ["one"]
+
+
+def test_what_is_done_with_an_item_is_not_broken_off() -> None:
+    done = []
+
+    def work(interrupt: Interrupt) -> None:
+        for item in interrupt.breakable(iter("abc")):
+            signal.raise_signal(signal.SIGINT)
+            done.append(item)
+
+    with interruptible() as interrupt, pytest.raises(KeyboardInterrupt):
+        work(interrupt)
+    assert done == ["a"]
+
+
+def test_without_a_signal_all_items_come() -> None:
+    with interruptible() as interrupt:
+        assert list(interrupt.breakable(iter("abc"))) == list("abc")

@@ -284,7 +284,7 @@ def test_an_endpoint_cannot_be_listened_to() -> None:
 @pytest.mark.parametrize(
     "links",
     [
-        ("rtu:/dev/ttyUSB0", "ascii:/tmp/ttyUSB0"),
+        ("rtu:/dev/ttyUSB0", "ascii:/run/ttyUSB0"),
         ("tap:127.0.0.1:0=10.0.0.9:502", "tap:127.0.0.1:1502=10.0.0.9"),
     ],
 )
