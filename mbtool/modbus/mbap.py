@@ -10,7 +10,8 @@
 # In step, a plausible header is believed; one with another protocol id is one foreign ADU. A header
 # that cannot be puts the splitter out of step: it drops one byte and looks again, and then believes
 # only a header whose length agrees with the structure of the PDU behind it, since zeros in register
-# data look like headers. So out of step an ADU of a function that no table knows is skipped.
+# data look like headers. An ADU of a function that no table knows has no structure to agree with; it
+# is believed only right behind a gap, where a segment and so most likely an ADU begins.
 # Whether to drop depends only on bytes, never on where a chunk ended.
 #
 # Holds at most one incomplete ADU (260 bytes) and a run of skipped bytes (skips.MAX_RUN).
@@ -46,6 +47,8 @@ class MbapSplitter:
         self._buffer = TimedBuffer()
         self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header"))
         self._in_step = True
+        self._behind_gap = False
+        """Out of step, and no byte has been looked at since the gap."""
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one segment."""
@@ -59,6 +62,7 @@ class MbapSplitter:
         """Bytes are missing here: what is held cannot be completed."""
         events = self.close()
         self._in_step = False
+        self._behind_gap = True
         return events
 
     def close(self) -> list[Adu | Skipped]:
@@ -99,6 +103,8 @@ class MbapSplitter:
         pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
         if pdu_size is None:
             return None if len(self._buffer) < size else 0
+        if not pdu_size:
+            return size if self._behind_gap else 0
         return size if pdu_size == length - 1 else 0
 
     def _give(self, size: int, events: list[Adu | Skipped]) -> None:
@@ -124,6 +130,7 @@ class MbapSplitter:
             )
         )
         self._in_step = True
+        self._behind_gap = False
 
     def _drop(self, events: list[Adu | Skipped]) -> None:
         """Drop the bytes before the next place where a whole header may stand."""
@@ -132,3 +139,4 @@ class MbapSplitter:
         for piece, ts_ns in self._buffer.drain(min(place or undecided, undecided)):
             self._skips.add(piece, ts_ns, events)
         self._in_step = False
+        self._behind_gap = False

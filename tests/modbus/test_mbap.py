@@ -130,6 +130,16 @@ def test_resynchronises_behind_a_gap() -> None:
     assert splitter.close() == []
 
 
+def test_believes_an_unknown_function_only_right_behind_a_gap() -> None:
+    unknown = mbap_adu(3, 0x11, bytes.fromhex("63 0102"))
+    splitter = requests()
+    splitter.gap()
+    (adu,) = adus(splitter.feed(unknown, 100))
+    assert (adu.pdu.hex(), adu.verdicts) == ("630102", (Verdict.RESYNCHRONISED,))
+    splitter.gap()
+    assert adus(splitter.feed(b"\xff" + unknown, 200)) == []
+
+
 def test_direction_says_which_structure_to_expect_out_of_step() -> None:
     response = mbap_adu(1, 0x11, bytes.fromhex("03 02 1234"))
     assert pdus(every_way(responses, b"\xff" * 7 + response)) == [(0x11, "03021234")]
