@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.decoding import Record
     from mbtool.workflows.reading import Reading
 
+STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
 """How often --follow looks whether the log has grown."""
 _SHOW_EVERY = 500
@@ -101,8 +102,12 @@ def decode(
             records = followed(files[0], options, wait)
         else:
             records = interrupt.breakable(reading.records())
+        # Whoever pipes a live capture in and looks at the terminal wants each line at once.
+        is_watched = out.on_terminal and STANDARD_INPUT in files
         for record in records if follow or out.on_terminal else _with_progress(reading, records):
             out.add(record)
+            if is_watched:
+                out.wait()
             if out.is_full:
                 break
         if interrupt.asked:

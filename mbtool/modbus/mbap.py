@@ -9,9 +9,10 @@
 #
 # In step, a plausible header is believed; one with another protocol id is one foreign ADU. A header
 # that cannot be puts the splitter out of step: it drops one byte and looks again, and then believes
-# only a header whose length agrees with the structure of the PDU behind it, since zeros in register
-# data look like headers. An ADU of a function that no table knows has no structure to agree with; it
-# is believed only right behind a gap, where a segment and so most likely an ADU begins.
+# only a header whose length agrees with the structure of the PDU behind it, since zeros in
+# register data look like headers. An ADU of a function that no table knows has no structure to
+# agree with; it is believed only right behind a gap, where a segment and so most likely an ADU
+# begins.
 # Whether to drop depends only on bytes, never on where a chunk ended.
 #
 # Holds at most one incomplete ADU (260 bytes) and a run of skipped bytes (skips.MAX_RUN).
