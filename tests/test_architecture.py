@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,7 +131,14 @@ def commands() -> Iterator[tuple[str, str]]:
         for line in re.findall(r"^ {4}(.+)$", page.read_text(), re.MULTILINE):
             command = re.sub(r"^(?:sudo )?(?:\.venv/bin/)?", "", line)
             if command.startswith("mbtool ") and "COMMAND" not in command:
-                yield page.name, re.split(r" +[#|>]", command)[0]
+                yield page.name, _until_the_shell_takes_over(command)
+
+
+def _until_the_shell_takes_over(command: str) -> str:
+    """A command line up to a comment, a pipe or a redirection."""
+    lexer = shlex.shlex(command, posix=True, punctuation_chars="|>&")
+    lexer.whitespace_split = True
+    return shlex.join(takewhile(lambda word: word not in ("|", ">", "&"), lexer))
 
 
 @pytest.mark.parametrize(("page", "line"), list(commands()))

@@ -10,9 +10,8 @@
 # next one for HOLD_NS at most.
 #
 # Times: a byte's time is when its last bit arrived. The bytes of one read get their times back from
-# the last one by the character time; a read that came late does not make them earlier than those
-# before. What comes out depends on these times only, not on how the bytes were cut into reads. A
-# clock that was set back ends what was held.
+# the last one by the character time. What comes out depends on these times only, not on how the
+# bytes were cut into reads. A clock that was set back ends what was held.
 #
 # Holds less than WINDOW bytes. When a window is full without a silence, all but its last 256 bytes
 # are decided.
@@ -66,19 +65,15 @@ class RtuSplitter:
             return events
         first_ns = ts_ns - (len(data) - 1) * self._character_ns
         if self._data:
-            last_ns = self._times[-1]
-            if ts_ns < last_ns:
-                events += self.close()
-            else:
-                events += self.advance(first_ns - self._character_ns)
-        earliest_ns = self._times[-1] if self._times else first_ns
+            set_back = ts_ns < self._times[-1]
+            events += self.close() if set_back else self.advance(first_ns - self._character_ns)
         self._burst_over = False
         while data:
             room = WINDOW - len(self._data)
             piece, data = data[:room], data[room:]
             self._data += piece
             for _ in piece:
-                self._times.append(max(first_ns, earliest_ns))
+                self._times.append(first_ns)
                 first_ns += self._character_ns
             if len(self._data) == WINDOW:
                 self._explain(events, burst_over=False)

@@ -91,6 +91,21 @@ def test_is_not_deceived_by_zeros_in_register_data() -> None:
     assert skipped(events)[0].raw == data
 
 
+def test_is_not_deceived_by_a_header_that_leaves_no_room_for_its_function() -> None:
+    # Out of step, a length of 2 behind which 0F stands, whose byte count would come later.
+    data = bytes.fromhex("FFFF FFFF FFFF FF 0000 0000 0002 01 0F")
+    events = every_way(requests, data + READ_HOLDING_REQUEST)
+    assert pdus(events) == [READ]
+    assert skipped(events)[0].raw == data
+
+
+def test_is_not_deceived_by_register_data_behind_a_gap() -> None:
+    splitter = requests()
+    splitter.gap()
+    data = bytes.fromhex("0000 0000 0003 01 06 05")
+    assert pdus(splitter.feed(data + READ_HOLDING_REQUEST, 1)) == [READ]
+
+
 def test_unknown_function_is_skipped_out_of_step_only() -> None:
     unknown = mbap_adu(3, 1, b"\x41\x00")
     assert pdus(every_way(requests, unknown)) == [(1, "4100")]

@@ -337,7 +337,7 @@ def test_clock_that_was_set_back_ends_what_was_held() -> None:
     assert adu.end_ns == START_NS - hour
 
 
-def test_late_read_does_not_put_its_bytes_before_others() -> None:
+def test_reads_that_seem_to_overlap_belong_together() -> None:
     fed = splitter()
     fed.feed(READ_HOLDING_RESPONSE[:6], START_NS)
     fed.feed(READ_HOLDING_RESPONSE[6:], START_NS + CHARACTER)
