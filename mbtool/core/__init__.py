@@ -5,6 +5,7 @@ from mbtool.core.errors import (
     InputError,
     LinkError,
     MbtoolError,
+    OutputError,
     ProfileError,
     UsageError,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "LinkError",
     "LinkSpec",
     "MbtoolError",
+    "OutputError",
     "Packet",
     "ProfileError",
     "Quiet",

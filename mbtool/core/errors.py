@@ -7,6 +7,7 @@
 #   InputError     a capture that is absent, unreadable or of another kind
 #   CutError       a capture that ends in the middle of a record; raised after the last whole one
 #   LinkError      a port that is absent, busy or forbidden; an address in use
+#   OutputError    a disk that is full while a log is written
 #
 # The text is one line, names the thing, and says what would be right.
 
@@ -41,3 +42,7 @@ class CutError(InputError):
 
 class LinkError(MbtoolError):
     """A link could not be opened, or was lost."""
+
+
+class OutputError(MbtoolError):
+    """An output could not be written, or takes no more."""

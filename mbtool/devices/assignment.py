@@ -112,6 +112,16 @@ class Assignments:
                     f"device {str(each.who)!r} is given two profiles, "
                     f"{first.name} and {each.profile.name}; name one"
                 )
+        self._demand_one_profile_for_a_name()
+
+    def _demand_one_profile_for_a_name(self) -> None:
+        """A log keeps profiles by name, so two of one name could not be told apart in it."""
+        named: dict[str, Profile] = {}
+        for each in self._assignments:
+            if named.setdefault(each.profile.name, each.profile) != each.profile:
+                raise UsageError(
+                    f"two profiles are called {each.profile.name}; give one of them another name"
+                )
 
     def __iter__(self) -> Iterator[Assignment]:
         """Each assignment, the most specific first."""

@@ -10,11 +10,13 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from mbtool.devices.model import Access, Profile
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from mbtool.devices.model import Profile
+    from mbtool.modbus.transaction import Transaction
 
 RULES = {
     "F": "The device's manual does not list the function.",
@@ -49,18 +51,17 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return f"exception {number:02X} ({exception_name(number)}) is not documented"
 
 
-def request_findings(
-    profile: Profile, function: int, address: int | None, quantity: int | None
-) -> Iterator[str]:
+def request_findings(profile: Profile, transaction: Transaction) -> Iterator[str]:
     """Codes for what a request asks of its device."""
     prefix = finding_prefix(profile)
+    function, quantity = transaction.function, transaction.quantity
     rule = profile.rule(function)
     if rule is None:
         yield f"{prefix}-F{function}"
         return
     if rule.limit is not None and quantity is not None and not 1 <= quantity <= rule.limit:
         yield f"{prefix}-Q{function}"
-    if address is not None and not _addresses_exist(profile, function, address, quantity):
+    if not _may_reach(profile, transaction):
         yield f"{prefix}-A{function}"
 
 
@@ -75,9 +76,15 @@ def finding_prefix(profile: Profile) -> str:
     return profile.finding_prefix or profile.name.upper()
 
 
-def _addresses_exist(profile: Profile, function: int, address: int, quantity: int | None) -> bool:
-    known = FUNCTIONS.get(function)
-    if known is None or known.table is None:
+def _may_reach(profile: Profile, transaction: Transaction) -> bool:
+    """Whether the device has every address that is asked for, and lets it be written."""
+    known = FUNCTIONS.get(transaction.function)
+    if known is None or known.table is None or transaction.address is None:
         return True
-    area = profile.area(known.table, address, max(quantity or 1, 1))
-    return area is not None and (area.access is Access.READ_WRITE or not known.writes)
+    first = transaction.address
+    span = range(first, first + max(transaction.quantity or 1, 1))
+    if transaction.write_address is None:
+        return profile.allows(known.table, span, writing=known.writes)
+    first = transaction.write_address
+    written = range(first, first + max(len(transaction.request_values or ()), 1))
+    return profile.allows(known.table, span) and profile.allows(known.table, written, writing=True)

@@ -227,3 +227,13 @@ class Profile(_Part, frozen=True, kw_only=True):
             if area.holds(table, address, quantity):
                 return area
         return None
+
+    def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
+        """Whether a master may reach all of a range; it may run from one area into the next."""
+        at = span.start
+        while at < span.stop:
+            area = self.area(table, at)
+            if area is None or (writing and area.access is Access.READ):
+                return False
+            at = area.last + 1
+        return True

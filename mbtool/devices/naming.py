@@ -139,7 +139,7 @@ class _Vocabulary:
         title: str | None = None
         answer: Place | None = None
         if self.profile is not None:
-            findings = tuple(request_findings(self.profile, function, address, quantity))
+            findings = tuple(request_findings(self.profile, transaction))
             rule = self.profile.rule(function)
             if rule is not None:
                 title = rule.title

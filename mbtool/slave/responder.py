@@ -22,7 +22,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.devices import Access
 from mbtool.modbus.answer import Answer
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
 from mbtool.modbus.reach import REACHING, reach_of, response_to, values_after
@@ -78,12 +77,8 @@ class DeviceResponder:
         return response_to(request, pdu, read)
 
     def _demand_area(self, table: Table, span: range, *, writing: bool = False) -> None:
-        at = span.start
-        while at < span.stop:
-            area = self._profile.area(table, at)
-            if area is None or (writing and area.access is Access.READ):
-                raise _RefusedError(self._profile.exceptions.address)
-            at = area.last + 1
+        if not self._profile.allows(table, span, writing=writing):
+            raise _RefusedError(self._profile.exceptions.address)
 
 
 class _RefusedError(Exception):

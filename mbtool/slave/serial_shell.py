@@ -114,7 +114,16 @@ class SerialSlave(Shell):
             try:
                 self._port.write(data)
             except serial.SerialTimeoutException:
-                self._port.reset_output_buffer()  # Half an answer is none.
+                self._give_up_answer()
+
+    def _give_up_answer(self) -> None:
+        """Half an answer is none: drop what the line has not taken of it."""
+        try:
+            self._port.reset_output_buffer()
+        except OSError:
+            raise
+        except Exception as error:  # termios.error, where the port is gone, is no OSError.
+            raise OSError(str(error)) from error
 
 
 class _NobodysTurn(Turns):

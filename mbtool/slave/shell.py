@@ -10,8 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self
 
-from mbtool.core import LinkError
-
 if TYPE_CHECKING:
     from types import TracebackType
 
@@ -29,7 +27,7 @@ class Shell(ABC):
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
-        self._failure: LinkError | None = None
+        self._failure: Exception | None = None
 
     @property
     @abstractmethod
@@ -45,7 +43,10 @@ class Shell(ABC):
         self._thread.start()
 
     def wait(self, timeout_s: float | None = None) -> None:
-        """Return when the shell has ended or the time is over. Raises LinkError for a lost link."""
+        """Return when the shell has ended or the time is over.
+
+        Raises what ended it: LinkError for a lost link.
+        """
         if self._thread is not None:
             self._thread.join(timeout_s)
         if self._failure is not None:
@@ -72,7 +73,7 @@ class Shell(ABC):
     def _run_to_end(self) -> None:
         try:
             self._run()
-        except LinkError as error:
+        except Exception as error:
             self._failure = error
 
     @abstractmethod

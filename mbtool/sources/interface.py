@@ -44,6 +44,8 @@ _LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 1
 _MAX_PACKET = 2**17
 """More than a segment that the kernel has not yet cut (65535 bytes and headers)."""
 _BUFFER = 8 * 2**20
+_FETCH = 1000
+"""Packets taken before the loop looks at the clock again, however many are waiting."""
 _TICK_S = 0.1
 _SETTLE_NS = 1_000_000
 """A packet may be stamped this long before it can be fetched."""
@@ -135,7 +137,7 @@ class InterfaceSource:
 
     def _fetch(self) -> None:
         with suppress(BlockingIOError):
-            while True:
+            for _ in range(_FETCH):
                 _, data, seconds = self._capture.recv_raw(_MAX_PACKET)
                 self._inbox.put(
                     Packet(

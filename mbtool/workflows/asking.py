@@ -7,11 +7,11 @@ import time
 from typing import TYPE_CHECKING, Protocol, Self
 
 from mbtool.core import Direction, Endpoint, LinkError, SerialLink
-from mbtool.modbus import MbapSplitter, RtuStreamSplitter, mbap_adu, rtu_adu
+from mbtool.modbus import Adu, MbapSplitter, RtuStreamSplitter, mbap_adu, rtu_adu
 from mbtool.slave import open_port
 
 if TYPE_CHECKING:
-    from mbtool.modbus import Adu, Skipped
+    from mbtool.modbus import Skipped
 
 TIMEOUT_S = 2.0
 
@@ -70,11 +70,14 @@ class RtuMaster:
     def ask(self, unit: int, pdu: bytes) -> bytes | None:
         time.sleep(self._pause_s)
         splitter = RtuStreamSplitter(Direction.RESPONSE)
-        self._port.write(rtu_adu(unit, pdu))
-        while data := self._port.read(1):
-            data += self._port.read(self._port.in_waiting)
-            for adu in _adus(splitter.feed(data, 0)):
-                return adu.pdu
+        try:
+            self._port.write(rtu_adu(unit, pdu))
+            while data := self._port.read(1):
+                data += self._port.read(self._port.in_waiting)
+                for adu in _adus(splitter.feed(data, 0)):
+                    return adu.pdu
+        except OSError as error:  # pyserial's errors are OSErrors too.
+            raise LinkError(f"serial port {self._port.port}: lost: {error}") from error
         return None
 
     def __enter__(self) -> Self:
@@ -85,6 +88,4 @@ class RtuMaster:
 
 
 def _adus(events: list[Adu | Skipped]) -> list[Adu]:
-    from mbtool.modbus import Adu
-
     return [event for event in events if isinstance(event, Adu)]

@@ -23,7 +23,14 @@ from mbtool.core import (
 )
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus import Adu, Bus, Conversation, Decoded, Transaction
-from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamOpened, TcpReassembler
+from mbtool.packets import (
+    CloseReason,
+    StreamClosed,
+    StreamGap,
+    StreamItem,
+    StreamOpened,
+    TcpReassembler,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -52,6 +59,8 @@ class Decoder:
         self._reassembler = TcpReassembler(frozenset(ports) | self._rtu_ports)
         self._buses: dict[str, Bus] = {}
         self._conversations: OrderedDict[Connection, Conversation] = OrderedDict()
+        self._interfaces: set[str] = set()
+        """Links that have brought packets."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
@@ -59,6 +68,7 @@ class Decoder:
         self._last_ns = max(self._last_ns, item.ts_ns)
         if not isinstance(item, Packet):
             return self._piece(item)
+        self._interfaces.add(item.link)
         records: list[Record] = []
         for piece in self._reassembler.feed(item):
             records += self._piece(piece)
@@ -77,16 +87,19 @@ class Decoder:
         self._buses.clear()
         return records
 
-    def _piece(self, item: Evidence) -> list[Record]:
+    def _piece(self, item: StreamItem | Quiet) -> list[Record]:
         if isinstance(item, Chunk):
             return self._chunk(item)
         if isinstance(item, Quiet):
             return self._quiet(item)
         if isinstance(item, StreamGap):
-            conversation = self._conversation(item.connection)
+            # A gap that is told behind the connection's end must not open it anew.
+            known = self._conversations.get(item.connection)
+            conversation = known or self._new_conversation(item.connection)
             gap = conversation.gap(item.direction, item.missing, item.ts_ns, item.kind)
             return self._named(gap)
         if isinstance(item, StreamOpened):
+            self._conversation(item.connection)
             text = "connection joined" if item.joined else "connection opened"
             return [_told(item, EventKind.OPENED, text)]
         if isinstance(item, StreamClosed):
@@ -95,9 +108,7 @@ class Decoder:
             kind = EventKind.DISCARDED if discarded else EventKind.CLOSED
             told = _told(item, kind, f"connection closed: {item.reason}")
             return [*(self._named(ended.close()) if ended is not None else []), told]
-        if isinstance(item, WireEvent):
-            return [*self._broken_off(item), item]
-        return self.feed(item)
+        return [*self._broken_off(item), item]
 
     def _broken_off(self, event: WireEvent) -> list[Record]:
         """What a serial line held when bytes behind it were lost: it cannot be completed."""
@@ -109,13 +120,14 @@ class Decoder:
         bus = self._buses.get(quiet.link)
         if bus is not None:
             return self._named(bus.advance(quiet.ts_ns))
-        if quiet.link in self._lines:
-            return []
         records: list[Record] = []
-        for piece in self._reassembler.advance(quiet.ts_ns):
-            records += self._piece(piece)
-        for conversation in self._conversations.values():
-            records += self._named(conversation.advance(quiet.ts_ns))
+        if quiet.link in self._interfaces:
+            for piece in self._reassembler.advance(quiet.ts_ns):
+                records += self._piece(piece)
+        for connection, conversation in self._conversations.items():
+            # A tap's quiet is about the connections of its link, an interface's about all others.
+            if (connection.link == quiet.link) is not (quiet.link in self._interfaces):
+                records += self._named(conversation.advance(quiet.ts_ns))
         return records
 
     def _chunk(self, chunk: Chunk) -> list[Record]:
@@ -138,11 +150,13 @@ class Decoder:
     def _conversation(self, connection: Connection) -> Conversation:
         conversation = self._conversations.get(connection)
         if conversation is None:
-            rtu = connection.slave.port in self._rtu_ports
-            conversation = self._conversations[connection] = Conversation(connection, rtu=rtu)
+            conversation = self._conversations[connection] = self._new_conversation(connection)
         else:
             self._conversations.move_to_end(connection)
         return conversation
+
+    def _new_conversation(self, connection: Connection) -> Conversation:
+        return Conversation(connection, rtu=connection.slave.port in self._rtu_ports)
 
     def _named(self, decoded: list[Decoded]) -> list[Record]:
         records: list[Record] = []

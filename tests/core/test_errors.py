@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import CutError, InputError, LinkError, MbtoolError, ProfileError, UsageError
+from mbtool.core import (
+    CutError,
+    InputError,
+    LinkError,
+    MbtoolError,
+    OutputError,
+    ProfileError,
+    UsageError,
+)
 
 
 def test_profile_error_names_file_key_and_problem() -> None:
@@ -17,7 +25,12 @@ def test_profile_error_names_file_key_and_problem() -> None:
 
 @pytest.mark.parametrize(
     ("error", "kind"),
-    [(ProfileError, UsageError), (CutError, InputError), (LinkError, MbtoolError)],
+    [
+        (ProfileError, UsageError),
+        (CutError, InputError),
+        (LinkError, MbtoolError),
+        (OutputError, MbtoolError),
+    ],
 )
 def test_error_is_caught_by_its_kind(error: type[MbtoolError], kind: type[MbtoolError]) -> None:
     assert issubclass(error, kind)

@@ -2,8 +2,18 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices import RULES, finding_text, load_profile
+from mbtool.devices import (
+    RULES,
+    Access,
+    Area,
+    FunctionRule,
+    Profile,
+    finding_text,
+    load_profile,
+)
 from mbtool.devices.findings import exception_finding, request_findings
+from mbtool.modbus import Table, Transport
+from tests.devices.transactions import transaction
 
 FT1A = load_profile("idec-ft1a-touch")
 
@@ -24,13 +34,53 @@ FT1A = load_profile("idec-ft1a-touch")
 def test_request_is_held_against_the_manual(
     function: int, address: int | None, quantity: int | None, codes: list[str]
 ) -> None:
-    assert list(request_findings(FT1A, function, address, quantity)) == codes
+    asked = transaction(function, address, quantity=quantity)
+    assert list(request_findings(FT1A, asked)) == codes
+
+
+@pytest.mark.parametrize(
+    ("read", "write", "codes"),
+    [
+        (range(5), range(10, 12), []),
+        (range(8, 12), range(10, 12), []),  # Reads from one area into the next.
+        (range(5), range(2), ["X-A23"]),  # Writes where one may only read.
+        (range(5), range(19, 21), ["X-A23"]),
+        (range(18, 22), range(10, 12), ["X-A23"]),
+    ],
+)
+def test_what_17h_reads_and_what_it_writes_are_held_against_the_areas(
+    read: range, write: range, codes: list[str]
+) -> None:
+    areas = [
+        Area(name=name, table=Table.HOLDING_REGISTERS, first=first, last=last, access=access)
+        for name, first, last, access in [
+            ("in", 0, 9, Access.READ),
+            ("out", 10, 19, Access.READ_WRITE),
+        ]
+    ]
+    profile = Profile(
+        name="x",
+        title="X",
+        vendor="X",
+        transports=[Transport.RTU],
+        source="none",
+        areas=areas,
+        functions={"17": FunctionRule()},
+    )
+    asked = transaction(
+        0x17,
+        read.start,
+        quantity=len(read),
+        write_address=write.start,
+        request_values=[0] * len(write),
+    )
+    assert list(request_findings(profile, asked)) == codes
 
 
 def test_functions_of_the_makers_own_are_no_finding() -> None:
     fa3 = load_profile("fa3-at1m8x")
-    assert list(request_findings(fa3, 0x42, None, None)) == []
-    assert list(request_findings(fa3, 0x45, None, None)) == ["FA3-F69"]
+    assert list(request_findings(fa3, transaction(0x42))) == []
+    assert list(request_findings(fa3, transaction(0x45))) == ["FA3-F69"]
 
 
 def test_exception_is_held_against_the_manual() -> None:

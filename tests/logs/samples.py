@@ -111,7 +111,7 @@ def write_log(path: Path, items: Iterable[LogItem]) -> Path:
     """A closed log of these items, with a link and a profile."""
     with LogWriter(path, capture={"host": "bench"}) as log:
         log.add_link("rs485", {"spec": "rtu:/dev/ttyUSB0@19200-8E1"})
-        log.add_profile("idec-ft1a-touch", b'name = "idec-ft1a-touch"\n')
+        log.add_profile("idec-ft1a-touch", b'{"name": "idec-ft1a-touch"}')
         for item in items:
             log.write(item)
     return path

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Header, Metadata
 
-from mbtool.core import LinkError, UsageError
+from mbtool.core import OutputError, UsageError
 from mbtool.logs.complete_file import SECTOR, CompleteFile, create_file
 from mbtool.logs.container import Container
 from mbtool.logs.layout import MAGIC, TAIL_SIZE, packed
@@ -28,12 +28,12 @@ class Disk(io.BytesIO):
     def __init__(self, room: int | None = None) -> None:
         super().__init__()
         self.states: list[bytes] = []
-        self._room = room
+        self.room = room
 
     def write(self, data: ReadableBuffer, /) -> int:
         piece = bytes(data)
         at = self.tell()
-        if self._room is not None and at + len(piece) > self._room:
+        if self.room is not None and at + len(piece) > self.room:
             raise OSError(errno.ENOSPC, "No space left on device")
         before = self.getvalue()
         # A write inside one sector is done or not; a longer one may stop anywhere.
@@ -106,12 +106,27 @@ def test_a_full_disk_leaves_what_was_written_before() -> None:
     for room in range(200, needed, 5):
         disk = Disk(room)
         container = Container(CompleteFile(disk, "x.mcap", HEAD))
-        with pytest.raises(LinkError, match=r"x\.mcap: .*No space left"):
+        with pytest.raises(OutputError, match=r"x\.mcap: .*No space left"):
             fill(container, 3)
         before = count_messages(disk.getvalue())
-        with pytest.raises(LinkError, match="takes no more"):
+        with pytest.raises(OutputError, match=r"x\.mcap: .*No space left"):
             fill(container, 1)
         assert count_messages(disk.getvalue()) == before
+
+
+def test_a_log_that_failed_stays_as_it_is_and_says_why_to_its_end() -> None:
+    disk = Disk()
+    container = Container(CompleteFile(disk, "x.mcap", HEAD))
+    disk.room = len(disk.getvalue())
+    with pytest.raises(OutputError) as first:
+        fill(container, 1)
+    disk.room = None
+    before = disk.getvalue()
+    for write in (lambda: fill(container, 1), container.finish):
+        with pytest.raises(OutputError) as later:
+            write()
+        assert later.value is first.value
+    assert disk.getvalue() == before
 
 
 def test_a_file_that_exists_is_not_overwritten(tmp_path: Path) -> None:

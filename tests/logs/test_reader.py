@@ -42,7 +42,7 @@ def test_what_is_known_beforehand_is_known_before_the_first_item(tmp_path: Path)
     with LogReader.open(write_log(tmp_path / "x.mcap", ONE_OF_EACH)) as log:
         assert log.capture["host"] == "bench"
         assert log.links == {"rs485": {"spec": "rtu:/dev/ttyUSB0@19200-8E1"}}
-        assert log.profiles == {"idec-ft1a-touch": b'name = "idec-ft1a-touch"\n'}
+        assert log.profiles == {"idec-ft1a-touch": b'{"name": "idec-ft1a-touch"}'}
 
 
 def test_a_link_that_is_added_later_is_learned_on_the_way(tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def small_log() -> bytes:
 
 def some_chunks(path: Path) -> Path:
     with LogWriter(path, capture={}) as writer:
-        writer.add_profile("pump", b"name")
+        writer.add_profile("pump", b"{}")
         for number in range(3):
             writer.write(chunk(number))
             writer.write(transaction(number))

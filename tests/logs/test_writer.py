@@ -55,7 +55,8 @@ def test_a_log_tells_who_made_it(tmp_path: Path) -> None:
         "mbtool.link": {"name": "rs485", "spec": "rtu:/dev/ttyUSB0@19200-8E1"},
     }
     assert attachment.name == "idec-ft1a-touch"
-    assert attachment.media_type == "application/toml"
+    assert attachment.media_type == "application/json"
+    assert json.loads(attachment.data) == {"name": "idec-ft1a-touch"}
 
 
 def test_a_transaction_stands_after_its_evidence_in_the_order_of_time_too(tmp_path: Path) -> None:
@@ -154,11 +155,11 @@ def test_two_writers_cannot_share_a_file(tmp_path: Path) -> None:
 def test_a_command_line_that_is_no_text_can_be_told(tmp_path: Path) -> None:
     command = os.fsdecode(b"sniff -w \xff.mcap")
     with LogWriter(tmp_path / "x.mcap", capture={"command": command}) as log:
-        log.add_profile(os.fsdecode(b"\xff.toml"), b"")
+        log.add_profile(os.fsdecode(b"\xffpump"), b"{}")
         log.add_device("all", "pump")
     with LogReader.open(tmp_path / "x.mcap") as reader:
         assert reader.capture["command"] == "sniff -w ?.mcap"
-        assert reader.profiles == {"?.toml": b""}
+        assert reader.profiles == {"?pump": b"{}"}
         assert reader.devices == {"all": "pump"}
 
 

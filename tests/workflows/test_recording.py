@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from mbtool.core import Direction, Endpoint, UsageError, parse_link
-from mbtool.devices import Assignments, NamedTransaction, parse_assignment
+from mbtool.devices import (
+    Assignments,
+    NamedTransaction,
+    parse_assignment,
+    profile_from_json,
+)
 from mbtool.logs import LogReader
 from mbtool.modbus import Transport, rtu_adu
 from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
 from tests.workflows.evidence import CONNECTION, READ, VALUES, captured, relayed
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+FORMAT = Path(__file__).parents[2] / "docs" / "log-format.md"
 LINKS = [
     parse_link(text)
     for text in (
@@ -46,8 +49,27 @@ def test_a_log_says_all_that_decoding_it_again_needs(tmp_path: Path) -> None:
             "10.0.0.8": {"spec": "tap:127.0.0.1:1503=10.0.0.8:502"},
         }
         assert log.devices == {"10.0.0.8/5": "fa3-at1m8x", "1": "idec-ft1a-touch"}
-        assert set(log.profiles) == {"fa3-at1m8x", "idec-ft1a-touch"}
+        attached = [profile_from_json(data, name) for name, data in log.profiles.items()]
+        assert attached == list(DEVICES.profiles)
         assert {"host", "system", "command", "clock", "version"} <= set(log.capture)
+
+
+def test_all_that_a_log_says_is_documented(tmp_path: Path) -> None:
+    rows = {
+        cells[1].strip(" `"): cells[2]
+        for cells in (line.split("|") for line in FORMAT.read_text().splitlines())
+        if len(cells) == 4
+    }
+    path = str(tmp_path / "a.mcap")
+    begin_log(path, LINKS, DEVICES, ports=[502], rtu_ports=[4001]).close({"discarded": "0"})
+    with LogReader.open(path) as log:
+        list(log.items())
+        said = {
+            "mbtool.capture": set(log.capture),
+            "mbtool.link": {"name"}.union(*log.links.values()),
+        }
+    for record, keys in said.items():
+        assert {key for key in keys if f"`{key}`" not in rows[record]} == set()
 
 
 def test_evidence_alone_is_decoded_again_by_it(tmp_path: Path) -> None:
