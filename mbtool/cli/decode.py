@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import TYPE_CHECKING, Annotated
 
@@ -77,8 +78,11 @@ def decode(
 
     if follow and (raw or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw")
-    if output in files:
-        raise UsageError(f"{output}: it is read, and would be written over; name another --output")
+    for file in files:
+        if output is not None and _is_same(file, output):
+            raise UsageError(
+                f"{output}: it is read, and would be written over; name another --output"
+            )
     devices = assignments(device)
     wanted = condition(where)
     options = ReadingOptions(
@@ -90,7 +94,9 @@ def decode(
         return reading.assignments.profile_for(one)
 
     with (
-        open_output(output, format_, events, profile_for, wanted, limit) as out,
+        open_output(
+            output, format_, events, profile_for, wanted, limit, reading.demand_files
+        ) as out,
         interruptible() as interrupt,
     ):
 
@@ -114,6 +120,15 @@ def decode(
             raise KeyboardInterrupt
     if not follow and reading.why_empty is not None:
         say(reading.why_empty)
+
+
+def _is_same(file: str, output: str) -> bool:
+    if STANDARD_INPUT in (file, output):
+        return False
+    try:
+        return os.path.samefile(file, output)
+    except OSError:  # One of them is not there.
+        return os.path.abspath(file) == os.path.abspath(output)
 
 
 def _with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:

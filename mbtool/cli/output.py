@@ -14,7 +14,7 @@ from mbtool.core import LinkError, MbtoolError, UsageError, WireEvent
 from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.workflows.decoding import Record
@@ -100,12 +100,20 @@ def open_output(
     profile_for: ProfileFor,
     wanted: Where,
     limit: int | None = None,
+    demand_inputs: Callable[[], None] = lambda: None,
 ) -> Iterator[Output]:
-    """An output that is finished, and talked about, when its context ends. Raises UsageError."""
+    """An output that is finished, and talked about, when its context ends. Raises UsageError.
+
+    `demand_inputs` is called before a file is opened, so that what is wrong with an input costs no
+    older output.
+    """
     chosen = format_ or _format_of(path)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
+    if chosen is Format.CSV and shown is not EventChoice.NONE:
+        raise UsageError("--events goes with table and jsonl; a CSV row is a transaction")
     to_file = path is not None and path != STANDARD_OUTPUT
     name = path if path is not None and to_file else "standard output"
+    demand_inputs()
     with _open_file(path if to_file else None) as file:
         with _told_as_lost(name):
             printer = printer_for(chosen, file, profile_for)

@@ -72,10 +72,11 @@ def replay(
     from mbtool.replay import OnMiss
     from mbtool.workflows.reading import ReadingOptions
     from mbtool.workflows.replaying import read_recording, recorded_slave
+    from mbtool.workflows.serving import slave_link
 
     if not as_slave:
         raise UsageError("say which side to play: --as-slave")
-    link = parse_link(on)
+    link = slave_link(parse_link(on))
     factor = _speed(speed)
     wanted = condition(where)
 

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from mbtool.core.errors import ProfileError, UsageError
+from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile
 from mbtool.devices.validation import validate
 
@@ -134,7 +134,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
             data = stream.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise UsageError(f"profile {str(path)!r} cannot be read: {reason}") from error
+        raise InputError(f"profile {str(path)!r} cannot be read: {reason}") from error
     if len(data) > MAX_FILE_BYTES:
         raise ProfileError(str(path), "size", f"more than {MAX_FILE_BYTES} bytes are no profile")
     try:

@@ -17,7 +17,7 @@ import os
 import zlib
 from typing import TYPE_CHECKING, BinaryIO
 
-from mbtool.core import LinkError, UsageError
+from mbtool.core import OutputError, UsageError
 from mbtool.logs.layout import (
     DATA_END_SIZE,
     FOOTER_SIZE,
@@ -58,10 +58,10 @@ class CompleteFile:
     """Grows by whole records. `file` is new, unbuffered, and closed by `close`."""
 
     def __init__(self, file: BinaryIO, name: str, head: bytes) -> None:
-        """Write the magic and the first records, `head`. Raises LinkError."""
+        """Write the magic and the first records, `head`. Raises OutputError."""
         self._file = file
         self._name = name
-        self._failed = False
+        self._failure: OutputError | None = None
         head += _padding(len(head), TAIL_SIZE, 0)
         self.position = len(head)
         """Where the next record goes."""
@@ -81,9 +81,10 @@ class CompleteFile:
         return self._file.closed
 
     def append(self, records: bytes, *, sync: bool) -> None:
-        """Add records; with `sync`, they are on the disk afterwards. Raises LinkError.
+        """Add records; with `sync`, they are on the disk afterwards. Raises OutputError.
 
-        After an error the file is as it was, and takes no more.
+        After an error the file is as it was and takes no more: each later write raises that error,
+        so that the reason is told whichever of them comes to be the last.
         """
         records += _padding(self.position + len(records), TAIL_SIZE, TAIL_SIZE - len(records))
         crc = zlib.crc32(records, self._crc)
@@ -95,7 +96,7 @@ class CompleteFile:
     def finish(self, summary: Callable[[int], tuple[bytes, bytes]]) -> None:
         """Add the summary section: `summary` makes it and its footer, given where it starts.
 
-        Its length must not depend on where that is. Raises LinkError.
+        Its length must not depend on where that is. Raises OutputError.
         """
         length = DATA_END_SIZE + len(summary(0)[0])
         if not _fits(self.position + length, FOOTER_SIZE):
@@ -122,13 +123,13 @@ class CompleteFile:
         self._file.close()
 
     def _guarded(self, write: Callable[[], None]) -> None:
-        if self._failed:
-            raise LinkError(f"{self._name}: the log takes no more, as an earlier write failed")
+        if self._failure is not None:
+            raise self._failure
         try:
             write()
         except OSError as error:
-            self._failed = True
-            raise self._error(error) from error
+            self._failure = self._error(error)
+            raise self._failure from error
 
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
         """Replace the last `old_size` bytes of the file, which stand at `at`, back to front."""
@@ -150,8 +151,8 @@ class CompleteFile:
     def _sync(self) -> None:
         _sync_data(self._file.fileno())
 
-    def _error(self, error: OSError) -> LinkError:
-        return LinkError(
+    def _error(self, error: OSError) -> OutputError:
+        return OutputError(
             f"{self._name}: the log cannot be written: {_reason(error)}; "
             "what was written before can be read"
         )

@@ -141,14 +141,14 @@ class Container:
         self._sealed += record
 
     def flush(self, *, sync: bool) -> None:
-        """Bring all that was added into the file. Raises LinkError; then it is forgotten."""
+        """Bring all that was added into the file. Raises OutputError; then it is forgotten."""
         self._seal()
         if self._sealed:
             sealed, self._sealed = bytes(self._sealed), bytearray()
             self._file.append(sealed, sync=sync)
 
     def finish(self) -> None:
-        """Flush and write the summary. Raises LinkError."""
+        """Flush and write the summary. Raises OutputError."""
         self.flush(sync=False)
         self._file.finish(self._summary)
 

@@ -25,7 +25,7 @@ FORMAT_VERSION = 1
 CAPTURE = "mbtool.capture"
 LINK = "mbtool.link"
 DEVICE = "mbtool.device"
-PROFILE_MEDIA_TYPE = "application/toml"
+PROFILE_MEDIA_TYPE = "application/json"
 
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")

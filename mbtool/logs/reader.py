@@ -44,7 +44,7 @@ class LogReader:
     devices: dict[str, str]
     """The profile of each device, by whom it was given for."""
     profiles: dict[str, bytes]
-    """The profiles in use, by name, as TOML."""
+    """The profiles in use, by name, as JSON."""
     closed: bool
     """Whether the recorder closed it; known at the end."""
 

@@ -92,8 +92,8 @@ class RotatingLog:
     def add_device(self, who: str, profile: str) -> None:
         self._introduce(lambda writer: writer.add_device(who, profile))
 
-    def add_profile(self, name: str, toml: bytes) -> None:
-        self._introduce(lambda writer: writer.add_profile(name, toml))
+    def add_profile(self, name: str, profile_json: bytes) -> None:
+        self._introduce(lambda writer: writer.add_profile(name, profile_json))
 
     def tick(self, now_ns: int) -> None:
         if self._began_ns is None:

@@ -20,7 +20,7 @@ import msgspec
 from mcap.records import Header
 
 from mbtool import __version__
-from mbtool.core import Chunk, LinkError, Packet
+from mbtool.core import Chunk, OutputError, Packet
 from mbtool.devices import NamedTransaction, finding_text
 from mbtool.logs import schemas
 from mbtool.logs.complete_file import CompleteFile, create_file
@@ -74,7 +74,7 @@ class LogWriter:
         self._container.add_metadata(CAPTURE, self._capture)
         try:
             self._container.flush(sync=True)
-        except LinkError:
+        except OutputError:
             self._file.close()
             raise
 
@@ -88,7 +88,7 @@ class LogWriter:
         return self._file.size
 
     def write(self, item: LogItem) -> None:
-        """Add one item. Raises LinkError when the disk takes no more."""
+        """Add one item. Raises OutputError when the disk takes no more."""
         if isinstance(item, NamedTransaction):
             self._write_transaction(item)
         elif isinstance(item, Chunk | Packet):
@@ -106,13 +106,13 @@ class LogWriter:
         """Say whom a profile was given for, in the words of `--device`."""
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
-    def add_profile(self, name: str, toml: bytes) -> None:
+    def add_profile(self, name: str, profile_json: bytes) -> None:
         """Attach a profile in use, whole."""
         (clean,) = _clean({name: ""})
-        self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, toml)
+        self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
 
     def tick(self, now_ns: int) -> None:
-        """Learn the time, of any clock that goes forward. Raises LinkError."""
+        """Learn the time, of any clock that goes forward. Raises OutputError."""
         if not self._container.pending:
             self._quiet_ns = now_ns
         elif not 0 <= now_ns - self._quiet_ns < FLUSH_AFTER_NS:
@@ -122,7 +122,7 @@ class LogWriter:
     def close(self, final: Mapping[str, str] | None = None) -> None:
         """Write what is left and the summary. `final` is what only the end shows: drop counts.
 
-        Does nothing the second time. Raises LinkError; the file is closed all the same.
+        Does nothing the second time. Raises OutputError; the file is closed all the same.
         """
         if self._file.closed:
             return

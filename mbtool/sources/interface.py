@@ -46,6 +46,8 @@ _MAX_PACKET = 2**17
 _BUFFER = 8 * 2**20
 _FETCH = 1000
 """Packets taken before the loop looks at the clock again, however many are waiting."""
+_LAST_FETCHES = 100
+"""How often the last packets are asked for when the capture ends."""
 _TICK_S = 0.1
 _SETTLE_NS = 1_000_000
 """A packet may be stamped this long before it can be fetched."""
@@ -124,7 +126,9 @@ class InterfaceSource:
                 ready, _, _ = select.select([self._capture.ins, told], [], [], _TICK_S)
                 is_running = told not in ready
                 asked_ns = now_ns()
-                self._fetch()
+                more = self._fetch()
+                for _ in range(0 if is_running else _LAST_FETCHES):
+                    more = more and self._fetch()
                 if not ready:
                     self._inbox.put(Quiet(asked_ns - _SETTLE_NS, self.link))
                 if not is_running or asked_ns - statistics_ns > _STATISTICS_NS:
@@ -135,7 +139,8 @@ class InterfaceSource:
         finally:
             self._inbox.put(Ended(self.link, error))
 
-    def _fetch(self) -> None:
+    def _fetch(self) -> bool:
+        """Take what waits; the answer is whether there may be more."""
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
                 _, data, seconds = self._capture.recv_raw(_MAX_PACKET)
@@ -148,6 +153,8 @@ class InterfaceSource:
                         original_length=len(data),
                     )
                 )
+            return True
+        return False
 
     def _report_drops(self, ts_ns: int) -> None:
         raw = self._capture.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)

@@ -57,6 +57,10 @@ class Reading:
         self._done = 0
         self._evidence = 0
         self._found = False
+        self._ports: tuple[Sequence[int], Sequence[int]] = (
+            options.ports or (DEFAULT_PORT,),
+            options.rtu_ports,
+        )
         self.assignments = options.assignments
         """The profiles in use: those of the options, and those of the log that is being read."""
 
@@ -74,11 +78,17 @@ class Reading:
         names = ", ".join(self._paths)
         if not self._evidence:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
-        ports = (*(self._options.ports or (DEFAULT_PORT,)), *self._options.rtu_ports)
+        ports = {port for some in self._ports for port in some}
         return (
             f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
             "name other ports with --port, for RTU over TCP with --rtu-port"
         )
+
+    def demand_files(self) -> None:
+        """See that each file is there and of a kind that can be read. Raises InputError."""
+        for path in self._paths:
+            if path != STANDARD_INPUT:
+                open_capture(path).close()
 
     def records(self) -> Iterator[Record]:
         """Give everything, file by file."""
@@ -116,30 +126,31 @@ class Reading:
         log = LogReader(capture.stream, capture.name)
         if self._options.raw:
             self.assignments = _all_assignments(log, self._options.assignments)
-            yield from decoded_again(log, self._options, self.assignments)
+            yield from self._decoded_again(log)
         else:
             with suppress(UsageError):  # The log's transactions are named; only figures lack.
                 self.assignments = _all_assignments(log, self._options.assignments)
             yield from _renamed(log, self._options.assignments)
 
-
-def decoded_again(
-    log: LogReader, options: ReadingOptions, assignments: Assignments
-) -> Iterator[Record]:
-    """Decode a log's evidence afresh."""
-    decoder = Decoder(
-        Namer(assignments),
-        lines=_lines(log),
-        ports=options.ports or _ports(log, PORTS) or (DEFAULT_PORT,),
-        rtu_ports=options.rtu_ports or _ports(log, RTU_PORTS),
-    )
-    try:
-        for evidence in log.evidence():
-            yield from decoder.feed(evidence)
-    except InputError:
+    def _decoded_again(self, log: LogReader) -> Iterator[Record]:
+        """Decode a log's evidence afresh."""
+        options = self._options
+        self._ports = (
+            options.ports or _ports(log, PORTS) or (DEFAULT_PORT,),
+            options.rtu_ports or _ports(log, RTU_PORTS),
+        )
+        ports, rtu_ports = self._ports
+        decoder = Decoder(
+            Namer(self.assignments), lines=_lines(log), ports=ports, rtu_ports=rtu_ports
+        )
+        try:
+            for evidence in log.evidence():
+                self._evidence += 1
+                yield from decoder.feed(evidence)
+        except InputError:
+            yield from decoder.close()
+            raise
         yield from decoder.close()
-        raise
-    yield from decoder.close()
 
 
 def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:
@@ -147,8 +158,8 @@ def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> It
     if path == STANDARD_INPUT:
         raise UsageError("--follow reads a log on disk, not standard input; name the log")
     with open_capture(path) as capture:
-        if capture.kind is not CaptureKind.MCAP:
-            raise UsageError(f"{path}: not a log (.mcap); only a log of mbtool can be followed")
+        if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
+            raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
     namer = Namer(options.assignments)
     for item in follow(path, wait):
         if not isinstance(item, Chunk | Packet):

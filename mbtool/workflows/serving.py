@@ -1,4 +1,4 @@
-"""Makes slaves: a device's, and a recording's."""
+"""Makes a device's slave."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ def device_slave(
         load_image(image_file, profile, image)
     return open_shell(
         link,
-        units_on(_slave_link(link), profile, unit, DeviceResponder(profile, image)),
+        units_on(slave_link(link), profile, unit, DeviceResponder(profile, image)),
         allow_remote=allow_remote,
     )
 
 
-def _slave_link(link: LinkSpec) -> SerialLink | TcpLink:
+def slave_link(link: LinkSpec) -> SerialLink | TcpLink:
+    """The same link, if a slave can be on it. Raises UsageError."""
     if isinstance(link, SerialLink | TcpLink):
         return link
     raise UsageError(

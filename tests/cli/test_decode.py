@@ -216,6 +216,12 @@ def test_following_ends_with_ctrl_c(tmp_path: Path) -> None:
 def test_a_capture_is_not_followed(mbtool: CommandLine, capture: Path) -> None:
     told = mbtool("decode", capture, "--follow")
     assert told.code == exit_codes.USAGE
-    assert told.err == (
-        f"mbtool: {capture}: not a log (.mcap); only a log of mbtool can be followed\n"
-    )
+    assert told.err == (f"mbtool: {capture}: not a log (.mcap); only a plain one can be followed\n")
+
+
+def test_an_absent_input_leaves_an_older_output_alone(mbtool: CommandLine, tmp_path: Path) -> None:
+    older = tmp_path / "older.jsonl"
+    older.write_text("{}\n")
+    told = mbtool("decode", tmp_path / "absent.pcap", "-o", older)
+    assert told.code == exit_codes.UNREADABLE
+    assert older.read_text() == "{}\n"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import ProfileError, UsageError
+from mbtool.core import InputError, ProfileError, UsageError
 from mbtool.devices import (
     PointType,
     Profile,
@@ -80,7 +80,7 @@ def test_part_of_a_family_is_no_profile() -> None:
 
 
 def test_absent_file_is_named_with_the_reason(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"nothing\.toml' cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"nothing\.toml' cannot be read: No such file"):
         load_profile(str(tmp_path / "nothing.toml"))
 
 

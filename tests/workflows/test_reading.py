@@ -313,7 +313,7 @@ def test_only_a_log_on_disk_can_be_followed(tmp_path: Path) -> None:
         next(followed(str(path), ReadingOptions(), _never))
     with pytest.raises(UsageError, match="name the log"):
         next(followed("-", ReadingOptions(), _never))
-    with pytest.raises(InputError, match=r"a\.mcap\.gz"):
+    with pytest.raises(UsageError, match=r"a\.mcap\.gz: not a log \(\.mcap\); only a plain one"):
         next(followed(str(packed), ReadingOptions(), _never))
 
 
