@@ -1,4 +1,4 @@
-"""The exit codes of every command (docs/architecture.md, README)."""
+"""The exit codes of every command (README)."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
 from mbtool.cli.talk import say
-from mbtool.core import InputError, LinkError, MbtoolError
+from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 
 app = typer.Typer(
     name="mbtool",
@@ -96,7 +96,7 @@ def _told(arguments: list[str]) -> int:
         return end.exit_code
     except typer.TyperException as error:
         return _fail(_usage(error), exit_codes.USAGE)
-    except (InputError, LinkError) as error:
+    except (InputError, LinkError, OutputError) as error:
         return _fail(str(error), exit_codes.UNREADABLE)
     except MbtoolError as error:
         return _fail(str(error), exit_codes.USAGE)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.printers import printer_for
 from mbtool.cli.talk import say
-from mbtool.core import LinkError, MbtoolError, UsageError, WireEvent
+from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
@@ -25,14 +25,10 @@ STANDARD_OUTPUT = "-"
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
 
-class OutputLostError(LinkError):
-    """The file takes no more."""
-
-
 class Output:
     """Prints what is wanted of the records it is given, and counts it.
 
-    Its methods raise OutputLostError.
+    Its methods raise OutputError.
     """
 
     def __init__(
@@ -120,7 +116,7 @@ def open_output(
         output = Output(file, name, printer, shown, wanted, limit)
         try:
             yield output
-        except OutputLostError:
+        except OutputError:
             raise
         except (MbtoolError, KeyboardInterrupt):
             output.wait()
@@ -167,4 +163,4 @@ def _told_as_lost(name: str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise OutputLostError(f"{name}: cannot be written: {error.strerror or error}") from error
+        raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error

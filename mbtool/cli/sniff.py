@@ -67,6 +67,7 @@ def sniff(
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError, parse_link
     from mbtool.devices import Namer
+    from mbtool.logs import Rotation
     from mbtool.sources.clock import now_ns
     from mbtool.workflows.decoding import Decoder
     from mbtool.workflows.reading import DEFAULT_PORT
@@ -90,7 +91,7 @@ def sniff(
             devices,
             ports=ports,
             rtu_ports=rtu_ports,
-            rotation=rotate,
+            rotation=None if rotate is None else Rotation.parse(rotate),
             overwrite=overwrite,
         ),
         ports=[*ports, *rtu_ports],

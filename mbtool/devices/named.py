@@ -33,7 +33,7 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
     points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
     """What the response brought and what the request asks to write, whether or not it was done."""
     findings: list[str] = []  # noqa: RUF012 - msgspec copies an empty list per record
-    """Codes of broken rules (docs/findings.md)."""
+    """Codes of broken rules (docs/devices.md)."""
 
     @property
     def took_effect(self) -> bool:

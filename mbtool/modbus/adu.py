@@ -73,7 +73,7 @@ class Adu:
     """One application data unit: a PDU and what the line adds to it."""
 
     start_ns: int
-    """The time of its first byte."""
+    """When its first byte began on a line; in a stream, when the segment with it was captured."""
     end_ns: int
     """The time of the byte that completed it."""
     transport: Transport

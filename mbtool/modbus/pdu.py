@@ -9,7 +9,7 @@
 #     and_mask or_mask                16
 #     sub_function                    08
 #     status event_count data         07, 0B, 0C, 11
-#     groups                          14, 15: see layouts.FileGroups and layouts.FileAnswers
+#     groups                          14, 15: see group_layouts.FileGroups and FileAnswers
 #     fifo                            18: its count and its registers
 #     mei_type ... objects            2B
 #     exception_code                  every exception response

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InterfaceLink, TapLink
 from mbtool.devices import profile_to_json
-from mbtool.logs import LogWriter, RotatingLog, Rotation
+from mbtool.logs import LogWriter, RotatingLog
 from mbtool.workflows.reading import PORTS, RTU_PORTS, SPEC
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import LinkSpec
     from mbtool.devices import Assignments
+    from mbtool.logs import Rotation
 
 
 def begin_log(
@@ -26,7 +27,7 @@ def begin_log(
     *,
     ports: Sequence[int] = (),
     rtu_ports: Sequence[int] = (),
-    rotation: str | None = None,
+    rotation: Rotation | None = None,
     overwrite: bool = False,
 ) -> LogWriter | RotatingLog:
     """Create a log and say in it all that decoding it again needs. Raises UsageError."""
@@ -40,7 +41,7 @@ def begin_log(
     if rotation is None:
         log = LogWriter(path, capture=capture, replace=overwrite)
     else:
-        log = RotatingLog(path, Rotation.parse(rotation), capture=capture, replace=overwrite)
+        log = RotatingLog(path, rotation, capture=capture, replace=overwrite)
     for link in links:
         settings = {SPEC: str(link)}
         if isinstance(link, InterfaceLink):

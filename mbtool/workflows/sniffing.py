@@ -102,7 +102,7 @@ class Sniffer:
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
         """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
 
-        Raises LinkError when the last link is lost.
+        Raises LinkError when the last link is lost, OutputError when the log takes no more.
         """
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):

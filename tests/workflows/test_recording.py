@@ -14,7 +14,7 @@ from mbtool.devices import (
     parse_assignment,
     profile_from_json,
 )
-from mbtool.logs import LogReader
+from mbtool.logs import LogReader, Rotation
 from mbtool.modbus import Transport, rtu_adu
 from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
@@ -93,7 +93,7 @@ def test_evidence_alone_is_decoded_again_by_it(tmp_path: Path) -> None:
 
 def test_a_log_rotates_where_it_is_asked_to(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    log = begin_log(str(path), LINKS, DEVICES, rotation="1s")
+    log = begin_log(str(path), LINKS, DEVICES, rotation=Rotation.parse("1s"))
     for second in range(3):
         for packet in captured(1):
             log.write(packet)
@@ -119,5 +119,5 @@ def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rotation", ["often", "0MB", "100", ""])
 def test_a_wrong_rotation_leaves_no_log(tmp_path: Path, rotation: str) -> None:
     with pytest.raises(UsageError, match="for example 100MB or 1h"):
-        begin_log(str(tmp_path / "a.mcap"), LINKS, DEVICES, rotation=rotation)
+        begin_log(str(tmp_path / "a.mcap"), LINKS, DEVICES, rotation=Rotation.parse(rotation))
     assert list(tmp_path.iterdir()) == []

@@ -12,6 +12,7 @@ from mbtool.core import (
     EventKind,
     LinkError,
     LinkSpec,
+    OutputError,
     SerialLink,
     TapLink,
     UsageError,
@@ -231,7 +232,7 @@ class _Log:
 
     def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None:
         if self._room == 0:
-            raise LinkError("a.mcap: the disk is full")
+            raise OutputError("a.mcap: the disk is full")
         self._room -= 1
 
     def tick(self, now_ns: int) -> None:
@@ -251,7 +252,7 @@ def test_a_full_disk_ends_the_run_and_the_log_is_closed(bench: Bench) -> None:
             for _ in sniffer.records(until([], lambda _: False)):
                 pass
 
-    with pytest.raises(LinkError, match="disk is full"):
+    with pytest.raises(OutputError, match="disk is full"):
         sniff()
     assert log.final is not None
 
