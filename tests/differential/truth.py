@@ -235,7 +235,7 @@ def main(folder: Path) -> int:
     unexplained = 0
     explained = explanations()
     reasons = []
-    print(f"{'capture':<52} {'truth':>7} {'found':>7} {'missing':>8} {'extra':>6}  note")
+    print(f"{'capture':<90} {'truth':>7} {'found':>7} {'missing':>8} {'extra':>6}  note")
     for path in captures_with_truth(folder):
         result = compare(path)
         note = "cut" if result.cut else ""
@@ -248,7 +248,7 @@ def main(folder: Path) -> int:
                 note = "DIFFERS"
                 unexplained += 1
         print(
-            f"{result.name:<52} {result.truth:>7} {result.found:>7} "
+            f"{path.relative_to(folder)!s:<90} {result.truth:>7} {result.found:>7} "
             f"{len(result.missing):>8} {result.extra:>6}  {note}"
         )
     print("", *reasons, sep="\n")
