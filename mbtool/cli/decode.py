@@ -12,8 +12,11 @@ from mbtool.cli.options import (
     DeviceOption,
     EventsOption,
     Format,
+    LineOption,
     PortOption,
     RtuPortOption,
+    T15Option,
+    T35Option,
     WhereOption,
 )
 
@@ -36,8 +39,9 @@ def decode(
         list[str],
         typer.Argument(
             metavar="FILE",
-            help="Captures (.pcap, .pcapng) or logs (.mcap), plain, .gz or .zst; - is standard "
-            "input. Several captures are read as parts of one.",
+            help="Captures (.pcap, .pcapng), logs (.mcap) or bytes of a serial line (.csv with "
+            "byte times; others with --link), plain, .gz or .zst; - is standard input. Several "
+            "captures are read as parts of one.",
         ),
     ],
     device: DeviceOption = None,
@@ -67,17 +71,20 @@ def decode(
     ] = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
+    link: LineOption = None,
+    t1_5: T15Option = None,
+    t3_5: T35Option = None,
     events: EventsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
-    from mbtool.cli.options import assignments, condition
+    from mbtool.cli.options import assignments, condition, file_line, silence
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
-    from mbtool.core import UsageError
+    from mbtool.core import InputError, UsageError
     from mbtool.workflows.reading import Reading, ReadingOptions, followed
 
-    if follow and (raw or len(files) > 1):
-        raise UsageError("--follow goes with one log, and not with --raw")
+    if follow and (raw or link is not None or len(files) > 1):
+        raise UsageError("--follow goes with one log, and not with --raw or --link")
     for file in files:
         if output is not None and _is_same(file, output):
             raise UsageError(
@@ -86,7 +93,13 @@ def decode(
     devices = assignments(device)
     wanted = condition(where)
     options = ReadingOptions(
-        assignments=devices, ports=port or (), rtu_ports=rtu_port or (), raw=raw
+        assignments=devices,
+        ports=port or (),
+        rtu_ports=rtu_port or (),
+        line=file_line(link),
+        t1_5=silence("--t1-5", t1_5),
+        t3_5=silence("--t3-5", t3_5),
+        raw=raw,
     )
     reading = Reading(files, options)
 
@@ -118,7 +131,11 @@ def decode(
                 break
         if interrupt.asked:
             raise KeyboardInterrupt
-    if not follow and reading.why_empty is not None:
+    if follow:
+        return
+    if reading.why_unread is not None:
+        raise InputError(reading.why_unread)
+    if reading.why_empty is not None:
         say(reading.why_empty)
 
 

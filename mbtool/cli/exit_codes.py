@@ -7,5 +7,5 @@ NO = 1
 """The answer is no: there are differences, or findings."""
 USAGE = 2
 UNREADABLE = 3
-"""An input could not be read, or a link could not be opened."""
+"""An input could not be read or has nothing to work with, or a link could not be opened."""
 INTERRUPTED = 130

@@ -22,7 +22,9 @@ from mbtool.cli import exit_codes
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
+from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
+from mbtool.cli.links import links
 from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
@@ -36,7 +38,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (sniff, decode, replay, slave, devices, line, demo):
+for command in (sniff, decode, replay, slave, devices, links, line, demo):
     app.command()(command)
 
 
@@ -67,9 +69,18 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # SIGTERM is a Ctrl-C: what is open is completed.
+    # SIGTERM is a Ctrl-C: what is open is completed. Behind the command nothing is open, and a
+    # Ctrl-C is no longer heard: the interpreter would end by it, without the exit code.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.exit(run(sys.argv[1:]))
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        code = exit_codes.INTERRUPTED
+    signal.signal(signal.SIGTERM, leave)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

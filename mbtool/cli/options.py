@@ -10,6 +10,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.core import LineSettings, Silence
     from mbtool.devices import Assignments
     from mbtool.workflows.where import Where
 
@@ -77,6 +78,33 @@ RtuPortOption = Annotated[
         help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
     ),
 ]
+LineOption = Annotated[
+    str | None,
+    typer.Option(
+        "--link",
+        metavar="LINE",
+        help="The serial line that a file's bytes were heard on: rtu@19200-8E1 or ascii@9600-7E1. "
+        "With it a file of another kind is read as the bytes themselves, raw or in hexadecimal.",
+    ),
+]
+T15Option = Annotated[
+    str | None,
+    typer.Option(
+        "--t1-5",
+        metavar="SILENCE",
+        help="The longest silence inside a frame of a serial line: 16bits, 1.5chars, 1ms, 750us. "
+        "[default: what profile, baud rate and format say]",
+    ),
+]
+T35Option = Annotated[
+    str | None,
+    typer.Option(
+        "--t3-5",
+        metavar="SILENCE",
+        help="The shortest silence between frames of a serial line: 28bits, 5ms. "
+        "[default: what profile, baud rate and format say]",
+    ),
+]
 RemoteOption = Annotated[
     bool,
     typer.Option(
@@ -100,3 +128,24 @@ def condition(where: str | None) -> Where:
     from mbtool.workflows.where import parse_where
 
     return parse_where(where)
+
+
+def file_line(text: str | None) -> LineSettings | None:
+    """The line that --link names. Raises UsageError."""
+    if text is None:
+        return None
+    from mbtool.core import parse_line
+
+    return parse_line(text)
+
+
+def silence(option: str, text: str | None) -> Silence | None:
+    """What --t1-5 or --t3-5 says. Raises UsageError."""
+    if text is None:
+        return None
+    from mbtool.core import Silence, UsageError
+
+    try:
+        return Silence.parse(text)
+    except UsageError as error:
+        raise UsageError(f"{option}: {error}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.where import Where
 
 STANDARD_OUTPUT = "-"
+_STANDARD_OUTPUT_NAME = "standard output"
 
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
@@ -73,6 +75,12 @@ class Output:
     def wait(self) -> None:
         """Show all that has been printed, before there is a pause."""
         with _told_as_lost(self._name):
+            self._printer.pause()
+            self._file.flush()
+
+    def finish(self) -> None:
+        """Show all that has been printed, at the end."""
+        with _told_as_lost(self._name):
             self._printer.flush()
             self._file.flush()
 
@@ -97,18 +105,25 @@ def open_output(
     wanted: Where,
     limit: int | None = None,
     demand_inputs: Callable[[], None] = lambda: None,
+    *,
+    is_kept: bool = False,
 ) -> Iterator[Output]:
-    """An output that is finished, and talked about, when its context ends. Raises UsageError.
+    """An output that is finished, and talked about, when its context ends.
 
     `demand_inputs` is called before a file is opened, so that what is wrong with an input costs no
-    older output.
+    older output. `is_kept` says that a log keeps the records whether they are seen or not. Raises
+    UsageError, and OutputError where standard output is closed and nothing keeps the records.
     """
+    to_file = path is not None and path != STANDARD_OUTPUT
+    if to_file and os.path.isdir(str(path)):
+        raise UsageError(f"{path}: a directory; name a file in it")
     chosen = format_ or _format_of(path)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if chosen is Format.CSV and shown is not EventChoice.NONE:
         raise UsageError("--events goes with table and jsonl; a CSV row is a transaction")
-    to_file = path is not None and path != STANDARD_OUTPUT
-    name = path if path is not None and to_file else "standard output"
+    name = path if path is not None and to_file else _STANDARD_OUTPUT_NAME
+    if not to_file and not is_kept and sys.__stdout__ is None:
+        raise OutputError(f"{name}: closed, so what goes there is lost; redirect it to a file")
     demand_inputs()
     with _open_file(path if to_file else None) as file:
         with _told_as_lost(name):
@@ -119,11 +134,11 @@ def open_output(
         except OutputError:
             raise
         except (MbtoolError, KeyboardInterrupt):
-            output.wait()
+            output.finish()
             if not output.is_empty:
                 say(output.sentence())
             raise
-        output.wait()
+        output.finish()
         say(f"{output.sentence()} -> {path}" if to_file else output.sentence())
 
 
@@ -144,15 +159,28 @@ def _open_file(path: str | None) -> Iterator[TextIO]:
     if path is None:
         yield sys.stdout
         return
+    is_new = not os.path.lexists(path)
     try:
         file = Path(path).open("w", encoding="utf-8", newline="")  # noqa: SIM115 - closed below
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
     try:
         yield file
-    finally:
-        with suppress(OSError):  # Whatever cannot be written was told when it was flushed.
-            file.close()
+    except BaseException as error:
+        _close(file)
+        size = os.path.getsize(path) if os.path.isfile(path) else 0
+        if is_new and not size:  # Nothing came of it, so it is not left behind.
+            with suppress(OSError):
+                os.unlink(path)
+        if size and isinstance(error, OutputError):
+            raise OutputError(f"{error}; it ends early, after {size} bytes") from error
+        raise
+    _close(file)
+
+
+def _close(file: TextIO) -> None:
+    with suppress(OSError):  # Whatever cannot be written was told when it was flushed.
+        file.close()
 
 
 @contextmanager

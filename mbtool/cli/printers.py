@@ -19,13 +19,16 @@ if TYPE_CHECKING:
 
 
 class Printer(Protocol):
-    """Writes records to a file. Both methods raise OSError where the file takes no more."""
+    """Writes records to a file. Its methods raise OSError where the file takes no more."""
 
     def print(self, record: Record, number: int) -> None:
         """Print a record; `number` counts the transactions."""
 
+    def pause(self) -> None:
+        """Print what was held back, while more may come."""
+
     def flush(self) -> None:
-        """Print what was held back."""
+        """Print what was held back, at the end."""
 
 
 def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Printer:
@@ -54,6 +57,9 @@ class _TablePrinter:
             row = transaction_row(number, record, self._profile_for(record))
             self._table.add(row, day(record.start_ns))
 
+    def pause(self) -> None:
+        self._table.pause()
+
     def flush(self) -> None:
         self._table.flush()
 
@@ -68,6 +74,9 @@ class _JsonLinesPrinter:
         else:
             self._file.write(transaction_to_jsonl(record).decode())
 
+    def pause(self) -> None:
+        pass
+
     def flush(self) -> None:
         pass
 
@@ -79,6 +88,9 @@ class _CsvPrinter:
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):
             self._writer.write(record)
+
+    def pause(self) -> None:
+        pass
 
     def flush(self) -> None:
         pass

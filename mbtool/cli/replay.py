@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.options import PortOption, RemoteOption, RtuPortOption, WhereOption
+from mbtool.cli.options import LineOption, PortOption, RemoteOption, RtuPortOption, WhereOption
 
 if TYPE_CHECKING:
-    from mbtool.core import CutError
+    from mbtool.core import InputError
 
 
 class MissChoice(StrEnum):
@@ -59,16 +59,18 @@ def replay(
     ] = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
+    link: LineOption = None,
     allow_remote: RemoteOption = False,
 ) -> None:
     """Answer a live master as a recording's slaves did, until Ctrl-C.
 
     A request gets its next recorded answer; when there is no further one, the last one again.
     """
-    from mbtool.cli.options import condition
+    from mbtool.cli.options import condition, file_line
     from mbtool.cli.serve import serve
     from mbtool.cli.talk import say
     from mbtool.core import UsageError, parse_link
+    from mbtool.core.link_spec import ANSWERED
     from mbtool.replay import OnMiss
     from mbtool.workflows.reading import ReadingOptions
     from mbtool.workflows.replaying import read_recording, recorded_slave
@@ -76,20 +78,32 @@ def replay(
 
     if not as_slave:
         raise UsageError("say which side to play: --as-slave")
-    link = slave_link(parse_link(on))
+    where_to_answer = slave_link(parse_link(on, ANSWERED))
     factor = _speed(speed)
     wanted = condition(where)
 
-    def on_cut(error: CutError) -> None:
-        say(f"mbtool: {error}; playing what comes before")
+    def on_cut(error: InputError) -> None:
+        say(f"mbtool: {error}; playing what is there")
 
-    options = ReadingOptions(ports=port or (), rtu_ports=rtu_port or (), raw=raw)
+    options = ReadingOptions(
+        ports=port or (), rtu_ports=rtu_port or (), line=file_line(link), raw=raw
+    )
     recording = read_recording(file, options, wanted, on_cut)
     shell = recorded_slave(
-        recording, link, on_miss=OnMiss(on_miss.value), speed=factor, allow_remote=allow_remote
+        recording,
+        where_to_answer,
+        on_miss=OnMiss(on_miss.value),
+        speed=factor,
+        allow_remote=allow_remote,
     )
-    units = ", ".join(map(str, sorted(recording.units)))
-    serve(shell, f"{file}: {len(recording.answers)} different requests to unit {units}")
+    requests = (
+        "1 request"
+        if len(recording.answers) == 1
+        else (f"{len(recording.answers)} different requests")
+    )
+    units = "unit" if len(recording.units) == 1 else "units"
+    numbers = ", ".join(map(str, sorted(recording.units)))
+    serve(shell, f"{file}: {requests} to {units} {numbers}")
 
 
 def _speed(text: str) -> float | None:

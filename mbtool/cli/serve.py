@@ -13,10 +13,25 @@ if TYPE_CHECKING:
     from mbtool.slave import Shell
 
 
+_LOOK_EVERY_S = 0.2
+_SILENT_LOOKS = 50
+"""A master that is turned away calls again at once; so this is said once in ten seconds."""
+
+
 def serve(shell: Shell, who: str) -> None:
     """Answer until Ctrl-C. Raises LinkError when the link is lost."""
     with interruptible() as interrupt, shell:
         say(f"{who} on {shell.place}; Ctrl-C ends")
+        said, silent = 0, 0
         while not interrupt.asked:
-            shell.wait(0.2)
+            shell.wait(_LOOK_EVERY_S)
+            silent = max(silent - 1, 0)
+            if shell.turned_away > said and not silent:
+                say(_turned_away(shell.turned_away - said, shell.places))
+                said, silent = shell.turned_away, _SILENT_LOOKS
     raise typer.Exit(exit_codes.INTERRUPTED)
+
+
+def _turned_away(count: int, places: int) -> str:
+    connections = "a connection was" if count == 1 else f"{count} connections were"
+    return f"mbtool: {connections} turned away: the slave takes {places} at once"

@@ -46,10 +46,11 @@ def slave(
     """
     from mbtool.cli.serve import serve
     from mbtool.core import parse_link
+    from mbtool.core.link_spec import ANSWERED
     from mbtool.devices import load_profile
     from mbtool.workflows.serving import device_slave
 
-    link = parse_link(on)
+    link = parse_link(on, ANSWERED)
     device = load_profile(profile)
     shell = device_slave(device, link, unit, image, allow_remote=allow_remote)
     serve(shell, f"{device.title} as unit {unit}")

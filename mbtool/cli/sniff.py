@@ -12,6 +12,8 @@ from mbtool.cli.options import (
     Format,
     PortOption,
     RtuPortOption,
+    T15Option,
+    T35Option,
     WhereOption,
 )
 
@@ -22,7 +24,8 @@ def sniff(
         typer.Argument(
             metavar="LINK",
             help="rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE or tap:LISTEN=TARGET. "
-            "Several are heard at once.",
+            "Several are heard at once. rtu:PORT,PORT@... is one line with two taps: the master's "
+            "side, the slaves' side.",
         ),
     ],
     write: Annotated[
@@ -52,6 +55,8 @@ def sniff(
     ] = None,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
+    t1_5: T15Option = None,
+    t3_5: T35Option = None,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     events: EventsOption = None,
 ) -> None:
@@ -62,26 +67,37 @@ def sniff(
     from functools import partial
     from math import inf
 
-    from mbtool.cli.options import assignments, condition
+    from mbtool.cli.options import assignments, condition, silence
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError, parse_link
+    from mbtool.core.link_spec import HEARD
     from mbtool.devices import Namer
     from mbtool.logs import Rotation
     from mbtool.sources.clock import now_ns
     from mbtool.workflows.decoding import Decoder
+    from mbtool.workflows.line_timing import LineTiming
     from mbtool.workflows.reading import DEFAULT_PORT
     from mbtool.workflows.recording import begin_log
+    from mbtool.workflows.settling import settled
     from mbtool.workflows.sniffing import Sniffer, serial_lines
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
-    specs = [parse_link(link) for link in links]
+    specs = [parse_link(link, HEARD) for link in links]
     devices, wanted = assignments(device), condition(where)
     ports, rtu_ports = port or [DEFAULT_PORT], rtu_port or []
+    timing = LineTiming(devices, silence("--t1-5", t1_5), silence("--t3-5", t3_5))
+    specs = timing.given(settled(specs, say))
     sniffer = Sniffer(
         specs,
-        Decoder(Namer(devices), lines=serial_lines(specs), ports=ports, rtu_ports=rtu_ports),
+        Decoder(
+            Namer(devices),
+            lines=serial_lines(specs),
+            timing=timing,
+            ports=ports,
+            rtu_ports=rtu_ports,
+        ),
         begin_log=None
         if write is None
         else partial(
@@ -96,11 +112,20 @@ def sniff(
         ),
         ports=[*ports, *rtu_ports],
         on_lost=lambda error: say(f"mbtool: {error}"),
+        on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),
     )
     with (
         interruptible() as interrupt,
         sniffer,
-        open_output(None, format_, events, devices.profile_for, wanted, count) as out,
+        open_output(
+            None,
+            format_,
+            events,
+            devices.profile_for,
+            wanted,
+            count,
+            is_kept=write is not None,
+        ) as out,
     ):
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
         end_ns = inf if duration is None else now_ns() + duration * 1e9

@@ -2,6 +2,7 @@
 
 from mbtool.core.errors import (
     CutError,
+    DamageError,
     InputError,
     LinkError,
     MbtoolError,
@@ -11,7 +12,9 @@ from mbtool.core.errors import (
 )
 from mbtool.core.events import EventKind, WireEvent
 from mbtool.core.evidence import Chunk, Connection, Direction, Endpoint, Packet, Quiet, Stamp
+from mbtool.core.line_settings import LineSettings, parse_line
 from mbtool.core.link_spec import (
+    AutoLink,
     InterfaceLink,
     LinkSpec,
     SerialLink,
@@ -20,16 +23,20 @@ from mbtool.core.link_spec import (
     parse_link,
 )
 from mbtool.core.serial_format import SerialFormat
+from mbtool.core.silence import Silence
 
 __all__ = [
+    "AutoLink",
     "Chunk",
     "Connection",
     "CutError",
+    "DamageError",
     "Direction",
     "Endpoint",
     "EventKind",
     "InputError",
     "InterfaceLink",
+    "LineSettings",
     "LinkError",
     "LinkSpec",
     "MbtoolError",
@@ -39,10 +46,12 @@ __all__ = [
     "Quiet",
     "SerialFormat",
     "SerialLink",
+    "Silence",
     "Stamp",
     "TapLink",
     "TcpLink",
     "UsageError",
     "WireEvent",
+    "parse_line",
     "parse_link",
 ]

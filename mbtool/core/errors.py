@@ -6,6 +6,7 @@
 #   ProfileError   a profile whose area ends before it begins (file, key, what would be right)
 #   InputError     a capture that is absent, unreadable or of another kind
 #   CutError       a capture that ends in the middle of a record; raised after the last whole one
+#   DamageError    a log in which a byte has changed; raised after all that is whole
 #   LinkError      a port that is absent, busy or forbidden; an address in use
 #   OutputError    a disk that is full while a log is written
 #
@@ -38,6 +39,10 @@ class InputError(MbtoolError):
 
 class CutError(InputError):
     """An input ends too early; all that came before it was delivered."""
+
+
+class DamageError(InputError):
+    """An input is damaged; all of it that is whole was delivered."""
 
 
 class LinkError(MbtoolError):

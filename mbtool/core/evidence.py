@@ -21,6 +21,8 @@ class Stamp(StrEnum):
     """All bytes have the chunk's time: a TCP segment."""
     LAST_BYTE = "last-byte"
     """The time is the last byte's; the others precede it by the character time: a serial read."""
+    UNKNOWN = "unknown"
+    """The time of the bytes is not known: a raw file. They are in order, and that is all."""
 
 
 @dataclass(frozen=True, slots=True)

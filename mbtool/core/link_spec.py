@@ -1,7 +1,9 @@
 """The LINK strings of the command line, read in one place. docs/links.md is their page."""
 
 #     rtu:/dev/ttyUSB0@19200-8E1         serial RTU
+#     rtu:/dev/ttyUSB0,/dev/ttyUSB1@...  two taps on one line: the master's side, the slaves' side
 #     ascii:/dev/ttyUSB0@9600-7E1        serial ASCII
+#     rtu:/dev/ttyUSB0@auto              settings and mode to be found by listening
 #     net:eth0                           a network interface
 #     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where to listen, whom to call
 #     tcp:127.0.0.1:1502                 a Modbus/TCP endpoint
@@ -20,27 +22,84 @@ from mbtool.core.evidence import Endpoint
 from mbtool.core.serial_format import SerialFormat
 
 MODBUS_PORT = 502
+AUTO = "auto"
+
+HEARD = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE or tap:LISTEN=TARGET"
+"""What sniff takes, for a message."""
+ANSWERED = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
+"""What slave and replay take."""
+_ALL = (
+    "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE, tap:LISTEN=TARGET, tcp:HOST:PORT "
+    "or rtu+tcp:HOST:PORT"
+)
 
 _HOST = re.compile(r"[^\s/@\[\]]+")
 _PORT = re.compile(r"\d{1,5}", re.ASCII)
+
+_OWN_ADDRESSES = {
+    "0.0.0.0": ("127.0.0.1", "localhost"),
+    "::": ("::1",),
+    "127.0.0.1": ("localhost",),
+    "localhost": ("127.0.0.1",),
+}
+"""Under which other names one reaches what listens at an address."""
 
 _ASCII_FORMAT = SerialFormat(9600, 7, "E", 1)
 
 
 @dataclass(frozen=True, slots=True)
 class SerialLink:
-    """A serial port that carries RTU or ASCII."""
+    """A line that carries RTU or ASCII, and the port that hears it."""
 
     port: str
+    """With two taps, the one that hears the master."""
     format: SerialFormat
     ascii: bool = False
+    slave_port: str | None = None
+    """The port that hears the slaves, where each side has a tap of its own."""
+
+    @property
+    def scheme(self) -> str:
+        return "ascii" if self.ascii else "rtu"
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        return (self.port,) if self.slave_port is None else (self.port, self.slave_port)
 
     @property
     def name(self) -> str:
-        return PurePath(self.port).name
+        return "+".join(PurePath(port).name for port in self.ports)
+
+    def demand_one_port(self) -> None:
+        """Raise UsageError where there are two: whoever speaks does so on one."""
+        if self.slave_port is not None:
+            raise UsageError(
+                f"link {self}: two ports can only listen; to answer, name one, "
+                f"for example {self.scheme}:{self.port}@{self.format}"
+            )
 
     def __str__(self) -> str:
-        return f"{'ascii' if self.ascii else 'rtu'}:{self.port}@{self.format}"
+        return f"{self.scheme}:{','.join(self.ports)}@{self.format}"
+
+
+@dataclass(frozen=True, slots=True)
+class AutoLink:
+    """A line whose settings are to be found by listening to it."""
+
+    ports: tuple[str, ...]
+    """As a `SerialLink` has them."""
+    only_ascii: bool = False
+
+    def settled(self, format_: SerialFormat, *, ascii: bool) -> SerialLink:  # noqa: A002
+        """The line with the settings that were found."""
+        return SerialLink(self.ports[0], format_, ascii, *self.ports[1:])
+
+    @property
+    def name(self) -> str:
+        return self.settled(SerialFormat(), ascii=False).name
+
+    def __str__(self) -> str:
+        return f"{'ascii' if self.only_ascii else 'rtu'}:{','.join(self.ports)}@{AUTO}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +146,17 @@ class TcpLink:
         return f"{'rtu+tcp' if self.rtu else 'tcp'}:{self.endpoint}"
 
 
-LinkSpec = SerialLink | InterfaceLink | TapLink | TcpLink
+LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
 
 
-def parse_link(text: str) -> LinkSpec:
-    """Read a LINK string. Raises UsageError."""
+def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
+    """Read a LINK string; a text that is none is told what there is to write, the offer.
+
+    Raises UsageError.
+    """
     scheme, colon, rest = text.partition(":")
     if not colon or not rest:
-        raise _unknown(text)
+        raise UsageError(f"link {text!r}: write {offer}")
     match scheme:
         case "rtu" | "ascii":
             return _parse_serial(text, scheme, rest)
@@ -107,30 +169,38 @@ def parse_link(text: str) -> LinkSpec:
                     f"link {text!r}: a tap needs where to listen and whom to call, "
                     "for example tap:127.0.0.1:1502=10.0.0.9:502"
                 )
-            return TapLink(_parse_endpoint(text, listen), _parse_endpoint(text, target))
+            tap = TapLink(_parse_endpoint(text, listen), _parse_endpoint(text, target))
+            _demand_another(text, tap)
+            return tap
         case "tcp" | "rtu+tcp":
             return TcpLink(_parse_endpoint(text, rest), rtu=scheme == "rtu+tcp")
         case _:
-            raise _unknown(text)
+            raise UsageError(f"link {text!r}: write {offer}")
 
 
-def _parse_serial(text: str, scheme: str, rest: str) -> SerialLink:
+def _parse_serial(text: str, scheme: str, rest: str) -> SerialLink | AutoLink:
     port, at, settings = rest.rpartition("@")
     if not at:
         port = rest
-    if not PurePath(port).name:
+    port, *others = port.split(",")
+    if not all(PurePath(each).name for each in (port, *others)):
         raise UsageError(
             f"link {text!r}: no port is named, for example {scheme}:/dev/ttyUSB0@19200-8E1"
         )
-    if "," in port:
-        raise UsageError(f"link {text!r}: two taps on one line are not supported; name one port")
+    if len(others) > 1 or port in others:
+        raise UsageError(
+            f"link {text!r}: a line has one tap, or two different ones, the first on the master's "
+            f"side, for example {scheme}:/dev/ttyUSB0,/dev/ttyUSB1@19200-8E1"
+        )
+    if settings.lower() == AUTO and at:
+        return AutoLink((port, *others), only_ascii=scheme == "ascii")
     if at:
         format_ = SerialFormat.parse(settings)
     else:
         format_ = _ASCII_FORMAT if scheme == "ascii" else SerialFormat()
     if scheme == "rtu" and format_.data_bits != 8:  # Serial Line V1.02, 2.5.1.
         raise UsageError(f"link {text!r}: RTU needs 8 data bits, for example {port}@19200-8E1")
-    return SerialLink(port, format_, ascii=scheme == "ascii")
+    return SerialLink(port, format_, scheme == "ascii", *others)
 
 
 def _parse_endpoint(text: str, part: str) -> Endpoint:
@@ -150,8 +220,17 @@ def _parse_endpoint(text: str, part: str) -> Endpoint:
     return Endpoint(bare, int(port))
 
 
-def _unknown(text: str) -> UsageError:
-    return UsageError(
-        f"link {text!r}: write rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE, "
-        "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
-    )
+def _demand_another(text: str, tap: TapLink) -> None:
+    """See that a tap calls another than itself, at a port that can be called. Raises UsageError."""
+    listen, target = tap.listen, tap.target
+    if target.port == 0:
+        raise UsageError(
+            f"link {text!r}: nothing listens at port 0; name the slave's port, "
+            f"for example tap:{listen}={Endpoint(target.host, MODBUS_PORT)}"
+        )
+    itself = (listen.host, *_OWN_ADDRESSES.get(listen.host, ()))
+    if listen.port == target.port and target.host in itself:
+        raise UsageError(
+            f"link {text!r}: the tap would call itself; let it listen at another port, "
+            f"for example tap:{Endpoint(listen.host, 0)}={target}, where 0 takes a free one"
+        )

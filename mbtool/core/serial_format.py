@@ -2,24 +2,37 @@
 
 # MODBUS over Serial Line V1.02, section 2.5.1.1: frames are parted by at least 3.5 character times,
 # characters of one frame by at most 1.5; above 19200 baud both are fixed, at 750 us and 1.750 ms.
+# Some devices do otherwise (CHINO LT830: 28 bit times), so both can be given:
+#
+#     9600-8E1,t3.5=28bits
+#     19200-8N2,t1.5=1ms,t3.5=5ms
+#
+# Where t1.5 is not given it is never more than t3.5.
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 from mbtool.core.errors import UsageError
+from mbtool.core.silence import MAX_NS, Silence
 
 _PATTERN = re.compile(
     r"(?P<baud>\d{1,8})(?:-(?P<data>[78])(?P<parity>[NEO])(?P<stop>[12]))?", re.ASCII
 )
+
+MIN_BAUD, MAX_BAUD = 50, 4_000_000
+"""What a user may ask for: the lowest and the highest rate that termios has a name for."""
 
 _PARITIES = ("N", "E", "O")
 
 _FIXED_ABOVE_BAUD = 19200
 _FIXED_T1_5_NS = 750_000
 _FIXED_T3_5_NS = 1_750_000
+
+_T1_5 = "t1.5"
+_T3_5 = "t3.5"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +44,9 @@ class SerialFormat:
     parity: str = "E"
     """N, E or O."""
     stop_bits: int = 1
+    t1_5: Silence | None = None
+    """In place of the standard's."""
+    t3_5: Silence | None = None
 
     def __post_init__(self) -> None:
         if self.baud <= 0:
@@ -39,18 +55,52 @@ class SerialFormat:
             raise ValueError(f"{self.data_bits}{self.parity} is no character format")
         if self.stop_bits not in (1, 2):
             raise ValueError(f"stop bits are 1 or 2, not {self.stop_bits}")
+        for name, given in ((_T1_5, self.t1_5), (_T3_5, self.t3_5)):
+            if given is not None and not 0 < self._ns(given) <= MAX_NS:
+                raise ValueError(f"{name} is more than 0 and at most {MAX_NS // 10**9} s")
+        if self.t1_5 is not None and self._ns(self.t1_5) > self.t3_5_ns:
+            raise ValueError(
+                f"t1.5 of {self.t1_5} is longer than t3.5, {self.t3_5 or f'{self.t3_5_ns} ns'}"
+            )
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `19200-8E1`, or `19200` alone for 8E1, the standard's default.
+        """Read `19200-8E1`, or `19200` alone for 8E1, the standard's default; then silences.
 
         Raises UsageError.
         """
+        settings, *silences = text.split(",")
+        line = cls._parse_settings(settings)
+        given: dict[str, Silence] = {}
+        for each in silences:
+            name, equals, silence = each.partition("=")
+            if not equals or name.lower() not in (_T1_5, _T3_5):
+                raise UsageError(
+                    f"line settings {text!r}: {each!r} is neither t1.5=SILENCE nor t3.5=SILENCE, "
+                    "for example 9600-8E1,t3.5=28bits"
+                )
+            given[name.lower()] = Silence.parse(silence)
+        return line.with_silences(given.get(_T1_5), given.get(_T3_5))
+
+    def with_silences(self, t1_5: Silence | None, t3_5: Silence | None) -> Self:
+        """The same line with silences in place of those it has. Raises UsageError."""
+        try:
+            return replace(self, t1_5=t1_5 or self.t1_5, t3_5=t3_5 or self.t3_5)
+        except ValueError as error:
+            raise UsageError(f"line settings {self}: {error}") from None
+
+    @classmethod
+    def _parse_settings(cls, text: str) -> Self:
         match = _PATTERN.fullmatch(text.upper())
-        if match is None or int(match["baud"]) == 0:
+        if match is None:
             raise UsageError(
                 f"line settings {text!r}: write baud, data bits, parity and stop bits, "
                 "for example 19200-8E1 or 9600-8N2"
+            )
+        if not MIN_BAUD <= int(match["baud"]) <= MAX_BAUD:
+            raise UsageError(
+                f"line settings {text!r}: no port has {match['baud']} baud; write {MIN_BAUD} to "
+                f"{MAX_BAUD}, for example 19200-8E1"
             )
         if match["data"] is None:
             return cls(int(match["baud"]))
@@ -69,6 +119,12 @@ class SerialFormat:
     @property
     def t1_5_ns(self) -> int:
         """The longest silence inside a frame."""
+        if self.t1_5 is not None:
+            return self._ns(self.t1_5)
+        return min(self._standard_t1_5_ns, self.t3_5_ns)
+
+    @property
+    def _standard_t1_5_ns(self) -> int:
         if self.baud > _FIXED_ABOVE_BAUD:
             return _FIXED_T1_5_NS
         return self.character_bits * 1_500_000_000 // self.baud
@@ -76,9 +132,16 @@ class SerialFormat:
     @property
     def t3_5_ns(self) -> int:
         """The shortest silence between frames."""
+        if self.t3_5 is not None:
+            return self._ns(self.t3_5)
         if self.baud > _FIXED_ABOVE_BAUD:
             return _FIXED_T3_5_NS
         return self.character_bits * 3_500_000_000 // self.baud
 
+    def _ns(self, silence: Silence) -> int:
+        return silence.ns(self.baud, self.character_bits)
+
     def __str__(self) -> str:
-        return f"{self.baud}-{self.data_bits}{self.parity}{self.stop_bits}"
+        silences = ((_T1_5, self.t1_5), (_T3_5, self.t3_5))
+        given = "".join(f",{name}={each}" for name, each in silences if each is not None)
+        return f"{self.baud}-{self.data_bits}{self.parity}{self.stop_bits}{given}"

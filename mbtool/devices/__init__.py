@@ -18,6 +18,7 @@ from mbtool.devices.model import (
     PointType,
     Profile,
     Radix,
+    Timing,
     WordOrder,
 )
 from mbtool.devices.named import NamedTransaction, PointValue
@@ -41,6 +42,7 @@ __all__ = [
     "PointValue",
     "Profile",
     "Radix",
+    "Timing",
     "Who",
     "WordOrder",
     "builtin_profiles",

@@ -3,7 +3,8 @@
 # A profile file is TOML; docs/devices.md lists its keys. A file may name another in `extends` (a
 # built-in name, or a path from where the file stands) and then says only what differs:
 #
-#   functions, exceptions   merged key by key
+#   functions, exceptions,
+#   timing                  merged key by key
 #   areas, points           added; one with the name of an extended one takes its place
 #   notes                   added
 #   any other key           takes the place of the extended one
@@ -28,7 +29,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from mbtool.core.errors import InputError, ProfileError, UsageError
-from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile
+from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.validation import validate
 
 MAX_FILE_BYTES = 1 << 20
@@ -154,7 +155,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     merged = extended | own
-    for key in ("functions", "exceptions"):
+    for key in ("functions", "exceptions", "timing"):
         if key in extended and key in own:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
@@ -179,6 +180,8 @@ def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
         parts["functions"] = _parse_functions(keys["functions"], file)
     if "exceptions" in keys:
         _convert(Exceptions, keys["exceptions"], file, "exceptions")
+    if "timing" in keys:
+        _convert(Timing, keys["timing"], file, "timing")
     if not isinstance(keys.get("notes", []), list):
         raise ProfileError(file, "notes", f"expected a list, not {_shown(keys['notes'])}")
     return parts

@@ -121,6 +121,15 @@ class Exceptions(_Part, frozen=True, kw_only=True):
     """Every code that the manual lists."""
 
 
+class Timing(_Part, frozen=True, kw_only=True):
+    """Silences on a serial line, where the manual gives others than the standard: 28bits, 5ms."""
+
+    t1_5: str | None = None
+    """The longest silence inside a frame."""
+    t3_5: str | None = None
+    """The shortest silence between frames."""
+
+
 class PointType(StrEnum):
     """How a point's value stands in its registers or bits."""
 
@@ -207,6 +216,7 @@ class Profile(_Part, frozen=True, kw_only=True):
     functions: dict[str, FunctionRule]
     """By function code in two hexadecimal digits."""
     exceptions: Exceptions = msgspec.field(default_factory=Exceptions)
+    timing: Timing = msgspec.field(default_factory=Timing)
     points: list[Point] = []
     behaviour: str | None = None
     """The name of what data cannot say, in slave/behaviours.py."""

@@ -9,7 +9,8 @@ import math
 import re
 from typing import TYPE_CHECKING, NoReturn
 
-from mbtool.core.errors import ProfileError
+from mbtool.core.errors import ProfileError, UsageError
+from mbtool.core.silence import Silence
 from mbtool.devices.model import WORD_BITS, Area, Point, PointType, Profile
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ def validate(profile: Profile, file: str) -> None:
         raise ProfileError(file, "transports", "is empty; name rtu, ascii or tcp")
     _validate_areas(profile, file)
     _validate_exceptions(profile, file)
+    _validate_timing(profile, file)
     _validate_points(profile, file)
 
 
@@ -69,6 +71,16 @@ def _validate_exceptions(profile: Profile, file: str) -> None:
                 f"{code} is not among the documented codes "
                 f"({', '.join(map(str, codes.documented))})",
             )
+
+
+def _validate_timing(profile: Profile, file: str) -> None:
+    for key in ("t1_5", "t3_5"):
+        text = getattr(profile.timing, key)
+        try:
+            if text is not None:
+                Silence.parse(text)
+        except UsageError as error:
+            raise ProfileError(file, f"timing.{key}", str(error)) from None
 
 
 def _validate_points(profile: Profile, file: str) -> None:

@@ -17,7 +17,7 @@ import os
 import zlib
 from typing import TYPE_CHECKING, BinaryIO
 
-from mbtool.core import OutputError, UsageError
+from mbtool.core import OutputError
 from mbtool.logs.layout import (
     DATA_END_SIZE,
     FOOTER_SIZE,
@@ -30,32 +30,14 @@ from mbtool.logs.layout import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 SECTOR = 512
 
 _sync_data = os.fdatasync if hasattr(os, "fdatasync") else os.fsync
 
 
-def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
-    """Create a file that is not there, so that no two writers share one. Raises UsageError."""
-    try:
-        if replace:
-            path.unlink(missing_ok=True)
-        file = path.open("xb", buffering=0)
-    except FileExistsError:
-        raise UsageError(
-            f"{path}: the file exists, and a recording is not overwritten; name another"
-        ) from None
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: the log cannot be created: {_reason(error)}") from error
-    if os.name == "posix":
-        _sync_folder(path.parent)
-    return file
-
-
 class CompleteFile:
-    """Grows by whole records. `file` is new, unbuffered, and closed by `close`."""
+    """Grows by whole records. `file` is empty, unbuffered, and closed by `close`."""
 
     def __init__(self, file: BinaryIO, name: str, head: bytes) -> None:
         """Write the magic and the first records, `head`. Raises OutputError."""
@@ -79,6 +61,10 @@ class CompleteFile:
     @property
     def closed(self) -> bool:
         return self._file.closed
+
+    def hold(self) -> BinaryIO:
+        """The file once more, with the lock that it has."""
+        return open(os.dup(self._file.fileno()), "wb", buffering=0)
 
     def append(self, records: bytes, *, sync: bool) -> None:
         """Add records; with `sync`, they are on the disk afterwards. Raises OutputError.
@@ -153,7 +139,7 @@ class CompleteFile:
 
     def _error(self, error: OSError) -> OutputError:
         return OutputError(
-            f"{self._name}: the log cannot be written: {_reason(error)}; "
+            f"{self._name}: the log cannot be written: {error.strerror or error}; "
             "what was written before can be read"
         )
 
@@ -168,21 +154,3 @@ def _padding(end: int, tail: int, minimum: int) -> bytes:
 
 def _fits(start: int, size: int) -> bool:
     return start % SECTOR + size <= SECTOR
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return getattr(error, "strerror", None) or str(error)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the file's name last through a power cut."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return  # A folder that may be written and not read: the name lasts when the kernel says so.
-    try:
-        os.fsync(descriptor)
-    except OSError:
-        return
-    finally:
-        os.close(descriptor)

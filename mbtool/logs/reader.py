@@ -4,25 +4,29 @@
 # and a log that is cut off gives all whole chunks before the cut. The metadata that stands before
 # the first item is known once a LogReader is made; what follows later is added as it is met.
 #
-# Raises InputError for a file of another kind and for damage, CutError for a file that ends early;
-# both after everything before it was given. No item is ever wrong, as each chunk is under a CRC;
-# damage between chunks can hide one, which the CRC of the whole tells at the end. A recording that
-# was killed is not cut: it is complete, and only `closed` tells.
+# Raises InputError for a file of another kind, CutError for a file that ends early, DamageError for
+# damage; the last two after everything that is whole was given. A chunk or an attachment whose CRC
+# is wrong is left out, and where items may be missing a GAP of no link stands in their place. No
+# item is ever wrong, as each chunk is under a CRC; damage between chunks can hide one, which the
+# CRC of the whole tells at the end, and can make lengths wrong, which ends the reading there. A
+# recording that was killed is not cut: it is complete, and only `closed` tells.
 
 from __future__ import annotations
 
 import struct
 import zlib
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self, cast
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import msgspec
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-from mbtool.core import Chunk, InputError, Packet
+from mbtool.core import Chunk, DamageError, InputError, Packet, WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.logs import layout, schemas
+from mbtool.logs.damage import Damage
 from mbtool.logs.layout import FORMAT_VERSION, MESSAGE_HEAD, PROFILE, Opcode
 from mbtool.logs.messages import ChunkMessage, EventMessage, LogItem
 from mbtool.logs.records import ByteStream, Record, RecordStream
@@ -32,6 +36,8 @@ if TYPE_CHECKING:
 
 _Message = ChunkMessage | NamedTransaction | EventMessage
 _ITEMS = frozenset({schemas.CHUNK, schemas.TRANSACTION, schemas.WIRE_EVENT})
+_OF_ITEMS = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+"""The records that hold items, or say what items are."""
 
 
 class LogReader:
@@ -54,6 +60,9 @@ class LogReader:
         """Read up to the first item. `wait` is as in `follow`."""
         self._stream = stream
         self._records = RecordStream(stream, name)
+        self._damage = Damage(name)
+        self._now_ns = 0
+        """The log time of the last item."""
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}
         self._decoders: dict[str, msgspec.json.Decoder[_Message]] = {
@@ -89,11 +98,15 @@ class LogReader:
 
     def transactions(self) -> Iterator[NamedTransaction]:
         """Only the transactions, in place of `items`."""
-        return cast("Iterator[NamedTransaction]", self._read({schemas.TRANSACTION}))
+        for item in self._read({schemas.TRANSACTION}):
+            if isinstance(item, NamedTransaction):
+                yield item
 
-    def evidence(self) -> Iterator[Chunk | Packet]:
-        """Only what was captured, in place of `items`."""
-        return cast("Iterator[Chunk | Packet]", self._read({schemas.CHUNK}))
+    def evidence(self) -> Iterator[Chunk | Packet | WireEvent]:
+        """Only what was captured, in place of `items`; an event is a hole that damage has left."""
+        for item in self._read({schemas.CHUNK}):
+            if not isinstance(item, NamedTransaction):
+                yield item
 
     def close(self) -> None:
         self._stream.close()
@@ -131,7 +144,7 @@ class LogReader:
                 yield record
                 continue
             if wait is None:
-                self._records.check_crc(record)
+                self._check_crc(record)
             following = self._records.read()
             self.closed = not self._is_open_end(following)
             if wait is None or self.closed:
@@ -144,12 +157,29 @@ class LogReader:
                 following = self._records.read()
             self._records.read_magic()
 
+    def _check_crc(self, data_end: Record) -> None:
+        if self._damage:
+            return  # The CRC of the whole has no more to tell.
+        try:
+            self._records.check_crc(data_end)
+        except DamageError as error:
+            self._damage.add(error)
+
     def _is_open_end(self, record: Record) -> bool:
         """Whether this is the Footer of a log that is being written, or was when it was killed."""
         return record.opcode == Opcode.FOOTER and self._records.summary_start(record) == 0
 
     def _learn(self, record: Record) -> bool:
         """Take in a record that stands outside chunks; False where it may hold items."""
+        if record.opcode in _OF_ITEMS:
+            return False
+        try:
+            self._learn_from(record)
+        except DamageError as error:
+            self._damage.add(error, len(record.content))
+        return True
+
+    def _learn_from(self, record: Record) -> None:
         match record.opcode:
             case Opcode.METADATA:
                 metadata = self._records.parse(record, Metadata.read)
@@ -160,9 +190,6 @@ class LogReader:
                 if crc not in (0, zlib.crc32(record.content[:-4])):
                     raise self._records.damaged(record.offset, "an attachment whose CRC is wrong")
                 self.profiles[attachment.name] = attachment.data
-            case Opcode.CHUNK | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
-                return False
-        return True
 
     def _learn_metadata(self, name: str, values: dict[str, str]) -> None:
         match name:
@@ -174,12 +201,29 @@ class LogReader:
                 self.devices[values.get("who", "")] = values.get("profile", "")
 
     def _read(self, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
-        for record in self._data:
-            if record.opcode == Opcode.CHUNK:
-                for inner in self._records.unpack_chunk(record):
-                    yield from self._take(inner, wanted)
-            elif not self._learn(record):
-                yield from self._take(record, wanted)
+        try:
+            for record in self._data:
+                if not self._learn(record):
+                    yield from self._items_of(record, wanted)
+        except InputError as end:
+            yield from self._damage.hole(self._now_ns)
+            if self._damage:
+                raise self._damage.joined_to(end) from end
+            raise
+        yield from self._damage.hole(self._now_ns)
+        if self._damage:
+            raise self._damage.error()
+
+    def _items_of(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+        """What a record holds, up to where it is damaged."""
+        is_chunk = record.opcode == Opcode.CHUNK
+        try:
+            for inner in self._records.unpack_chunk(record) if is_chunk else (record,):
+                for item in self._take(inner, wanted):
+                    yield from self._damage.hole(self._now_ns)
+                    yield item
+        except DamageError as error:
+            self._damage.add_hole(error, record.offset, len(record.content))
 
     def _take(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
         match record.opcode:
@@ -190,26 +234,44 @@ class LogReader:
                 self._schemas[schema.id] = schema.name
             case Opcode.CHANNEL:
                 channel = self._records.parse(record, Channel.read)
-                self._channels[channel.id] = self._schemas.get(channel.schema_id, "")
+                schema_name = self._schemas.get(channel.schema_id)
+                if schema_name is not None or not channel.schema_id:
+                    self._channels[channel.id] = schema_name or ""
 
     def _decode(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
         if len(record.content) < MESSAGE_HEAD.size:
             raise self._records.damaged(record.offset, "a message without a head")
-        channel_id = MESSAGE_HEAD.unpack_from(record.content)[0]
+        channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(record.content)
+        data = record.content[MESSAGE_HEAD.size :]
         schema = self._channels.get(channel_id)
         if schema is None:
-            raise self._records.damaged(record.offset, f"a message of no channel ({channel_id})")
+            if not self._damage:
+                what = f"a message of no channel ({channel_id})"
+                self._damage.add(self._records.damaged(record.offset, what))
+            schema = self._channels[channel_id] = self._schema_of(data)
         if schema not in wanted:
             return
         try:
-            message = self._decoders[schema].decode(record.content[MESSAGE_HEAD.size :])
+            message = self._decoders[schema].decode(data)
         except msgspec.MsgspecError as error:
             raise self._records.damaged(record.offset, f"no {schema}: {error}") from None
+        self._now_ns = log_ns
         yield message if isinstance(message, NamedTransaction) else message.item()
+
+    def _schema_of(self, data: bytes) -> str:
+        """The schema of a message whose channel stood in what is left out; "" for no item's.
+
+        Each kind of item has fields that are in no other, so a message tells what it is.
+        """
+        for schema, decoder in self._decoders.items():
+            with suppress(msgspec.MsgspecError):
+                decoder.decode(data)
+                return schema
+        return ""
 
 
 def read_log(path: str | Path) -> Iterator[LogItem]:
-    """Everything that was written to a log, in its order. Raises InputError and CutError."""
+    """Everything that was written to a log, in its order. Raises InputError."""
     with LogReader.open(path) as log:
         yield from log.items()
 

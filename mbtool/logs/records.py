@@ -3,8 +3,9 @@
 # The stock StreamReader takes what is left of a file for a whole field, trusts every length, and
 # cannot wait for more, so only its record classes are used here.
 #
-# Whatever the bytes, what is raised is CutError (the file ends inside a record) or InputError (a
-# record says what cannot be). A record is at most MAX_RECORD long, packed or not.
+# Whatever the bytes, what is raised is CutError (the file ends inside a record), DamageError (a
+# record says what cannot be) or InputError (a file of another kind, one that cannot be read). A
+# record is at most MAX_RECORD long, packed or not.
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Chunk
 
-from mbtool.core import CutError, InputError
+from mbtool.core import CutError, DamageError, InputError
 from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD
 
 if TYPE_CHECKING:
@@ -76,16 +77,19 @@ class RecordStream:
             raise self._cut(at)
 
     def read(self) -> Record:
-        """The next record."""
+        """The next record. Raises CutError; DamageError where what follows cannot be found."""
         offset = self._position
         self._crc_before = self._crc
         opcode, length = RECORD_HEAD.unpack(self._read(RECORD_HEAD.size, offset))
         if length > MAX_RECORD:
-            raise self.damaged(offset, f"a record of {length} bytes; {MAX_RECORD} is the most")
+            raise self.damaged(
+                offset,
+                f"a record of {length} bytes; {MAX_RECORD} is the most, and what follows is lost",
+            )
         return Record(offset, opcode, self._read(length, offset))
 
     def check_crc(self, data_end: Record) -> None:
-        """Raise InputError where a DataEnd, just read, says that what was before it is damaged."""
+        """Raise DamageError where a DataEnd, just read, says that what was before it is damaged."""
         expected = self._unpack(_DATA_END, data_end)[0]
         if expected not in (0, self._crc_before):
             raise self.damaged(data_end.offset, "the bytes before are not those that were written")
@@ -96,7 +100,7 @@ class RecordStream:
         self._position = offset
 
     def parse(self, record: Record, read: Callable[[ReadDataStream], _T]) -> _T:
-        """Take a record apart with one of mcap's classes. Raises InputError."""
+        """Take a record apart with one of mcap's classes. Raises DamageError."""
         try:
             return read(ReadDataStream(io.BytesIO(record.content)))
         except (McapError, struct.error, ValueError, OverflowError) as error:
@@ -107,7 +111,7 @@ class RecordStream:
         return self._unpack(_FOOTER, footer)[0]
 
     def unpack_chunk(self, record: Record) -> Iterator[Record]:
-        """The records of a chunk. Raises InputError."""
+        """The records of a chunk. Raises DamageError."""
         chunk = self.parse(record, Chunk.read)
         try:
             data = _decompress(chunk)
@@ -126,8 +130,8 @@ class RecordStream:
                 raise self.damaged(record.offset, "a chunk that ends inside a record")
             yield Record(record.offset, opcode, data[body:at])
 
-    def damaged(self, offset: int, what: str) -> InputError:
-        return InputError(f"{self._name}: damaged at byte {offset}: {what}")
+    def damaged(self, offset: int, what: str) -> DamageError:
+        return DamageError(f"{self._name}: damaged at byte {offset}: {what}")
 
     def _cut(self, offset: int) -> CutError:
         return CutError(

@@ -3,7 +3,8 @@
 # FILE.mcap, FILE-0002.mcap, FILE-0003.mcap, ...: each complete in itself, with the metadata, the
 # links and the profiles. A file ends at the first tick or item after it has reached its limit, so
 # it is longer by what one flush holds, and it holds at least one item. A number whose file exists
-# is left out. A transaction may stand in the file after its evidence's.
+# is left out. A transaction may stand in the file after its evidence's. FILE.mcap stays locked to
+# the end, so that no other recorder begins anew with the names that this one goes on with.
 
 from __future__ import annotations
 
@@ -71,6 +72,7 @@ class RotatingLog:
         self._began_ns: int | None = None
         self._now_ns: int | None = None
         self._writer = self._open()
+        self._first = self._writer.hold()
 
     @property
     def path(self) -> Path:
@@ -103,7 +105,10 @@ class RotatingLog:
         self._rotate_if_due()
 
     def close(self, final: Mapping[str, str] | None = None) -> None:
-        self._writer.close(final)
+        try:
+            self._writer.close(final)
+        finally:
+            self._first.close()
 
     def __enter__(self) -> Self:
         return self

@@ -14,7 +14,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import msgspec
 from mcap.records import Header
@@ -23,8 +23,9 @@ from mbtool import __version__
 from mbtool.core import Chunk, OutputError, Packet
 from mbtool.devices import NamedTransaction, finding_text
 from mbtool.logs import schemas
-from mbtool.logs.complete_file import CompleteFile, create_file
+from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
+from mbtool.logs.creating import create_file
 from mbtool.logs.layout import (
     CAPTURE,
     DEVICE,
@@ -54,7 +55,8 @@ class LogWriter:
     ) -> None:
         """Create the file. `capture` says what a reader should know: host, command, clock.
 
-        Raises UsageError where the file exists (unless `replace`) or cannot be created.
+        Raises UsageError where the file exists (unless `replace`) or cannot be created, OutputError
+        where another recorder has it.
         """
         self._path = Path(path)
         file = create_file(self._path, replace=replace)
@@ -86,6 +88,10 @@ class LogWriter:
     def size(self) -> int:
         """The bytes of the file so far."""
         return self._file.size
+
+    def hold(self) -> BinaryIO:
+        """The file once more: no other recorder gets it until this is closed as well."""
+        return self._file.hold()
 
     def write(self, item: LogItem) -> None:
         """Add one item. Raises OutputError when the disk takes no more."""

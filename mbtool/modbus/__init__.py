@@ -13,6 +13,7 @@ from mbtool.modbus.rtu import RtuSplitter
 from mbtool.modbus.rtu_stream import RtuStreamSplitter
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome, Transaction
+from mbtool.modbus.two_taps import TwoTaps
 
 __all__ = [
     "FUNCTIONS",
@@ -37,6 +38,7 @@ __all__ = [
     "Table",
     "Transaction",
     "Transport",
+    "TwoTaps",
     "Verdict",
     "ascii_adu",
     "crc",

@@ -33,6 +33,8 @@ class DirectionBy(StrEnum):
     """No request waits, and it has the form of a request."""
     FORM = "form"
     """Its form fits one direction only."""
+    TIMING = "timing"
+    """Its form fits both, and the silence before it decided."""
 
 
 class Verdict(StrEnum):
@@ -48,6 +50,14 @@ class Verdict(StrEnum):
     """Unreadable bytes precede it without a silence."""
     T1_5_BROKEN = "t1.5-broken"
     """A silence longer than t1.5 stands inside it."""
+    AMBIGUOUS = "ambiguous"
+    """Another reading of its bytes is nearly as likely: of its direction, or of where it ends."""
+    PARITY_IN_DATA = "parity-in-data"
+    """An ASCII line of 7 data bits is heard with 8: bit 7 is its parity bit, or its stop bit."""
+    LOWER_CASE = "lower-case"
+    """Its hexadecimal digits are lower case, which not every ASCII device reads."""
+    OTHER_END = "other-end"
+    """It ends otherwise than with CR and the delimiter of its ASCII line, which is LF at first."""
     MALFORMED_REQUEST = "malformed-request"
     """The request's body does not have the form of its function."""
     MALFORMED_RESPONSE = "malformed-response"
@@ -89,6 +99,10 @@ class Adu:
     """Modbus/TCP only."""
     checksum: Checksum | None = None
     """Absent on Modbus/TCP."""
+    silence_before_ns: int | None = None
+    """On an RTU line, how long it was silent before the first byte, where that is known."""
+    longest_silence_ns: int | None = None
+    """On an RTU line, the longest silence inside the frame, where the bytes' times are known."""
     verdicts: tuple[Verdict, ...] = ()
 
 
@@ -102,3 +116,5 @@ class Skipped:
     reason: str
     """One sentence for a reader."""
     raw: bytes
+    checksum: Checksum | None = None
+    """Where they are a frame whose CRC or LRC is wrong."""

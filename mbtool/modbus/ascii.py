@@ -1,43 +1,82 @@
 """Cuts what one tap hears on a Modbus ASCII line into frames."""
 
-# A frame is a colon, an even number of hexadecimal digits, CR and LF (Serial Line V1.02, 2.5.2.1).
-# A colon always begins a frame anew, and a second of silence ends one that is incomplete. So does
-# a clock that was set back.
+# A frame (ascii_frame.py) begins with a colon, which always begins one anew, and ends with LF. It
+# also ends with the character behind its first CR where that is the line's delimiter or makes its
+# LRC right, and with CR alone where a colon, a second of silence or the end of the capture follows.
+# A second of silence ends an incomplete frame (Serial Line V1.02, 2.5.2.1), and so does a clock
+# that was set back. The silences t1.5 and t3.5 mean nothing here.
 #
-# Holds at most one incomplete frame (513 characters) and a run of skipped ones (skips.MAX_RUN).
+# The delimiter is LF until function 08, sub-function 3 changes it (V1.1b3, 6.8.1): when the slave
+# has answered, or when a frame ends with the character that was asked for.
+#
+# Where the port has 8 data bits bit 7 may be a parity bit, so colon, CR and LF are looked for
+# without it.
+#
+# Holds at most one incomplete frame (513 characters) and a run of skipped ones (skips.MAX_RUN). A
+# frame is read twice at most: behind its first CR and where it ends.
 
 from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
-from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, Checksum, Skipped, Transport, Verdict
-from mbtool.modbus.framing import lrc
+from mbtool.core import Direction, EventKind
+from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.ascii_frame import CR, LF, SEVEN_BITS, AsciiFrame, read_frame, why_unreadable
 from mbtool.modbus.skips import SkipRun
-from mbtool.modbus.turns import Turns
+from mbtool.modbus.turns import SURE, Judgement, Turns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
 CHARACTER_TIMEOUT_NS = 1_000_000_000
-"""The longest silence inside a frame (Serial Line V1.02, 2.5.2.1)."""
+"""The longest silence inside a frame (Serial Line V1.02, 2.5.2.1).
+
+The same section allows a user to set more, and names 4 to 5 s for wide area networks.
+"""
 
 _COLON = 0x3A
-_LF = 0x0A
-_FRAME = re.compile(rb":((?:[0-9A-Fa-f]{2}){3,})\r\n")
+_STOP = re.compile(rb"[:\r\n]")
+_CHANGE_DELIMITER = b"\x08\x00\x03"
 
 
 class AsciiSplitter:
     """Timed characters of a line in, `Adu` and `Skipped` out, in order."""
 
-    def __init__(self, line: SerialFormat, turns: Turns | None = None) -> None:
+    def __init__(
+        self,
+        line: SerialFormat,
+        turns: Turns | None = None,
+        *,
+        speaker: Direction | None = None,
+        timed: bool = True,
+        character_timeout_ns: int = CHARACTER_TIMEOUT_NS,
+    ) -> None:
+        """`speaker` is who alone speaks where this tap hears, where that is known.
+
+        `timed` says whether times are known; where they are not, no silence ends anything.
+        """
         self._character_ns = line.character_ns
+        self._eight_bits = line.data_bits == 8
         self._turns = turns or Turns()
+        self._speaker = speaker
+        self._timed = timed
+        self._timeout_ns = character_timeout_ns
+        self._delimiter = LF
+        self._asked_delimiter = LF
         self._frame = bytearray()
+        self._cr = -1
+        """Where the first CR of the frame stands."""
+        self._split = False
+        self._resynchronised = False
         self._first_ns = 0
         self._last_ns = 0
-        self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame"))
+        self._read_ns = 0
+        """When the first character of this read arrived."""
+        self._least_ns = 0
+        self._given_ns: int | None = None
+        """When the last frame given out ended."""
+        self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame", None))
 
     @property
     def is_idle(self) -> bool:
@@ -51,64 +90,137 @@ class AsciiSplitter:
             return events
         first_ns = ts_ns - (len(data) - 1) * self._character_ns
         if ts_ns < self._last_ns:
-            events += self.close()
-            self._last_ns = first_ns
-        events += self.advance(first_ns - self._character_ns)
-        for index, byte in enumerate(data):
-            self._last_ns = max(self._last_ns, first_ns + index * self._character_ns)
-            self._take(byte, events)
+            if self._timed:
+                events += self.close()
+            self._last_ns, self._given_ns = first_ns, None
+        else:
+            events += self.advance(first_ns - self._character_ns)
+        self._read_ns, self._least_ns = first_ns, self._last_ns
+        seen = data.translate(SEVEN_BITS) if self._eight_bits else data
+        place = 0
+        while place < len(data):
+            take = self._take_inside if self._frame else self._take_outside
+            place = take(data, seen, place, events)
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
         """Learn that the line was silent from the last character until now."""
         events: list[Adu | Skipped] = []
-        if now_ns - self._last_ns > CHARACTER_TIMEOUT_NS:
-            self._give_up("a frame that ends in a second of silence", events)
+        if self._timed and now_ns - self._last_ns > self._timeout_ns:
+            silence = f"{self._timeout_ns / 1e9:g} s"
+            self._end(events, f"a frame that ends in more than {silence} of silence")
             self._noise.end(events)
+            self._resynchronised = False
         return events
 
     def close(self) -> list[Adu | Skipped]:
         """The capture ends; what is held comes out."""
         events: list[Adu | Skipped] = []
-        self._give_up("a frame that never ends", events)
+        self._end(events, "a frame that never ends")
         self._noise.end(events)
+        self._resynchronised = False
         return events
 
-    def _take(self, byte: int, events: list[Adu | Skipped]) -> None:
-        if byte == _COLON:
-            self._give_up("a frame that another colon cuts off", events)
-            self._first_ns = self._last_ns
-        elif not self._frame:
-            self._noise.add(bytes([byte]), self._last_ns, events)
-            return
-        self._frame.append(byte)
-        if byte == _LF:
-            self._finish(events)
-        elif len(self._frame) >= MAX_ASCII_ADU:
-            self._give_up(f"a frame of more than {MAX_ASCII_ADU} characters", events)
+    def _time(self, place: int) -> int:
+        """When a character of this read arrived: not before the last one of the read before."""
+        return max(self._read_ns + place * self._character_ns, self._least_ns)
 
-    def _finish(self, events: list[Adu | Skipped]) -> None:
+    def _take_outside(
+        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+    ) -> int:
+        """Take what stands before a colon, and the colon. Returns the place behind."""
+        colon = seen.find(b":", place)
+        end = colon if colon >= 0 else len(data)
+        while place < end:
+            until = min(end, place + self._noise.room)
+            self._noise.add(data[place:until], self._time(place), events)
+            place = until
+            self._last_ns = self._time(place - 1)
+        if colon < 0:
+            return end
+        self._begin(data, colon)
+        return colon + 1
+
+    def _take_inside(
+        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+    ) -> int:
+        """Take what goes on with a frame, up to where it may end. Returns the place behind."""
+        frame = self._frame
+        behind_cr = self._cr == len(frame) - 1
+        stop: int | None
+        if behind_cr:
+            end, stop = place + 1, seen[place]
+        else:
+            until = place + MAX_ASCII_ADU - len(frame)
+            match = _STOP.search(seen, place, until)
+            end = match.end() if match else min(until, len(data))
+            stop = seen[end - 1] if match else None
+        if stop == _COLON:
+            if end - 1 > place:
+                self._add(data, place, end - 1)
+            self._end(events, "a frame that another colon cuts off")
+            self._resynchronised = isinstance(events[-1], Skipped)
+            self._begin(data, end - 1)
+            return end
+        self._add(data, place, end)
+        if stop == LF or (behind_cr and self._is_whole(stop)):
+            self._end(events)
+        elif len(frame) >= MAX_ASCII_ADU:
+            self._end(events, f"a frame of more than {MAX_ASCII_ADU} characters")
+            self._resynchronised = True
+        elif stop == CR and self._cr < 0:
+            self._cr = len(frame) - 1
+        return end
+
+    def _begin(self, data: bytes, colon: int) -> None:
+        self._first_ns = self._last_ns = self._time(colon)
+        self._frame.append(data[colon])
+        self._cr = -1
+        self._split = False
+
+    def _add(self, data: bytes, place: int, end: int) -> None:
+        self._frame += data[place:end]
+        if place == 0 and self._timed:  # A read holds no silence.
+            silence_ns = self._time(0) - self._character_ns - self._last_ns
+            self._split |= silence_ns > CHARACTER_TIMEOUT_NS
+        self._last_ns = self._time(end - 1)
+
+    def _is_whole(self, delimiter: int | None) -> bool:
+        """Whether the frame ends with this character behind its first CR."""
+        if delimiter == self._delimiter:
+            return True
+        frame = read_frame(bytes(self._frame), eight_bits=self._eight_bits)
+        return frame is not None and frame.checksum.ok
+
+    def _end(self, events: list[Adu | Skipped], cut: str | None = None) -> None:
+        """Give out the frame, or what there is of it and why. `cut` says what cuts it off."""
+        if not self._frame:
+            return
         raw = bytes(self._frame)
-        match = _FRAME.fullmatch(raw)
-        if match is None:
-            self._give_up("a frame that is not pairs of hexadecimal digits, CR and LF", events)
-            return
-        body = bytes.fromhex(match[1].decode("ascii"))
-        checksum = Checksum(body[-1], lrc(body[:-1]))
-        if not checksum.ok:
-            self._give_up(
-                f"a frame with LRC {checksum.received:02X}H, "
-                f"where {checksum.computed:02X}H would be right",
-                events,
-                EventKind.BAD_CHECK,
-            )
-            return
-        verdicts = (Verdict.NOISE_BEFORE,) if self._noise else ()
-        self._noise.end(events)
-        unit, pdu = body[0], body[1:-1]
-        judgement = self._turns.judge(unit, pdu, self._first_ns)
-        self._turns.spoke(judgement, unit, pdu, self._last_ns)
         self._frame.clear()
+        may_be_whole = cut is None or self._cr >= 0
+        frame = read_frame(raw, eight_bits=self._eight_bits) if may_be_whole else None
+        if frame is not None and frame.checksum.ok:
+            self._give(frame, raw, events)
+            return
+        self._noise.end(events)
+        if frame is not None:
+            checksum = frame.checksum
+            reason = (
+                f"a frame with LRC {checksum.received:02X}H, "
+                f"where {checksum.computed:02X}H would be right"
+            )
+            events.append(Skipped(self._first_ns, EventKind.BAD_CHECK, reason, raw, checksum))
+        else:
+            reason = cut or why_unreadable(raw, eight_bits=self._eight_bits)
+            events.append(Skipped(self._first_ns, EventKind.SKIPPED, reason, raw))
+        self._turns.heard_damage()
+
+    def _give(self, frame: AsciiFrame, raw: bytes, events: list[Adu | Skipped]) -> None:
+        unit, pdu = frame.body[0], frame.body[1:]
+        judgement = self._judge(unit, pdu)
+        verdicts = self._verdicts(frame, judgement)
+        self._noise.end(events)
         events.append(
             Adu(
                 start_ns=self._first_ns - self._character_ns,
@@ -120,16 +232,48 @@ class AsciiSplitter:
                 unit=unit,
                 pdu=pdu,
                 raw=raw,
-                checksum=checksum,
+                checksum=frame.checksum,
                 verdicts=verdicts,
             )
         )
+        self._given_ns = self._last_ns
+        self._resynchronised = False
+        if pdu.startswith(_CHANGE_DELIMITER) and len(pdu) == 5:
+            self._asked_delimiter = pdu[3] if self._eight_bits else pdu[3] & 0x7F
+            if judgement.direction is Direction.RESPONSE and judgement.confidence >= SURE:
+                self._delimiter = self._asked_delimiter
 
-    def _give_up(
-        self, reason: str, events: list[Adu | Skipped], kind: EventKind = EventKind.SKIPPED
-    ) -> None:
-        """Give the incomplete or wrong frame out as skipped."""
-        if self._frame:
-            self._noise.end(events)
-            events.append(Skipped(self._first_ns, kind, reason, bytes(self._frame)))
-            self._frame.clear()
+    def _judge(self, unit: int, pdu: bytes) -> Judgement:
+        if self._speaker is not None:
+            return Judgement(self._speaker, DirectionBy.PORT, 1.0)
+        judgement = self._turns.judge(unit, pdu, self._first_ns)
+        self._turns.spoke(judgement, unit, pdu, self._last_ns)
+        return judgement
+
+    def _verdicts(self, frame: AsciiFrame, judgement: Judgement) -> tuple[Verdict, ...]:
+        """What is to be noticed about a frame; its end may change the line's delimiter."""
+        if frame.end == bytes((CR, self._asked_delimiter)):
+            self._delimiter = self._asked_delimiter
+        verdicts = []
+        if self._noise:
+            verdicts.append(Verdict.NOISE_BEFORE)
+        if self._resynchronised:
+            verdicts.append(Verdict.RESYNCHRONISED)
+        if self._is_glued():
+            verdicts.append(Verdict.GLUED)
+        if self._split:
+            verdicts.append(Verdict.SPLIT)
+        if frame.parity_in_data:
+            verdicts.append(Verdict.PARITY_IN_DATA)
+        if frame.is_lower_case:
+            verdicts.append(Verdict.LOWER_CASE)
+        if frame.end != bytes((CR, self._delimiter)):
+            verdicts.append(Verdict.OTHER_END)
+        if judgement.confidence < SURE:
+            verdicts.append(Verdict.AMBIGUOUS)
+        return tuple(verdicts)
+
+    def _is_glued(self) -> bool:
+        """Whether the frame begins where the one before it ended."""
+        start_ns = self._first_ns - self._character_ns
+        return self._timed and self._given_ns is not None and start_ns <= self._given_ns

@@ -26,9 +26,18 @@ Decoded = Adu | Transaction | WireEvent
 class Bus:
     """A serial line that one tap hears."""
 
-    def __init__(self, link: str, line: SerialFormat, *, ascii: bool = False) -> None:  # noqa: A002
-        self._ends = Ends(link)
-        self._splitter = AsciiSplitter(line) if ascii else RtuSplitter(line)
+    def __init__(
+        self,
+        link: str,
+        line: SerialFormat,
+        *,
+        ascii: bool = False,  # noqa: A002
+        timed: bool = True,
+    ) -> None:
+        """`timed` is False where the bytes' times are made up: a file of bytes alone."""
+        self._ends = Ends(link, timed=timed)
+        splitter = AsciiSplitter if ascii else RtuSplitter
+        self._splitter: AsciiSplitter | RtuSplitter = splitter(line, timed=timed)
         self._pairing = Pairing(self._ends, bus=True)
 
     def feed(self, data: bytes, ts_ns: int) -> list[Decoded]:

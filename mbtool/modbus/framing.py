@@ -16,6 +16,11 @@ def crc(data: bytes) -> int:
     return crc16.modbus(data)
 
 
+def crc_on(before: int, data: bytes) -> int:
+    """The CRC of what `before` is the CRC of, with more bytes behind it."""
+    return crc16.modbus(data, before)
+
+
 def lrc(data: bytes) -> int:
     """The two's complement of the 8-bit sum (Serial Line V1.02, 6.2.1)."""
     return -sum(data) & 0xFF

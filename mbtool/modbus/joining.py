@@ -22,6 +22,8 @@ class Ends:
     link: str
     master: str | None = None
     slave: str | None = None
+    timed: bool = True
+    """Whether the times of its bytes are known."""
 
 
 def together(
@@ -49,7 +51,7 @@ def together(
         response_values=_response_values(asked, answered),
         request_ns=request.end_ns,
         response_ns=response.end_ns,
-        latency_ns=_latency_ns(request, response),
+        latency_ns=_latency_ns(request, response) if ends.timed else None,
         retries=retries,
         request_raw=request.raw,
         response_raw=response.raw,

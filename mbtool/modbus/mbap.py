@@ -46,7 +46,7 @@ class MbapSplitter:
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
         self._buffer = TimedBuffer()
-        self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header"))
+        self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header", None))
         self._in_step = True
         self._behind_gap = False
         """Out of step, and no byte has been looked at since the gap."""

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import MAX_PDU, Transport
+from mbtool.modbus.ascii_frame import read_frame
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 
@@ -112,8 +113,10 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
         case Transport.RTU | Transport.RTU_TCP:
             return raw[0], raw[1:-2]
         case Transport.ASCII:
-            binary = bytes.fromhex(raw[1 : len(raw) - 2].decode("ascii"))
-            return binary[0], binary[1:-1]
+            frame = read_frame(raw)
+            if frame is None:
+                raise ValueError(f"no ASCII frame: {raw!r}")
+            return frame.body[0], frame.body[1:]
 
 
 def _layout(code: int, direction: Direction) -> Layout:

@@ -1,20 +1,20 @@
 """Cuts what one tap hears on a two-wire RTU line into frames."""
 
-# The bytes between two silences of t3.5 are a burst. In a clean capture a burst is a frame; where
-# an adapter glued frames or tore one, structure helps: from each place the lengths that its
-# function has as a request and as a response are tried, the likelier role first, and the CRC
-# decides. A CRC alone never does, since every valid frame that ends in 00 is also valid one byte
-# shorter; a length that leaves nothing of the burst is preferred, then one whose PDU has the form
-# of its function. A frame of a function that no table knows is found where a whole burst has a
-# correct CRC; torn or glued it is not. A burst that ends in the beginning of a frame waits for the
-# next one for HOLD_NS at most.
+# Three questions, from the cheapest to the dearest. Most bytes of a working line are decided by the
+# first, so that the search runs only where there is something to search.
+#
+# 1. Is the frame at the front beyond doubt (_front)? Its length follows from its function, its CRC
+#    is right in one reading only, and the turn expects it. It needs the byte behind it, or silence.
+# 2. At a silence of t3.5, what do the bytes held mean (tiling.py)? All is given out but a frame
+#    that has only begun: an adapter may have torn it. That is held for HOLD_NS at most, and for
+#    MAX_TEARS silences.
+# 3. Without a silence, the same when the window is full. All but its last 256 bytes is given out.
 #
 # Times: a byte's time is when its last bit arrived. The bytes of one read get their times back from
 # the last one by the character time. What comes out depends on these times only, not on how the
 # bytes were cut into reads. A clock that was set back ends what was held.
 #
-# Holds less than WINDOW bytes. When a window is full without a silence, all but its last 256 bytes
-# are decided.
+# Holds less than WINDOW bytes.
 
 from __future__ import annotations
 
@@ -22,34 +22,70 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, Skipped, Transport, Verdict
+from mbtool.modbus import weights
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    Adu,
+    Checksum,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+)
 from mbtool.modbus.framing import crc
-from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.habits import Habit
 from mbtool.modbus.rtu_structure import MIN_FRAME, frame_size, why_skipped
-from mbtool.modbus.turns import Turns
+from mbtool.modbus.tiling import LONG_SKIP, Habits, Kind, Piece, Tiling, Window
+from mbtool.modbus.turns import ROLES, SURE, Judgement, Turns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
 WINDOW = 1024
-HOLD_NS = 40_000_000
-"""Twice and a half what an FTDI adapter's 16 ms latency timer puts into the middle of a frame."""
+HOLD_NS = 300_000_000
+"""A little more than the longest latency timer of an FTDI adapter, 255 ms."""
+MAX_TEARS = 16
+"""Silences in what is held, after which it is decided: a frame in 32-byte pieces has 8."""
 
-_ROLES = (Direction.REQUEST, Direction.RESPONSE)
+_LIKELY = weights.REQUEST + weights.NEW_REQUEST
+"""What a frame may cost to be taken without a search."""
 
 
 class RtuSplitter:
     """Timed bytes of a line in, `Adu` and `Skipped` out, in order."""
 
-    def __init__(self, line: SerialFormat, turns: Turns | None = None) -> None:
+    def __init__(
+        self,
+        line: SerialFormat,
+        turns: Turns | None = None,
+        *,
+        timed: bool = True,
+        speaker: Direction | None = None,
+    ) -> None:
+        """`timed` is False where the bytes' times are made up: a file of bytes alone.
+
+        `speaker` is who sends all that is heard: one wire of two, or a tap that hears one side.
+        """
         self._character_ns = line.character_ns
         self._t1_5_ns = line.t1_5_ns
         self._t3_5_ns = line.t3_5_ns
-        self._turns = turns or Turns()
+        self._timed = timed
+        self._speaker = speaker
+        self._roles = ROLES if speaker is None else (speaker,)
+        self._turns = turns or Turns(timed=timed)
+        self._habits = Habits(
+            skip=Habit(weights.SKIP, weights.SKIP_LIMITS),
+            glue=Habit(weights.GLUED if timed else 0.0, weights.GLUED_LIMITS),
+            tear=Habit(weights.TORN, weights.TORN_LIMITS),
+        )
         self._data = bytearray()
         self._times: list[int] = []
-        self._burst_over = False
-        """What the buffer holds is the beginning of a frame that waits for the next burst."""
+        self._decided = 0
+        """How many of the bytes held were already decided to be the beginning of a frame."""
+        self._tears = 0
+        """The silences since something was last given out."""
+        self._awaited = MIN_FRAME
+        """How many bytes there have to be before the front can tell more."""
         self._given: tuple[int, Verdict] | None = None
         """When the last byte given out arrived, and what that makes of a frame close behind it."""
 
@@ -63,20 +99,25 @@ class RtuSplitter:
         events: list[Adu | Skipped] = []
         if not data:
             return events
-        first_ns = ts_ns - (len(data) - 1) * self._character_ns
+        step_ns = self._character_ns
+        first_ns = ts_ns - (len(data) - 1) * step_ns
         if self._data:
-            set_back = ts_ns < self._times[-1]
-            events += self.close() if set_back else self.advance(first_ns - self._character_ns)
-        self._burst_over = False
+            last_ns = self._times[-1]
+            if ts_ns < last_ns:
+                events += self.close()
+            elif first_ns - step_ns - last_ns >= self._t3_5_ns:
+                events += self.advance(first_ns - step_ns)
         while data:
             room = WINDOW - len(self._data)
             piece, data = data[:room], data[room:]
             self._data += piece
-            for _ in piece:
-                self._times.append(first_ns)
-                first_ns += self._character_ns
+            after_ns = first_ns + len(piece) * step_ns
+            self._times += range(first_ns, after_ns, step_ns)
+            first_ns = after_ns
+            if len(self._data) >= self._awaited:
+                self._take_front(events)
             if len(self._data) == WINDOW:
-                self._explain(events, burst_over=False)
+                self._search(events, may_go_on=True, keep=MAX_RTU_ADU)
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
@@ -85,76 +126,131 @@ class RtuSplitter:
         if not self._data:
             return events
         silence_ns = now_ns - self._times[-1]
-        if silence_ns >= self._t3_5_ns and not self._burst_over:
-            self._explain(events, burst_over=True)
+        if silence_ns >= self._t3_5_ns and len(self._data) > self._decided:
+            self._tears += 1
+            self._end_burst(events, may_go_on=self._tears < MAX_TEARS)
         if self._data and silence_ns >= max(HOLD_NS, self._t3_5_ns):
-            self._skip(len(self._data), events)
+            self._end_burst(events, may_go_on=False)
         return events
 
     def close(self) -> list[Adu | Skipped]:
         """The capture ends; what is held comes out."""
         events: list[Adu | Skipped] = []
-        self._explain(events, burst_over=True)
-        self._skip(len(self._data), events)
+        if self._data:
+            self._end_burst(events, may_go_on=False)
         return events
 
-    def _explain(self, events: list[Adu | Skipped], *, burst_over: bool) -> None:
-        """Give out the frames of the buffer and the bytes between them."""
-        place = 0
-        while place < (len(self._data) if burst_over else len(self._data) - MAX_RTU_ADU):
-            size = self._frame_at(place, burst_over=burst_over)
-            if size:
-                self._skip(place, events)
-                self._give(size, events)
-                place = 0
-            else:
-                place += 1
-        self._burst_over = burst_over
-        if not burst_over or not self._is_beginning():
-            self._skip(place, events)
+    def _end_burst(self, events: list[Adu | Skipped], *, may_go_on: bool) -> None:
+        self._take_front(events, burst_over=True)
+        if self._data:
+            self._search(events, may_go_on=may_go_on)
+        self._decided = len(self._data)
 
-    def _frame_at(self, place: int, *, burst_over: bool) -> int:
-        """The size of the frame that begins at a place, or 0."""
-        rest = len(self._data) - place
-        if rest < MIN_FRAME:
-            return 0
-        head = bytes(self._data[place : place + MAX_RTU_ADU])
-        sizes = []
-        for role in self._turns.order(head[0], head[1], self._times[place]):
+    def _take_front(self, events: list[Adu | Skipped], *, burst_over: bool = False) -> None:
+        """Give out the frames at the front that are beyond doubt."""
+        while frame := self._front(burst_over=burst_over):
+            size, judgement = frame
+            self._give(size, judgement, events)
+
+    def _front(self, *, burst_over: bool) -> tuple[int, Judgement] | None:
+        """The frame at the front and what it is, if that is beyond doubt."""
+        have = len(self._data)
+        if have < MIN_FRAME:
+            return None
+        head = bytes(self._data[:MAX_RTU_ADU])
+        found, roles, waits = 0, [], False
+        for role in self._roles:
             size = frame_size(head, role)
-            if size and size <= len(head) and crc(head[:size]) == 0:
-                if size == rest and burst_over:
-                    return size
-                sizes.append((parse_pdu(head[1 : size - 2], role).problem is not None, size))
-        if sizes:
-            return min(sizes, key=lambda malformed_and_size: malformed_and_size[0])[1]
-        whole = burst_over and rest <= MAX_RTU_ADU and self._begins_burst(place)
-        return rest if whole and crc(head) == 0 else 0
+            if not size:
+                self._awaited = have + 1 if size is None else WINDOW
+                return None
+            if size > MAX_RTU_ADU:
+                continue
+            if size > have or (size == have and not burst_over):
+                waits = True
+                self._awaited = size + 1
+            elif crc(head[:size]) == 0:
+                if found not in (0, size):
+                    return None
+                found = size
+                roles.append(role)
+        if not found or (waits and not burst_over):
+            return None
+        unit, pdu, start_ns = head[0], head[1 : found - 2], self._times[0] - self._character_ns
+        if self._speaker is not None:
+            return found, Judgement(self._speaker, DirectionBy.PORT, 1.0)
+        judgement = self._turns.judge(unit, pdu, start_ns, roles)
+        turn = self._turns.turn
+        cost = self._turns.weigh(turn, unit, pdu, judgement.direction, start_ns)
+        if cost > _LIKELY:
+            return None
+        if len(roles) > 1 and not (self._timed and judgement.confidence >= SURE):
+            # Without times the same frame twice may be a request and its echo, or one that was
+            # repeated. What comes behind them tells.
+            return None
+        return found, judgement
 
-    def _begins_burst(self, place: int) -> bool:
-        return place == 0 or self._silence(place) >= self._t3_5_ns
+    def _search(self, events: list[Adu | Skipped], *, may_go_on: bool, keep: int = 0) -> None:
+        """Explain all that is held, and give it out but for a frame that has only begun.
 
-    def _is_beginning(self) -> bool:
-        """Whether the buffer can be the beginning of a frame whose end is still to come."""
-        head = bytes(self._data)
-        if not 1 <= len(head) < MAX_RTU_ADU:
-            return False
-        sizes = [frame_size(head, role) for role in _ROLES]
-        return len(head) < MIN_FRAME or any(
-            size is None or len(head) < size <= MAX_RTU_ADU for size in sizes
+        `keep` is how many of the last bytes are not decided yet.
+        """
+        end = len(self._data)
+        window = Window(
+            bytes(self._data),
+            self._times[:],
+            self._character_ns,
+            self._silences(keep),
+            is_behind_noise=self._is_behind_noise,
+            may_go_on=may_go_on,
         )
+        pieces = Tiling(window, self._turns, self._habits, self._roles).pieces()
+        for piece in pieces:
+            if piece.kind is Kind.OPEN or (keep and piece.place + piece.size > end - keep):
+                if keep and piece.kind is not Kind.FRAME and piece.place < end - keep:
+                    self._skip(end - keep - piece.place, events)
+                break
+            if piece.kind is Kind.FRAME:
+                self._give(piece.size, self._judged(piece), events)
+            else:
+                self._skip(piece.size, events)
+                if piece.kind is Kind.DAMAGED or piece.size >= LONG_SKIP:
+                    self._turns.heard_damage()
 
-    def _silence(self, index: int) -> int:
-        """How long the line was silent before the byte at an index."""
-        return self._times[index] - self._times[index - 1] - self._character_ns
+    def _silences(self, keep: int) -> list[bool]:
+        """Whether a silence stands before each byte, and behind the last."""
+        least_ns = self._t3_5_ns + self._character_ns
+        times = self._times
+        given = self._given
+        first = given is None or times[0] - given[0] >= least_ns
+        between = [after - before >= least_ns for before, after in pairwise(times)]
+        return [first, *between, not keep]
 
-    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
-        verdicts = self._verdicts(size)
-        raw, times = self._take(size, Verdict.GLUED)
-        unit, pdu, received = raw[0], raw[1:-2], int.from_bytes(raw[-2:], "little")
-        start_ns, end_ns = times[0] - self._character_ns, times[-1]
-        judgement = self._turns.judge(unit, pdu, start_ns)
-        self._turns.spoke(judgement, unit, pdu, end_ns)
+    def _judged(self, piece: Piece) -> Judgement:
+        """What a frame is that the search has found."""
+        if self._speaker is not None:
+            return Judgement(self._speaker, DirectionBy.PORT, piece.confidence)
+        unit, pdu = self._data[0], bytes(self._data[1 : piece.size - 2])
+        start_ns = self._times[0] - self._character_ns
+        alone = self._turns.judge(unit, pdu, start_ns, piece.roles)
+        if alone.direction is piece.role:
+            return Judgement(piece.role, alone.by, min(alone.confidence, piece.confidence))
+        # What comes behind it decided otherwise.
+        return Judgement(piece.role, DirectionBy.IDLE, piece.confidence)
+
+    def _give(self, size: int, judgement: Judgement, events: list[Adu | Skipped]) -> None:
+        raw = bytes(self._data[:size])
+        times = self._times
+        start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
+        before_ns = None if self._given is None else start_ns - self._given[0]
+        longest_ns = self._longest_ns(size)
+        verdicts = self._verdicts(size, before_ns, longest_ns, judgement)
+        unit, pdu = raw[0], raw[1:-2]
+        self._learn(size, before_ns, longest_ns)
+        if self._speaker is None:
+            self._turns.hear(judgement, unit, pdu, start_ns, end_ns)
+        self._drop(size, Verdict.GLUED)
+        check = int.from_bytes(raw[-2:], "little")
         events.append(
             Adu(
                 start_ns=start_ns,
@@ -166,44 +262,78 @@ class RtuSplitter:
                 unit=unit,
                 pdu=pdu,
                 raw=raw,
-                checksum=Checksum(received, crc(raw[:-2])),
+                checksum=Checksum(check, check),
+                silence_before_ns=before_ns if self._timed else None,
+                longest_silence_ns=longest_ns if self._timed else None,
                 verdicts=verdicts,
             )
         )
 
-    def _verdicts(self, size: int) -> tuple[Verdict, ...]:
+    def _longest_ns(self, size: int) -> int:
+        """The longest silence inside the frame at the front."""
+        times = self._times
+        if times[size - 1] - times[0] == (size - 1) * self._character_ns:
+            return 0
+        steps = map(int.__sub__, times[1:size], times[: size - 1])
+        return max(max(steps) - self._character_ns, 0)
+
+    def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
+        """Note what the frame at the front tells of the line and its adapter."""
+        was_skipped = self._is_behind_noise
+        self._habits.skip.learn(seen=was_skipped)
+        if self._timed:
+            if before_ns is not None and not was_skipped:
+                self._habits.glue.learn(seen=before_ns < self._t3_5_ns)
+            self._habits.tear.learn(seen=longest_ns >= self._t3_5_ns)
+
+    def _verdicts(
+        self, size: int, before_ns: int | None, longest_ns: int, judgement: Judgement
+    ) -> tuple[Verdict, ...]:
         """What is to be noticed about the frame at the front."""
         verdicts = []
-        if self._given is not None:
-            given_ns, verdict = self._given
-            if self._times[0] - given_ns - self._character_ns < self._t3_5_ns:
-                verdicts.append(verdict)
-        if size < len(self._data) and not self._begins_burst(size):
-            verdicts.append(Verdict.GLUED)
-        steps = (after - before for before, after in pairwise(self._times[:size]))
-        longest_ns = max(steps) - self._character_ns
-        if longest_ns >= self._t3_5_ns:
-            verdicts.append(Verdict.SPLIT)
-        elif longest_ns > self._t1_5_ns:
-            verdicts.append(Verdict.T1_5_BROKEN)
-        return tuple(dict.fromkeys(verdicts))
+        if self._timed:
+            if self._given is not None and before_ns is not None and before_ns < self._t3_5_ns:
+                verdicts.append(self._given[1])
+            behind = self._times[size : size + 1]
+            if behind and behind[0] - self._times[size - 1] - self._character_ns < self._t3_5_ns:
+                verdicts.append(Verdict.GLUED)
+            if longest_ns >= self._t3_5_ns:
+                verdicts.append(Verdict.SPLIT)
+            elif longest_ns > self._t1_5_ns:
+                verdicts.append(Verdict.T1_5_BROKEN)
+        elif self._is_behind_noise:
+            verdicts.append(Verdict.NOISE_BEFORE)
+        if judgement.confidence < SURE:
+            verdicts.append(Verdict.AMBIGUOUS)
+        return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _skip(self, size: int, events: list[Adu | Skipped]) -> None:
         """Give out bytes as skipped: a frame with a wrong CRC whole, other bytes by bursts."""
         while size:
-            kind, reason = why_skipped(bytes(self._data[:size]), _ROLES)
             cut = size
+            kind, reason, check = why_skipped(bytes(self._data[:size]), self._roles)
             if kind is not EventKind.BAD_CHECK:
-                cut = next((each for each in range(1, size) if self._begins_burst(each)), size)
-                kind, reason = why_skipped(bytes(self._data[:cut]), _ROLES)
-            raw, times = self._take(cut, Verdict.NOISE_BEFORE)
-            events.append(Skipped(times[0], kind, reason, raw))
+                cut = next((each for each in range(1, size) if self._is_silent(each)), size)
+                kind, reason, check = why_skipped(bytes(self._data[:cut]), self._roles)
+            raw, first_ns = bytes(self._data[:cut]), self._times[0]
+            self._drop(cut, Verdict.NOISE_BEFORE)
+            events.append(Skipped(first_ns, kind, reason, raw, check))
             size -= cut
 
-    def _take(self, size: int, leaves: Verdict) -> tuple[bytes, list[int]]:
-        """Remove and return the first bytes and their times."""
-        raw, times = bytes(self._data[:size]), self._times[:size]
+    @property
+    def _is_behind_noise(self) -> bool:
+        return self._given is not None and self._given[1] is Verdict.NOISE_BEFORE
+
+    def _is_silent(self, index: int) -> bool:
+        """Whether a silence of t3.5 stands before the byte at an index."""
+        step_ns = self._times[index] - self._times[index - 1]
+        return step_ns - self._character_ns >= self._t3_5_ns
+
+    def _drop(self, size: int, leaves: Verdict) -> None:
+        """Remove the first bytes, which were given out."""
+        self._given = self._times[size - 1], leaves
         del self._data[:size]
         del self._times[:size]
-        self._given = times[-1], leaves
-        return raw, times
+        self._decided = max(self._decided - size, 0)
+        self._awaited = MIN_FRAME
+        self._tears = 0

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
+from mbtool.modbus.adu import Checksum
+from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc, crc_on
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
@@ -26,11 +27,32 @@ def frame_size(head: bytes, direction: Direction) -> int | None:
     return length + RTU_EXTRA_BYTES if length else length
 
 
-def why_skipped(raw: bytes, directions: Iterable[Direction]) -> tuple[EventKind, str]:
+def crc_ends(head: bytes, most: int) -> list[int]:
+    """The sizes at which a frame of these first bytes would have a correct CRC, the shortest first.
+
+    At most so many. One in 65,536 sizes is right by chance, and each 00 behind a right one.
+    """
+    sizes = []
+    residue = crc(head[: MIN_FRAME - 1])
+    for size in range(MIN_FRAME, len(head) + 1):
+        residue = crc_on(residue, head[size - 1 : size])
+        if residue == 0:
+            sizes.append(size)
+            if len(sizes) == most:
+                break
+    return sizes
+
+
+def why_skipped(
+    raw: bytes, directions: Iterable[Direction]
+) -> tuple[EventKind, str, Checksum | None]:
     """What bytes are that were taken for no frame."""
     if len(raw) >= MIN_FRAME and len(raw) in [frame_size(raw, each) for each in directions]:
-        received, computed = int.from_bytes(raw[-2:], "little"), crc(raw[:-2])
-        if received != computed:
-            reason = f"a frame with CRC {received:04X}H, where {computed:04X}H would be right"
-            return EventKind.BAD_CHECK, reason
-    return EventKind.SKIPPED, "no frame with a correct CRC begins here"
+        check = Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2]))
+        if not check.ok:
+            reason = (
+                f"a frame with CRC {check.received:04X}H, "
+                f"where {check.computed:04X}H would be right"
+            )
+            return EventKind.BAD_CHECK, reason, check
+    return EventKind.SKIPPED, "no frame with a correct CRC begins here", None

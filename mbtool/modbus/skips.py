@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.modbus.adu import Adu, Skipped
+from mbtool.core import EventKind
+from mbtool.modbus.adu import Adu, Checksum, Skipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mbtool.core import EventKind
+Reason = tuple[EventKind, str, Checksum | None]
+"""What skipped bytes are, in one sentence, and the check that is wrong in them."""
 
 MAX_RUN = 1024
 """Bytes after which a run is given out and the next begins, so that noise has a bound."""
@@ -20,7 +22,7 @@ class SkipRun:
 
     __slots__ = ("_bytes", "_first_ns", "_why")
 
-    def __init__(self, why: Callable[[bytes], tuple[EventKind, str]]) -> None:
+    def __init__(self, why: Callable[[bytes], Reason]) -> None:
         """`why` says of a run what it is."""
         self._why = why
         self._bytes = bytearray()
@@ -29,12 +31,17 @@ class SkipRun:
     def __bool__(self) -> bool:
         return bool(self._bytes)
 
+    @property
+    def room(self) -> int:
+        """How many bytes fit until the run is given out."""
+        return MAX_RUN - len(self._bytes)
+
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:
         """Take bytes that arrived at a time; a full run goes to `events`."""
         while data:
             if not self._bytes:
                 self._first_ns = ts_ns
-            room = MAX_RUN - len(self._bytes)
+            room = self.room
             self._bytes += data[:room]
             data = data[room:]
             if len(self._bytes) == MAX_RUN:
@@ -44,5 +51,6 @@ class SkipRun:
         """Give the run to `events`, if there is one."""
         if self._bytes:
             raw = bytes(self._bytes)
-            events.append(Skipped(self._first_ns, *self._why(raw), raw))
+            kind, reason, checksum = self._why(raw)
+            events.append(Skipped(self._first_ns, kind, reason, raw, checksum))
             self._bytes.clear()

@@ -4,27 +4,51 @@
 # form and from the request that waits for an answer: an answer names the request's unit and
 # function, and fits its quantity or echoes its address. Without such a request a frame that has
 # the form of a request is one. Requests and answers of 05, 06, 08, 15H and 16H look alike, so there
-# only the turn decides.
+# only the turn decides, and the silences: masters wait longer for an answer than slaves take.
+#
+# A `Turn` is a value, so that the search for frames (tiling.py) can suppose one. `Turns` keeps the
+# turn that has come about, and what the line has taught: bounded by MAX_KNOWN requests.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
+from mbtool.modbus.expectation import Expectation
 from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.habits import Latency
 from mbtool.modbus.packing import bit_bytes
 from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 DEFAULT_TURN_NS = 1_000_000_000
 """How long a request waits for its answer before the turn goes back to the master.
 
 Serial Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout.
 """
+MAX_KNOWN = 1024
+"""Requests remembered; beyond that the longest unheard is forgotten."""
+SURE = 0.8
+"""A confidence below which a frame is called ambiguous."""
 
+CERTAIN = frozenset((DirectionBy.FORM, DirectionBy.PORT))
+ROLES = (Direction.REQUEST, Direction.RESPONSE)
 READ_BITS = (0x01, 0x02)
+READ_REGISTERS = (0x03, 0x04, 0x17)
 ECHOED = ("address", "value", "sub_function", "and_mask", "or_mask", "mei_type", "quantity")
 """The numbers that a response has only to repeat them."""
+COUNTS = frozenset((2, *range(11, 19)))
+"""Sub-functions of 08 that ask for a register or a count (V1.1b3, 6.8.1)."""
+MARGIN_OCTAVES = 0.25
+"""A response is late when it takes a fifth longer than the longest latency of the line."""
+MAX_UNIT = 247
+"""The largest address of a slave (Serial Line V1.02, 2.2)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,61 +61,287 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True)
-class _Waiting:
+class Waiting:
+    """A request that has not been answered."""
+
     unit: int
     pdu: bytes
-    parsed: Pdu
+    expected: Expectation
     since_ns: int
+    """The time of its last byte."""
+    before_ns: int | None
+    """The silence before it, where something was heard before."""
+
+    def fits(self, unit: int, pdu: bytes) -> bool:
+        return unit == self.unit and self.expected.fits(pdu)
+
+    def is_named_by(self, unit: int, code: int) -> bool:
+        return unit == self.unit and self.expected.is_named_by(code)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Who may speak next."""
+
+    waiting: Waiting | None = None
+    owed: Waiting | None = None
+    """A request that the master repeated, or whose answer was damaged: it may still come."""
+    answered: Waiting | None = None
+    """The request that the last frame answered."""
+    lost: bool = False
+    """Whether damage came before, in which a request may have gone unheard."""
+    sure: bool = False
+    """Whether a frame was heard that is surely a request, or surely a response."""
+    last_ns: int | None = None
+    """The time of the last frame's last byte; None at the start of a capture."""
+
+    def behind_damage(self) -> Turn:
+        """The turn after bytes that could not be read."""
+        return replace(self, waiting=None, owed=self.waiting or self.owed, lost=True)
 
 
 class Turns:
-    """Keeps the one request that waits for an answer. Holds no more than that."""
+    """Judges each frame of a line by the turn, and keeps the turn."""
 
-    def __init__(self, turn_ns: int = DEFAULT_TURN_NS) -> None:
+    def __init__(self, turn_ns: int = DEFAULT_TURN_NS, *, timed: bool = True) -> None:
+        """`timed` says whether the bytes' times are known."""
         self._turn_ns = turn_ns
-        self._waiting: _Waiting | None = None
+        self._timed = timed
+        self.turn = Turn()
+        self._known: dict[tuple[int, bytes], None] = {}
+        self._latency = Latency()
+        self._doubted: tuple[int, bytes] | None = None
+        """The last frame, if it was ambiguous: its echo is no surer than `_doubt`."""
+        self._doubt = 1.0
 
-    def order(self, unit: int, code: int, at_ns: int) -> tuple[Direction, Direction]:
-        """The roles to try for a frame that begins like this, the likelier first."""
-        waiting = self._waiting_at(at_ns)
-        if waiting and waiting.unit == unit and answers(waiting.parsed.code, code):
-            return Direction.RESPONSE, Direction.REQUEST
-        return Direction.REQUEST, Direction.RESPONSE
+    def judge(
+        self, unit: int, pdu: bytes, at_ns: int, roles: Iterable[Direction] = ()
+    ) -> Judgement:
+        """Say what a whole frame is. `at_ns` is the time of its first byte.
 
-    def judge(self, unit: int, pdu: bytes, at_ns: int) -> Judgement:
-        """Say what a whole frame is. `at_ns` is the time of its first byte."""
-        waiting = self._waiting_at(at_ns)
-        if waiting and waiting.unit == unit and is_answer_to(waiting.parsed, pdu):
-            if pdu == waiting.pdu and pdu[0] in READ_BITS:
-                # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own answer. Its
-                # repetition is likelier than an answer of just these bits.
-                return Judgement(Direction.REQUEST, DirectionBy.IDLE, 0.9)
-            return Judgement(Direction.RESPONSE, DirectionBy.PENDING, 0.99)
-        as_request = pdu_length(pdu, Direction.REQUEST) == len(pdu)
-        as_response = pdu_length(pdu, Direction.RESPONSE) == len(pdu)
-        if as_request and as_response:
-            # Both forms fit, and it answers nothing: the master speaks, or this is the middle of
-            # a capture. An answer to another request than the one that waits is the rarer case.
-            return Judgement(Direction.REQUEST, DirectionBy.IDLE, 0.7 if waiting else 0.9)
-        if as_request:
-            return Judgement(Direction.REQUEST, DirectionBy.FORM, 1.0)
-        if as_response:
-            return Judgement(Direction.RESPONSE, DirectionBy.FORM, 1.0)
-        return Judgement(Direction.REQUEST, DirectionBy.IDLE, 0.5)
+        `roles` are those whose form it has, where that is known already.
+        """
+        judgement = self.judge_under(self.turn, unit, pdu, at_ns, roles or roles_of(pdu))
+        if self._doubted == (unit, pdu) and judgement.by not in CERTAIN:
+            return replace(judgement, confidence=min(judgement.confidence, self._doubt))
+        return judgement
+
+    def judge_under(
+        self, turn: Turn, unit: int, pdu: bytes, at_ns: int, roles: Iterable[Direction]
+    ) -> Judgement:
+        """Say what a frame would be if this were the turn."""
+        waiting = self._waiting(turn, at_ns)
+        answers_it = waiting is not None and waiting.fits(unit, pdu)
+        roles = tuple(roles)
+        if len(roles) == 1:
+            if answers_it and roles[0] is Direction.RESPONSE:
+                return Judgement(roles[0], DirectionBy.PENDING, 1.0)
+            return Judgement(roles[0], DirectionBy.FORM, 1.0)
+        request, response = (self._cost(turn, unit, pdu, role, at_ns) for role in ROLES)
+        if request[0] + request[1] <= response[0] + response[1]:
+            best, other, direction, by = request, response, Direction.REQUEST, DirectionBy.IDLE
+        else:
+            best, other, direction, by = response, request, Direction.RESPONSE, DirectionBy.PENDING
+        if best[0] > other[0]:  # Without the silences it would be the other one.
+            by = DirectionBy.TIMING
+        return Judgement(direction, by, likelihood(sum(other) - sum(best)))
+
+    def weigh(self, turn: Turn, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
+        """What it costs to take a frame for this, in bits."""
+        by_turn, by_time = self._cost(turn, unit, pdu, role, at_ns)
+        return by_turn + by_time
+
+    def expects(self, turn: Turn, unit: int, code: int, size: int, role: Direction) -> bool:
+        """Whether a frame that begins so, of a PDU of this size (0: unknown), is due now."""
+        if role is Direction.RESPONSE:
+            waiting = turn.waiting
+            if waiting is None or not waiting.is_named_by(unit, code):
+                return False
+            return not size or code != waiting.expected.code or waiting.expected.size in (0, size)
+        return turn.waiting is None and (unit, bytes((code,))) in self._known
+
+    def foresees(self, turn: Turn, unit: int, code: int, size: int) -> bool:
+        """Whether just a response of this size of its PDU is due now."""
+        waiting = turn.waiting
+        return waiting is not None and (
+            waiting.unit,
+            waiting.expected.code,
+            waiting.expected.size,
+        ) == (unit, code, size)
+
+    def was_asked(self, unit: int, pdu: bytes) -> bool:
+        """Whether a request was heard before."""
+        return (unit, pdu) in self._known
 
     def spoke(self, judgement: Judgement, unit: int, pdu: bytes, end_ns: int) -> None:
         """Note a frame that was given out. `end_ns` is the time of its last byte."""
-        if judgement.direction is Direction.REQUEST:
-            request = _Waiting(unit, pdu, parse_pdu(pdu, Direction.REQUEST), end_ns)
-            self._waiting = request if unit != 0 else None  # Nobody answers a broadcast.
-        elif self._waiting is not None and self._waiting.unit == unit:
-            self._waiting = None
+        self.hear(judgement, unit, pdu, end_ns, end_ns)
 
-    def _waiting_at(self, at_ns: int) -> _Waiting | None:
-        waiting = self._waiting
+    def hear(self, judgement: Judgement, unit: int, pdu: bytes, start_ns: int, end_ns: int) -> None:
+        """Note a frame that was given out, and learn from it."""
+        role = judgement.direction
+        if role is Direction.REQUEST:
+            self._remember(unit, pdu)
+        elif self._timed and judgement.confidence >= SURE:
+            waiting = self.turn.waiting
+            if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
+                self._latency.learn(start_ns - waiting.since_ns)
+        sure = judgement.by in CERTAIN
+        is_doubtful = judgement.confidence < SURE
+        self._doubted, self._doubt = ((unit, pdu) if is_doubtful else None), judgement.confidence
+        self.turn = self.follow(self.turn, unit, pdu, role, start_ns, end_ns, sure=sure)
+
+    def heard_damage(self) -> None:
+        """Note bytes that could not be read."""
+        self.turn = self.turn.behind_damage()
+
+    def follow(
+        self,
+        turn: Turn,
+        unit: int,
+        pdu: bytes,
+        role: Direction,
+        start_ns: int,
+        end_ns: int,
+        *,
+        sure: bool = False,
+    ) -> Turn:
+        """The turn after a frame."""
+        waiting, sure = turn.waiting, sure or turn.sure
+        if role is Direction.REQUEST:
+            expected = Expectation.of(pdu) if unit else None  # Nobody answers a broadcast.
+            if expected is None:
+                return Turn(sure=sure, last_ns=end_ns)
+            repeated = waiting is not None and (waiting.unit, waiting.pdu) == (unit, pdu)
+            before_ns = None if turn.last_ns is None else start_ns - turn.last_ns
+            request = Waiting(unit, pdu, expected, end_ns, before_ns)
+            owed = waiting if repeated else None
+            return Turn(waiting=request, owed=owed, sure=sure, last_ns=end_ns)
+        if waiting is not None and waiting.unit != unit:
+            return Turn(waiting=waiting, owed=turn.owed, sure=sure, last_ns=end_ns)
+        owed = turn.owed if waiting else None
+        return Turn(owed=owed, answered=waiting, sure=sure, last_ns=end_ns)
+
+    def _cost(
+        self, turn: Turn, unit: int, pdu: bytes, role: Direction, at_ns: int
+    ) -> tuple[float, float]:
+        """What it costs to take a frame for this, by the turn and by the silence before it."""
+        waiting = self._waiting(turn, at_ns)
+        odd = weights.UNLIKELY_UNIT if unit > MAX_UNIT else 0.0
+        if role is Direction.REQUEST:
+            cost, by_time = self._request_cost(waiting, unit, pdu, at_ns)
+            answered = turn.answered
+            if not self._timed and answered and (answered.unit, answered.pdu) == (unit, pdu):
+                cost += weights.ASKED_AGAIN
+        else:
+            cost, by_time = self._response_cost(turn, waiting, unit, pdu, at_ns)
+        return cost + odd, by_time if self._timed else 0.0
+
+    def _request_cost(
+        self, waiting: Waiting | None, unit: int, pdu: bytes, at_ns: int
+    ) -> tuple[float, float]:
+        cost = weights.REQUEST
+        if (unit, pdu) not in self._known:
+            cost += weights.NEW_REQUEST
+        if is_odd_request(pdu):
+            cost += weights.ODD_REQUEST
+        if waiting is None:
+            return cost, 0.0
+        same = (waiting.unit, waiting.pdu) == (unit, pdu)
+        cost += weights.REPEATED if same else weights.UNANSWERED
+        is_early = self._latency.octaves_late(at_ns - waiting.since_ns) < 0
+        return cost, weights.EARLY_REPEAT if is_early else 0.0
+
+    def _response_cost(
+        self, turn: Turn, waiting: Waiting | None, unit: int, pdu: bytes, at_ns: int
+    ) -> tuple[float, float]:
+        if unit == 0:
+            return weights.STRAY_ANSWER + weights.MALFORMED, 0.0
+        if turn.waiting is not None and turn.waiting.fits(unit, pdu):
+            return self._answer_cost(turn.waiting, pdu, at_ns, sure=turn.sure)
+        odd = weights.MALFORMED if is_odd_response(pdu) else 0.0
+        if waiting is not None and waiting.is_named_by(unit, pdu[0]):
+            return weights.WRONG_ANSWER + odd, 0.0
+        if turn.owed is not None and turn.owed.fits(unit, pdu):
+            return weights.LATE_ANSWER, 0.0
+        if waiting is None and (turn.lost or turn.last_ns is None):
+            return (weights.ANSWER_WHEN_LOST if turn.lost else weights.ANSWER_AT_START) + odd, 0.0
+        return weights.STRAY_ANSWER + odd, 0.0
+
+    def _answer_cost(
+        self, waiting: Waiting, pdu: bytes, at_ns: int, *, sure: bool
+    ) -> tuple[float, float]:
+        silence_ns = at_ns - waiting.since_ns
+        octaves = self._latency.octaves_late(silence_ns)
+        late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
+        by_time = min(late, weights.MOST_FOR_LATENESS) if octaves > MARGIN_OCTAVES else 0.0
+        if pdu[0] in READ_BITS and pdu == waiting.pdu:
+            # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own answer.
+            return weights.ECHO_OF_A_READ, by_time
+        if pdu[0] in READ_BITS and not is_padded(waiting.pdu, pdu):
+            return weights.MALFORMED, by_time
+        before_ns = waiting.before_ns
+        if pdu == waiting.pdu and not sure and before_ns and silence_ns > 2 * before_ns:
+            by_time += weights.BACKWARDS
+        return weights.ANSWER, by_time
+
+    def _waiting(self, turn: Turn, at_ns: int) -> Waiting | None:
+        waiting = turn.waiting
         if waiting is None or at_ns - waiting.since_ns > self._turn_ns:
             return None
         return waiting
+
+    def _remember(self, unit: int, pdu: bytes) -> None:
+        for key in ((unit, pdu), (unit, pdu[:1])):
+            self._known.pop(key, None)
+            self._known[key] = None
+        while len(self._known) > MAX_KNOWN:
+            del self._known[next(iter(self._known))]
+
+
+def likelihood(bits: float) -> float:
+    """How sure the better of two explanations is that differ by so many bits, 0.5 to 1."""
+    return 1 / (1 + math.exp2(-bits))
+
+
+def roles_of(pdu: bytes) -> tuple[Direction, ...]:
+    """The directions whose form a whole PDU has; both where no table says."""
+    fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
+    return fitting or ROLES
+
+
+def is_odd_request(pdu: bytes) -> bool:
+    """Whether a PDU has the form of a request and says what none does.
+
+    One for a register or a count of 08 has 0000 in its data (V1.1b3, 6.8.1).
+    """
+    if pdu[0] & EXCEPTION_BIT:
+        return True
+    return pdu[0] == 0x08 and int.from_bytes(pdu[1:3]) in COUNTS and any(pdu[3:])
+
+
+def is_odd_response(pdu: bytes) -> bool:
+    """Whether a PDU has the form of a response and says what none does: half a register."""
+    return pdu[0] in READ_REGISTERS and len(pdu) % 2 == 1
+
+
+def is_counted(pdu: bytes) -> bool:
+    """Whether a PDU begins as a write whose byte count agrees with its quantity."""
+    match pdu[0]:
+        case 0x0F:
+            return len(pdu) > 5 and pdu[5] == bit_bytes(int.from_bytes(pdu[3:5]))
+        case 0x10:
+            return len(pdu) > 5 and pdu[5] == 2 * int.from_bytes(pdu[3:5])
+        case 0x17:
+            return len(pdu) > 9 and pdu[9] == 2 * int.from_bytes(pdu[7:9])
+        case _:
+            return False
+
+
+def is_padded(request: bytes, response: bytes) -> bool:
+    """Whether the bits behind those that a read asked for are 0 (V1.1b3, 6.1)."""
+    used = int.from_bytes(request[3:5]) % 8
+    return not used or response[-1] >> used == 0
 
 
 def answers(request_code: int, response_code: int) -> bool:

@@ -4,6 +4,7 @@ from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
 from mbtool.packets.pcap import PCAP_MAGICS
 from mbtool.packets.pcapng import PCAPNG_MAGIC
 from mbtool.packets.reassembler import MODBUS_PORTS, TcpReassembler
+from mbtool.packets.serial_packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,
@@ -17,6 +18,8 @@ __all__ = [
     "MODBUS_PORTS",
     "PCAPNG_MAGIC",
     "PCAP_MAGICS",
+    "SERIAL_LINK_TYPES",
+    "USER_LINK_TYPES",
     "CloseReason",
     "StreamClosed",
     "StreamGap",
@@ -24,4 +27,5 @@ __all__ = [
     "StreamOpened",
     "TcpReassembler",
     "read_capture",
+    "serial_pieces",
 ]

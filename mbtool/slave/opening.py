@@ -26,6 +26,7 @@ def open_shell(
     """
     match link:
         case SerialLink():
+            link.demand_one_port()
             return SerialSlave(link, responder, on_exchange=on_exchange)
         case TcpLink():
             return TcpSlave(link, responder, allow_remote=allow_remote, on_exchange=on_exchange)

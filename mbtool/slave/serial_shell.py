@@ -33,13 +33,12 @@ from mbtool.modbus.adu import Adu, Transport
 from mbtool.modbus.ascii import AsciiSplitter
 from mbtool.modbus.framing import ascii_adu, rtu_adu
 from mbtool.modbus.rtu import RtuSplitter
-from mbtool.modbus.turns import Turns
+from mbtool.modbus.turns import Turn, Turns
 from mbtool.slave.clock import steady_clock
 from mbtool.slave.shell import OnExchange, Shell
 
 if TYPE_CHECKING:
     from mbtool.modbus.answer import Responder
-    from mbtool.modbus.turns import Judgement
 
 MAX_WAITING = 16
 WRITE_TIMEOUT_S = 1.0
@@ -129,8 +128,8 @@ class SerialSlave(Shell):
 class _NobodysTurn(Turns):
     """No request waits for an answer that the line would bring: what can be a request is one."""
 
-    def spoke(self, judgement: Judgement, unit: int, pdu: bytes, end_ns: int) -> None:
-        pass
+    def follow(self, *_: object, **__: object) -> Turn:
+        return Turn()
 
 
 def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:

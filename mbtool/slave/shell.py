@@ -26,6 +26,8 @@ class Shell(ABC):
     """Answers on a link between `start` and `stop`, or inside `with`."""
 
     def __init__(self) -> None:
+        self.turned_away = 0
+        """How many connections were closed at once, because as many as `places` were open."""
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None
 
@@ -33,6 +35,11 @@ class Shell(ABC):
     @abstractmethod
     def place(self) -> str:
         """The link it answers on, as opened: with the port it was given, where it asked for 0."""
+
+    @property
+    def places(self) -> int:
+        """How many masters it takes at once: a line has one."""
+        return 1
 
     def start(self) -> None:
         """Open the link and begin to answer. Raises LinkError or UsageError."""

@@ -8,7 +8,7 @@
 #
 # Bounds, of which Bounds has the first three:
 #
-#     connections   more are closed as soon as they are made
+#     connections   more are closed as soon as they are made, and counted
 #     idle          a connection without a whole request for so long is closed
 #     waiting       with so many answers in its queue a connection is not read from; a read that
 #                   came just before may add READ_BYTES / 8 more, with RTU frames READ_BYTES / 4
@@ -85,6 +85,10 @@ class TcpSlave(Shell):
     def place(self) -> str:
         return str(TcpLink(self._endpoint, rtu=self.link.rtu))
 
+    @property
+    def places(self) -> int:
+        return self.bounds.connections
+
     def _open(self) -> None:
         self._socket = _listen(self.link, allow_remote=self._allow_remote)
         host, port = self._socket.getsockname()[:2]
@@ -138,6 +142,7 @@ class _Connection(asyncio.BufferedProtocol):
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         if len(self._slave.connections) >= self._slave.bounds.connections:
+            self._slave.turned_away += 1
             transport.abort()
             return
         self._slave.connections.add(self)

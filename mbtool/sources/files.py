@@ -2,6 +2,9 @@
 
 # What a file is shows in its first bytes, never in its name: the compression first, then the kind
 # of capture inside. A plain file keeps its seekable stream, which the reader of a log may want.
+# A file of no known kind is the bytes of a serial line where the user says which line, as
+# hexadecimal if it is a text. An ASCII line's own bytes are a text, too: there, hexadecimal is what
+# has no colon and is parted in pairs.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so what it blows up to in memory is
 # bounded (zlib to 0.5 MiB, zstd to 16 MiB at its worst, and its window to MAX_WINDOW). A stream
@@ -11,14 +14,19 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import stat
 import sys
 import zlib
 from enum import StrEnum
+from pathlib import PurePath
 from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, cast
 
-from mbtool.core import CutError, InputError, Packet
+from mbtool.core import CutError, InputError, Packet, UsageError
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
+from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
+from mbtool.sources.byte_times import is_byte_times, read_byte_times
+from mbtool.sources.monitor_text import is_monitor_text, read_monitor_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,6 +34,8 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from _typeshed import WriteableBuffer
+
+    from mbtool.core import Chunk, LineSettings, WireEvent
 
 STANDARD_INPUT = "-"
 INPUT_BYTES = 512
@@ -36,6 +46,7 @@ _BUFFER = 64 * 1024
 _GZIP = b"\x1f\x8b"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _MCAP = b"\x89MCAP0\r\n"
+_HEX_OF_ASCII = re.compile(rb"\s*(?:#|(?:0[xX]|[0-9A-Fa-f]{2}[\s,])[^:]*\Z)")
 _OTHERS = {
     b"\x7fELF": "an ELF program",
     b"PK\x03\x04": "a zip archive",
@@ -54,6 +65,17 @@ class CaptureKind(StrEnum):
     PCAP = "pcap"
     PCAPNG = "pcapng"
     MCAP = "mcap"
+    RAW = "raw"
+    """Bytes of a serial line, and nothing else."""
+    HEX = "hex"
+    """The same as hexadecimal text."""
+    BYTE_TIMES = "byte-times"
+    """Each byte with its times, as CSV."""
+    MONITOR_TEXT = "monitor-text"
+    """What PassiveModbusMonitor prints."""
+
+
+PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
 
 
 class CaptureFile:
@@ -72,10 +94,43 @@ class CaptureFile:
 
     def packets(self) -> Iterator[Packet]:
         """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
-        if self.kind is CaptureKind.MCAP:
-            raise InputError(f"{self.name}: an MCAP log, where pcap or pcapng is wanted")
+        if self.kind not in PACKET_KINDS:
+            what = "an MCAP log" if self.kind is CaptureKind.MCAP else "bytes of a serial line"
+            raise InputError(f"{self.name}: {what}, where pcap or pcapng is wanted")
         try:
             yield from read_capture(self.stream, self.name)
+        except OSError as error:
+            raise _unreadable(self.name, error) from error
+
+    @property
+    def link(self) -> str:
+        """What the serial line is called whose bytes the file holds: the file, without its end."""
+        return "stdin" if self._file is sys.stdin.buffer else PurePath(self.name).stem
+
+    def serial(self, line: LineSettings | None) -> SerialBytes:
+        """The bytes of a serial line, and the line: as the user says, or as the file shows.
+
+        Only for kinds that are neither packets nor logs. Raises InputError; so do the pieces.
+        """
+        try:
+            line, pieces = self._serial(line)
+        except OSError as error:
+            raise _unreadable(self.name, error) from error
+        return SerialBytes(line, self._guarded(pieces))
+
+    def _serial(self, line: LineSettings | None) -> SerialBytes:
+        of_file = self.stream, self.name, self.link
+        if self.kind is CaptureKind.BYTE_TIMES:
+            return read_byte_times(*of_file, line)
+        if self.kind is CaptureKind.MONITOR_TEXT:
+            return read_monitor_text(*of_file, line)
+        if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
+            raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
+        return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
+
+    def _guarded(self, pieces: Iterator[Chunk | WireEvent]) -> Iterator[Chunk | WireEvent]:
+        try:
+            yield from pieces
         except OSError as error:
             raise _unreadable(self.name, error) from error
 
@@ -101,8 +156,14 @@ class CaptureFile:
         self.close()
 
 
-def open_capture(path: str | Path) -> CaptureFile:
-    """Open a capture file, or standard input for `-`. Raises InputError, CutError."""
+def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
+    """Open a capture file, or standard input for `-`. Raises InputError, CutError.
+
+    A file of no known kind is the bytes of a serial line, where a line is given. An empty name
+    raises UsageError.
+    """
+    if not str(path):
+        raise UsageError("a file's name is empty; name a capture or a log, or - for standard input")
     name = "standard input" if str(path) == STANDARD_INPUT else str(path)
     try:
         file = _open(path)
@@ -115,7 +176,7 @@ def open_capture(path: str | Path) -> CaptureFile:
             head, stream = _peek(unpacked)
         if not head:
             raise InputError(f"{name}: empty; a capture has at least a header")
-        return CaptureFile(name, _kind(name, head), stream, file)
+        return CaptureFile(name, _kind(name, head, line), stream, file)
     except OSError as error:
         file.close()
         raise _unreadable(name, error) from error
@@ -252,33 +313,41 @@ def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> io.BufferedI
     return io.BufferedReader(raw, _BUFFER)
 
 
-def _kind(name: str, head: bytes) -> CaptureKind:
+def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
     if head.startswith(PCAP_MAGICS):
         return CaptureKind.PCAP
     if head.startswith(PCAPNG_MAGIC):
         return CaptureKind.PCAPNG
     if head.startswith(_MCAP):
         return CaptureKind.MCAP
+    if is_byte_times(head):
+        return CaptureKind.BYTE_TIMES
+    if is_monitor_text(head):
+        return CaptureKind.MONITOR_TEXT
+    other = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
+    if line is not None and other is None:
+        is_hex = _is_text(head) and (not line.ascii or _HEX_OF_ASCII.match(head) is not None)
+        return CaptureKind.HEX if is_hex else CaptureKind.RAW
     if any(magic.startswith(head) for magic in (*CAPTURE_MAGICS, _MCAP)):
         raise CutError(f"{name}: ends inside the first bytes of its header")
+    looks_like = other or (
+        "a text file" if _is_text(head) else f"a file that begins with {head[:8].hex(' ')}"
+    )
+    hint = "" if other else "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
     raise InputError(
-        f"{name}: {_looks_like(head)}, no capture; "
-        "pcap, pcapng and MCAP are read, plain or packed with gzip or zstd"
+        f"{name}: {looks_like}, no capture; "
+        f"pcap, pcapng and MCAP are read, plain or packed with gzip or zstd{hint}"
     )
 
 
-def _looks_like(head: bytes) -> str:
-    for magic, words in _OTHERS.items():
-        if head.startswith(magic):
-            return words
+def _is_text(head: bytes) -> bool:
     try:
         text = head.decode("utf-8")
     except UnicodeDecodeError as error:
-        # A character that the head cuts off is no proof against text.
-        text = head[: error.start].decode("utf-8") if error.start > len(head) - 4 else "\0"
-    if all(character.isprintable() or character in "\t\r\n" for character in text):
-        return "a text file"
-    return f"a file that begins with {head[:8].hex(' ')}"
+        if error.start <= len(head) - 4:
+            return False
+        text = head[: error.start].decode("utf-8")  # The head cuts a character off.
+    return all(character.isprintable() or character in "\t\r\n" for character in text)
 
 
 def _size(file: io.BufferedIOBase) -> int | None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from threading import Condition
+from typing import Protocol
 
 from mbtool.core import (
     Chunk,
@@ -47,6 +48,12 @@ class Ended:
 
 
 Item = StreamItem | Packet | Quiet | Ended
+
+
+class Sink(Protocol):
+    """Where a source puts what it hears."""
+
+    def put(self, item: Item) -> None: ...
 
 
 class Inbox:

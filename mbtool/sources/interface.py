@@ -28,6 +28,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
+from mbtool.core.here import Trouble
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
@@ -86,11 +87,9 @@ class InterfaceSource:
         self._capture = _open(self._link)
         try:
             hardware = self._capture.ins.getsockname()[3]
-            if hardware not in _LINK_TYPES:
-                raise LinkError(
-                    f"{self._link}: its hardware type {hardware} is not one that can be read; "
-                    "Ethernet, loopback and IP tunnels are"
-                )
+            unreadable = hardware_trouble(hardware)
+            if unreadable is not None:
+                raise LinkError(f"{self._link}: {unreadable}")
             self._link_type = _LINK_TYPES[hardware]
             is_loopback = hardware == _ARPHRD_LOOPBACK
             _prepare(self._capture.ins, port_filter(self._ports, is_loopback=is_loopback))
@@ -170,23 +169,52 @@ class InterfaceSource:
             )
 
 
-def _open(link: InterfaceLink) -> Any:
+def capture_trouble() -> Trouble | None:
+    """What keeps this process from listening to any interface."""
     if sys.platform != "linux":
-        raise LinkError(
-            f"{link}: listening to an interface needs Linux; decode a file of Wireshark's, "
+        return Trouble(
+            "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
-    interfaces = [name for _, name in socket.if_nameindex()]
-    if link.interface not in interfaces:
-        raise LinkError(f"{link}: no such interface; here are: {', '.join(interfaces)}")
-    # Asked before scapy is there: it would take the time to import and say less.
+    # A socket that is bound to nothing: it hears nothing, and asks the kernel what it permits.
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
-    except PermissionError as error:
-        raise LinkError(
-            f"{link}: listening needs the capability cap_net_raw: "
-            f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}"
-        ) from error
+    except PermissionError:
+        return Trouble(
+            "listening needs the capability cap_net_raw",
+            f"sudo {_program()}; or give raw sockets to every Python program: "
+            f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}",
+        )
+    return None
+
+
+def _program() -> str:
+    """How to call this program whatever the path is: under sudo it is another."""
+    script = os.path.join(os.path.dirname(sys.executable), "mbtool")
+    if not os.path.exists(script):
+        return f"{sys.executable} -m mbtool"
+    here = os.path.relpath(script)
+    return script if here.startswith(os.pardir) else here
+
+
+def hardware_trouble(hardware: int) -> Trouble | None:
+    """Whether the packets of a hardware type, ARPHRD_ of linux/if_arp.h, can be read."""
+    if hardware in _LINK_TYPES:
+        return None
+    return Trouble(
+        f"its hardware type {hardware} is not one that can be read; "
+        "Ethernet, loopback and IP tunnels are"
+    )
+
+
+def _open(link: InterfaceLink) -> Any:
+    interfaces = [name for _, name in socket.if_nameindex()]
+    if sys.platform == "linux" and link.interface not in interfaces:
+        raise LinkError(f"{link}: no such interface; here are: {', '.join(interfaces)}")
+    # Asked before scapy is there: it would take the time to import and say less.
+    trouble = capture_trouble()
+    if trouble is not None:
+        raise LinkError(f"{link}: {trouble}")
     logging.getLogger("scapy").setLevel(logging.CRITICAL)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -6,7 +6,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol, Self
 
-from mbtool.core import InterfaceLink, LinkSpec, SerialLink, TapLink, UsageError
+from mbtool.core import (
+    AutoLink,
+    InterfaceLink,
+    LinkSpec,
+    SerialLink,
+    TapLink,
+    TcpLink,
+    UsageError,
+)
 from mbtool.core.link_spec import MODBUS_PORT
 
 if TYPE_CHECKING:
@@ -44,6 +52,10 @@ def live_source(
     Raises UsageError for a link that cannot be listened to.
     """
     match link:
+        case SerialLink(slave_port=str()):
+            from mbtool.sources.two_taps import TwoTapsSource
+
+            return TwoTapsSource(link, inbox)
         case SerialLink():
             from mbtool.sources.serial_line import SerialSource
 
@@ -56,7 +68,9 @@ def live_source(
             from mbtool.sources.tap import TapSource
 
             return TapSource(link, inbox)
-        case _:
+        case AutoLink():
+            raise UsageError(f"link {link}: its settings are to be found first (guess_line)")
+        case TcpLink():
             raise UsageError(
                 f"link {link}: an endpoint cannot be listened to; put a tap before it "
                 f"(tap:127.0.0.1:1502={link.endpoint}) or capture its interface (net:eth0)"

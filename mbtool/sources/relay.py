@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import socket
 import struct
 import sys
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 CALL_S = 10.0
 """How long the target may take to accept."""
+
+_ERRNO = re.compile(r"\[Errno (\d{1,5})\]")
 
 
 class Relay:
@@ -118,14 +121,13 @@ class Relay:
                 await loop.create_connection(
                     lambda: self.slave, self._target.host, self._target.port
                 )
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name.
             self._inbox.put(
                 WireEvent(
                     ts_ns=now_ns(),
                     link=self._link,
-                    kind=EventKind.CLOSED,
-                    message=f"connection turned away: {self._target} does not accept it: "
-                    f"{_why(error)}",
+                    kind=EventKind.REFUSED,
+                    message=f"{self._target} cannot be reached: {_why(error)}",
                     source=str(connection.master),
                     destination=str(self._target),
                 )
@@ -207,8 +209,15 @@ def reset(transport: asyncio.Transport) -> None:
 
 
 def _why(error: Exception) -> str:
+    """What keeps the target from being called, as the user would say it."""
+    if isinstance(error, UnicodeError):
+        return "no such host"
+    if isinstance(error, socket.gaierror):
+        return "no such host" if error.errno == socket.EAI_NONAME else str(error.strerror)
     if isinstance(error, TimeoutError) and error.errno is None:
         return f"no answer in {CALL_S:g} s"
-    if isinstance(error, OSError) and error.errno is not None and error.errno > 0:
-        return os.strerror(error.errno)
-    return str(error)
+    number = error.errno if isinstance(error, OSError) else None
+    if number is None:  # asyncio joins what it got from several addresses of one host.
+        found = _ERRNO.search(str(error))
+        number = int(found[1]) if found is not None else 0
+    return os.strerror(number) if number > 0 else str(error)

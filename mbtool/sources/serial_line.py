@@ -9,13 +9,15 @@ import os
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Self
 
-from mbtool.core import Chunk, EventKind, LinkError, Quiet, SerialLink, WireEvent
+from mbtool.core import Chunk, Direction, EventKind, LinkError, Quiet, SerialLink, WireEvent
 from mbtool.sources.child import see_off, start_child, tell_to_end
-from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.inbox import Ended
 from mbtool.sources.serial_records import Kind, Record, RecordReader
 
 if TYPE_CHECKING:
     import subprocess
+
+    from mbtool.sources.inbox import Sink
 
 _START_S = 20.0
 """How long the reading process may take to open its port."""
@@ -24,9 +26,14 @@ _START_S = 20.0
 class SerialSource:
     """Listens to one serial port while its context is open. Entering raises LinkError."""
 
-    def __init__(self, link: SerialLink, inbox: Inbox) -> None:
+    def __init__(
+        self, link: SerialLink, inbox: Sink, speaker: Direction = Direction.UNKNOWN
+    ) -> None:
+        """Of a link with two ports `speaker` says which to listen to."""
         self._link = link
         self._inbox = inbox
+        self._speaker = speaker
+        self._port = link.ports[-1] if speaker is Direction.RESPONSE else link.port
         self._first_record = Event()
         self._is_open = False
         self._is_closing = False
@@ -43,7 +50,7 @@ class SerialSource:
         return str(self._link)
 
     def __enter__(self) -> Self:
-        child = start_child("mbtool.sources.serial_reader", self._link.port, str(self._link.format))
+        child = start_child("mbtool.sources.serial_reader", self._port, str(self._link.format))
         self._child = child
         self._thread = Thread(
             target=self._carry, args=(child,), name=f"read {self.link}", daemon=True
@@ -52,17 +59,22 @@ class SerialSource:
         self._first_record.wait(_START_S)
         if not self._is_open:
             self.close()
-            raise self._error or LinkError(f"serial port {self._link.port}: opening takes too long")
+            raise self._error or LinkError(f"serial port {self._port}: opening takes too long")
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def close(self) -> None:
-        """End the reading process; all that it has read is in the inbox, then Ended."""
+    def tell_to_end(self) -> None:
+        """Have the reading process end; what it has read, and Ended, are still to come."""
         self._is_closing = True
         if self._child is not None:
             tell_to_end(self._child)
+
+    def close(self) -> None:
+        """End the reading process; all that it has read is in the inbox, then Ended."""
+        self.tell_to_end()
+        if self._child is not None:
             if self._thread is not None:
                 self._thread.join(_START_S)
             see_off(self._child)
@@ -75,7 +87,7 @@ class SerialSource:
                 self._take(record)
         if self._error is None and not self._is_closing:
             self._error = LinkError(
-                f"serial port {self._link.port}: the process that reads it ended by itself "
+                f"serial port {self._port}: the process that reads it ended by itself "
                 f"with status {child.wait()}"
             )
         if self._is_open:
@@ -85,20 +97,31 @@ class SerialSource:
     def _take(self, record: Record) -> None:
         match record.kind:
             case Kind.DATA:
-                self._inbox.put(Chunk(ts_ns=record.ts_ns, link=self.link, data=record.data))
+                self._inbox.put(
+                    Chunk(
+                        ts_ns=record.ts_ns,
+                        link=self.link,
+                        data=record.data,
+                        direction=self._speaker,
+                    )
+                )
             case Kind.QUIET:
                 self._inbox.put(Quiet(record.ts_ns, self.link))
                 self._is_open = True
                 self._first_record.set()
             case Kind.LOST:
-                self._inbox.put(
-                    WireEvent(
-                        ts_ns=record.ts_ns,
-                        link=self.link,
-                        kind=EventKind.DISCARDED,
-                        message=f"decoding fell behind: {record.lost} bytes were not recorded",
-                        missing=record.lost,
-                    )
-                )
+                text = f"decoding fell behind: {record.lost} bytes were not recorded"
+                self._tell(record, EventKind.DISCARDED, text, record.lost)
+            case Kind.DAMAGE:
+                self._tell(record, EventKind.LINE_ERROR, record.data.decode())
+            case Kind.OVERRUN:
+                text = f"overrun: the port's driver lost at least {record.lost} bytes"
+                # No GAP, which breaks off what is being decoded: this is told up to a second later.
+                self._tell(record, EventKind.LINE_ERROR, text, record.lost)
             case Kind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))
+
+    def _tell(self, record: Record, kind: EventKind, text: str, missing: int = 0) -> None:
+        self._inbox.put(
+            WireEvent(ts_ns=record.ts_ns, link=self.link, kind=kind, message=text, missing=missing)
+        )

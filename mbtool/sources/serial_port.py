@@ -8,12 +8,18 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import serial
 from serial.tools import list_ports
 
 from mbtool.core import LinkError, SerialFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.sources.line_errors import ErrorCounts
+from mbtool.core.here import Trouble
 
 IDLE_S = 0.05
 """The longest that a read waits."""
@@ -22,10 +28,24 @@ IDLE_S = 0.05
 class ListeningPort(Protocol):
     """A serial port that can only be read."""
 
+    damaged: Sequence[int]
+    """At which places of the last read's bytes the driver found parity or stop bit wrong."""
+
     def read(self, wait_s: float) -> bytes:
         """What has arrived, at once; after the wait without anything, no bytes.
 
         Raises LinkError when the port is gone.
+        """
+        ...
+
+    def counts(self) -> ErrorCounts | None:
+        """The driver's error counters; None where it has none."""
+        ...
+
+    def tune(self, format_: SerialFormat) -> None:
+        """Go on with other line settings; what arrived before is forgotten.
+
+        Raises LinkError.
         """
         ...
 
@@ -48,7 +68,10 @@ def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
 class PyserialPort:
     """A port that pyserial opens and reads: what serves where there is no select for ports."""
 
-    # A wait other than 0 lasts IDLE_S: to change pyserial's timeout sets up the port anew.
+    # A wait other than 0 lasts IDLE_S: to change pyserial's timeout sets up the port anew. Of
+    # errors on the line pyserial tells nothing.
+
+    damaged: Sequence[int] = ()
 
     def __init__(self, port: str, format_: SerialFormat) -> None:
         self._name = port
@@ -72,6 +95,19 @@ class PyserialPort:
             raise lost(self._name) from error
         return data
 
+    def counts(self) -> None:
+        return None
+
+    def tune(self, format_: SerialFormat) -> None:
+        try:
+            self._port.baudrate = format_.baud
+            self._port.bytesize = format_.data_bits
+            self._port.parity = format_.parity
+            self._port.stopbits = format_.stop_bits
+            self._port.reset_input_buffer()
+        except (OSError, ValueError, OverflowError) as error:
+            raise explain(self._name, format_, error) from error
+
     def close(self) -> None:
         self._port.close()
 
@@ -93,7 +129,7 @@ def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
     elif number == errno.EIO:
         problem = f"has no hardware behind it; {_ports_here()}"
     elif number in (errno.EACCES, errno.EPERM):
-        problem = f"permission denied; {_who_may(port)}"
+        problem = f"permission denied; {who_may(port)}"
     elif number in (errno.EBUSY, errno.EWOULDBLOCK) or "PermissionError" in text:
         problem = "is in use by another program; end that one first"
     elif number == errno.EINVAL or isinstance(error, ValueError | OverflowError):
@@ -108,9 +144,10 @@ def _ports_here() -> str:
     return f"here are: {', '.join(ports)}" if ports else "there are no serial ports here"
 
 
-def _who_may(port: str) -> str:
+def who_may(port: str) -> Trouble:
+    """Who may open a port, and how to become one of them."""
     if sys.platform == "win32":
-        return "another program may hold it"
+        return Trouble("another program may hold it")
     import grp
 
     group_id = os.stat(port).st_gid
@@ -119,5 +156,5 @@ def _who_may(port: str) -> str:
     except KeyError:
         group = str(group_id)
     if group == "root":
-        return "only root may read it; give it to a group of yours with a udev rule"
-    return f"its group is {group}: sudo usermod -aG {group} $USER, then log in again"
+        return Trouble("only root may read it; give it to a group of yours with a udev rule")
+    return Trouble(f"its group is {group}", f"sudo usermod -aG {group} $USER, then log in again")

@@ -7,6 +7,8 @@
 # A heartbeat (QUIET) comes twice t3.5 after the last byte, so that the end of a frame is told
 # without delay, and then every 50 ms. Its time is exact: taken before a look that found nothing.
 #
+# What the driver tells of damaged and lost bytes follows the bytes (line_errors.py).
+#
 # The process ends when its standard input ends or its output breaks (child.py), which both happen
 # when the parent dies, however it dies.
 
@@ -18,15 +20,22 @@ import signal
 import sys
 from contextlib import suppress
 from threading import Event, Thread
+from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError, SerialFormat
 from mbtool.sources.clock import now_ns
+from mbtool.sources.line_errors import LineErrors, LineTrouble
+from mbtool.sources.priority import run_promptly
 from mbtool.sources.serial_port import IDLE_S, ListeningPort, open_listening
 from mbtool.sources.serial_records import Kind, RecordWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 
 def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    run_promptly()
     gc.disable()  # The loop makes no cycles, and a collection would delay a time stamp.
     port, settings = sys.argv[1:]
     with suppress(BrokenPipeError):
@@ -41,7 +50,7 @@ def _read_port(port: str, format_: SerialFormat, records: RecordWriter) -> None:
         source = open_listening(port, format_)
         try:
             records.put(Kind.QUIET, now_ns())
-            read_until(told_to_end, source, records, settle_s=2 * format_.t3_5_ns / 1e9)
+            read_until(told_to_end, source, records, format_)
         finally:
             source.close()
     except LinkError as link_error:
@@ -50,28 +59,49 @@ def _read_port(port: str, format_: SerialFormat, records: RecordWriter) -> None:
 
 
 def read_until(
-    told_to_end: Event, source: ListeningPort, records: RecordWriter, *, settle_s: float
+    told_to_end: Event, source: ListeningPort, records: RecordWriter, format_: SerialFormat
 ) -> None:
     """Hand over what arrives until told to end, and what has arrived by then.
 
     Raises LinkError when the port is lost and BrokenPipeError when the parent is.
     """
-    settle_s = min(settle_s, IDLE_S)
+    settle_s = min(2 * format_.t3_5_ns / 1e9, IDLE_S)
     wait_s = IDLE_S
-    while not told_to_end.is_set():
-        asked_ns = now_ns()
-        data = source.read(wait_s)
-        read_ns = now_ns()
-        if data:
-            records.put(Kind.DATA, read_ns, data)
-            wait_s = settle_s
-        elif wait_s:
-            wait_s = 0.0
+    errors = LineErrors(source.counts, format_.character_ns, now_ns())
+    try:
+        while not told_to_end.is_set():
+            asked_ns = now_ns()
+            data = source.read(wait_s)
+            read_ns = now_ns()
+            if data:
+                _put_data(records, errors, data, source.damaged, read_ns)
+                wait_s = settle_s
+            elif wait_s:
+                wait_s = 0.0
+            else:
+                records.put(Kind.QUIET, asked_ns)
+                wait_s = IDLE_S
+            _put_troubles(records, errors.tell(read_ns))
+        if data := source.read(0):
+            _put_data(records, errors, data, source.damaged, now_ns())
+    finally:
+        _put_troubles(records, errors.tell_all(now_ns()))
+
+
+def _put_data(
+    records: RecordWriter, errors: LineErrors, data: bytes, damaged: Sequence[int], read_ns: int
+) -> None:
+    records.put(Kind.DATA, read_ns, data)
+    if damaged:
+        errors.mark(data, damaged, read_ns)
+
+
+def _put_troubles(records: RecordWriter, troubles: Iterable[LineTrouble]) -> None:
+    for trouble in troubles:
+        if trouble.lost:
+            records.put_count(Kind.OVERRUN, trouble.ts_ns, trouble.lost)
         else:
-            records.put(Kind.QUIET, asked_ns)
-            wait_s = IDLE_S
-    if data := source.read(0):
-        records.put(Kind.DATA, now_ns(), data)
+            records.put(Kind.DAMAGE, trouble.ts_ns, trouble.text.encode())
 
 
 def _await_end(told_to_end: Event) -> None:

@@ -7,6 +7,8 @@
 #     QUIET    no data; the line is known to be silent up to this time. The first says: port open
 #     LOST     the number of bytes, as 8 bytes, that did not fit into the pipe
 #     ERROR    one line for the user, UTF-8; the last record
+#     DAMAGE   what the driver tells of damaged bytes, one line, UTF-8
+#     OVERRUN  the number of bytes, as 8 bytes, that the driver says it lost
 #
 # A record is never larger than PIPE_BUF, so that a write to the pipe succeeds whole or not at all.
 # The writer does not wait for the reader: what finds the pipe full is counted and told with the
@@ -39,6 +41,8 @@ class Kind(IntEnum):
     QUIET = 2
     LOST = 3
     ERROR = 4
+    DAMAGE = 5
+    OVERRUN = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +55,7 @@ class Record:
 
     @property
     def lost(self) -> int:
-        """The number of bytes that a LOST record tells of."""
+        """The number of bytes that a LOST or an OVERRUN record tells of."""
         count: int = _COUNT.unpack(self.data)[0]
         return count
 
@@ -74,7 +78,11 @@ class RecordWriter:
         if self._lost and self._write(Kind.LOST, ts_ns, _COUNT.pack(self._lost)):
             self._lost = 0
         if self._lost or not self._write(kind, ts_ns, data):
-            self._lost += len(data)
+            self._lost += len(data) if kind is Kind.DATA else 0
+
+    def put_count(self, kind: Kind, ts_ns: int, count: int) -> None:
+        """Write a record whose data is a number."""
+        self.put(kind, ts_ns, _COUNT.pack(count))
 
     def end(self, ts_ns: int, error: str = "") -> None:
         """Write what must not be lost, waiting for room: a loss not yet told, and the error."""

@@ -4,7 +4,8 @@
 # both ways, at once and unchanged (relay.py). It has a thread with an event loop of its own.
 #
 # What it cannot do as a direct connection would: the master's connection is accepted before the
-# target has answered. If the target refuses, the master's connection is reset; an event says so.
+# target has answered. If the target cannot be reached, the master's connection is reset, and a
+# REFUSED event says why.
 #
 # Bounds: 64 connections at once, one more is reset with an event; a connection without a byte for
 # an hour is closed. A master that polls less often than that is rare, and without a limit peers
@@ -161,13 +162,13 @@ def _listen(link: TapLink) -> socket.socket:
         except OSError:
             listener.close()
             raise
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise LinkError(f"{link}: cannot listen at {link.listen}: {_remedy(error)}") from error
     return listener
 
 
-def _remedy(error: OSError) -> str:
-    if isinstance(error, socket.gaierror):
+def _remedy(error: OSError | UnicodeError) -> str:
+    if isinstance(error, socket.gaierror | UnicodeError):
         return "no such host; give an address of this machine, for example 127.0.0.1"
     match error.errno:
         case errno.EADDRINUSE:

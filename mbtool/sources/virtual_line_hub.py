@@ -32,6 +32,8 @@ from contextlib import suppress
 from time import monotonic_ns
 from typing import TYPE_CHECKING
 
+from mbtool.sources.priority import run_promptly
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -75,6 +77,7 @@ class Sender:
 def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    run_promptly()
     ends, character_ns = int(sys.argv[1]), int(sys.argv[2])
     links = sys.argv[3:]
     pairs = [os.openpty() for _ in range(ends)]

@@ -47,6 +47,10 @@ def profile_page(profile: Profile) -> RenderableType:
         Text(""),
         Text(_exceptions(profile)),
     ]
+    silences = [("t1.5", profile.timing.t1_5), ("t3.5", profile.timing.t3_5)]
+    if any(text for _, text in silences):
+        said = ", ".join(f"{name} {text}" for name, text in silences if text)
+        parts.append(Text(f"timing: {said}"))
     if profile.any_unit:
         parts.append(Text("units: it answers whatever unit a request names"))
     if profile.points:

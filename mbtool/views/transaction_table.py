@@ -4,8 +4,13 @@
 # take their widths from the first lines, at most SAMPLE of them; what and result share what is left
 # of the terminal, and on a narrow one the function's name makes room for them. Where one of these
 # two is too long it is cut with an ellipsis, and stands in full below its line; any other column
-# grows when it must. In a pipe or a file nothing is cut: a long cell moves the rest of its line to
-# the right, and each transaction is one line.
+# grows when it must. In a pipe or a file nothing is cut and each transaction is one line: a column
+# grows for what is longer, up to its cap; a cell beyond that moves the rest of its line to the
+# right.
+#
+# A live table has a line to show before the next is known. What it begins with says little of what
+# comes, so its columns are as wide from the start as most lines need, and what and result share
+# what is left in a fixed proportion.
 #
 # Text that came off a wire is never read as markup, nor are control characters in it sent on.
 
@@ -32,16 +37,19 @@ _CODE = 6
 """What is left of the function on a narrow terminal: its code, and that there is a name."""
 _CAPS = (7, 12, 24, 4, 22, 60, 60, 10)
 _MINIMA = (2, 12, 5, 4, 18, 12, 8, 8)
+_LIVE_MINIMA = (4, 12, 5, 4, 18, 40, 33, 9)
+"""HR400001..400004 := 4660, 22136, ...; exception 02 illegal data address; 9999.9 ms."""
 
 
 class TransactionTable:
-    """Takes rows, prints lines. Call flush at the end, and before a pause."""
+    """Takes rows, prints lines. Call pause where nothing comes for a while, flush at the end."""
 
     def __init__(self, console: Console, *, sample: int = SAMPLE) -> None:
         self._console = console
         self._sample = sample
         self._waiting: list[tuple[str, Row]] = []
         self._widths: tuple[int, ...] | None = None
+        self._is_live = False
         self._styles: dict[str, tuple[str, str]] = {}
         self._day = ""
 
@@ -54,6 +62,12 @@ class TransactionTable:
         if len(self._waiting) >= self._sample:
             self.flush()
 
+    def pause(self) -> None:
+        """Show what there is, while more may come."""
+        if self._widths is None and self._waiting:
+            self._is_live = True
+        self.flush()
+
     def flush(self) -> None:
         """Show what waits for the widths to be settled."""
         if self._widths is None and self._waiting:
@@ -64,11 +78,14 @@ class TransactionTable:
             self._print(row, day)
 
     def _settle(self, rows: Sequence[Row]) -> None:
-        total = self._console.width if self._console.is_terminal else None
-        self._widths = _widths(rows, total, self._widths or _MINIMA)
+        minima = self._widths or (_LIVE_MINIMA if self._is_live else _MINIMA)
+        if self._console.is_terminal:
+            self._widths = _widths_within(self._console.width, rows, minima, live=self._is_live)
+        else:
+            self._widths = _widths(rows, minima)
 
     def _print(self, row: Row, day: str) -> None:
-        if _outgrows(row, self._widths or ()):
+        if _outgrows(row, self._widths or (), whole=not self._console.is_terminal):
             self._settle([row])
         if day != self._day:
             self._day = day
@@ -86,7 +103,7 @@ class TransactionTable:
             if len(cell) > widths[index]:
                 indent = " " * self._indent
                 for line in wrap(cell, max(self._console.width - len(indent), 20)):
-                    self._print_text(indent + _printable(line), f"dim {style}")
+                    self._print_text(indent + printable(line), f"dim {style}")
 
     def _print_line(self, cells: Sequence[str], style: str) -> None:
         widths = self._widths or ()
@@ -117,7 +134,7 @@ class TransactionTable:
         return (self._widths or (0,))[0] + len(_GAP)
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """Text that came off a wire or from a file, without what a terminal would obey."""
     if text.isprintable():
         return text
@@ -125,30 +142,36 @@ def _printable(text: str) -> str:
 
 
 def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:
-    cell = _printable(cell)
+    cell = printable(cell)
     if len(cell) > width and not whole:
         cell = cell[: width - 1] + "\u2026"
     return cell.rjust(width) if right else cell.ljust(width)
 
 
-def _outgrows(row: Row, widths: Sequence[int]) -> bool:
-    """Whether a column that does not share what is left is too narrow for a row."""
+def _outgrows(row: Row, widths: Sequence[int], *, whole: bool) -> bool:
+    """Whether a column is too narrow for a row; those that are cut to fit never are."""
+    fixed = () if whole else (_FUNCTION, *_LEFTOVER)
     return any(
         width < len(cell) and width < cap
         for index, (cell, width, cap) in enumerate(zip(row.cells(), widths, _CAPS, strict=True))
-        if index not in (_FUNCTION, *_LEFTOVER)
+        if index not in fixed
     )
 
 
-def _widths(rows: Sequence[Row], total: int | None, minima: Sequence[int]) -> tuple[int, ...]:
-    """Each column's width; with a total, what and result fill it."""
+def _widths(rows: Sequence[Row], minima: Sequence[int]) -> tuple[int, ...]:
+    """Each column's width, as wide as its rows up to its cap."""
     columns = zip(HEADINGS, *(row.cells() for row in rows), strict=True)
-    widths = [
+    return tuple(
         max(min(max(map(len, column)), cap), minimum)
         for column, cap, minimum in zip(columns, _CAPS, minima, strict=True)
-    ]
-    if total is None:
-        return tuple(widths)
+    )
+
+
+def _widths_within(
+    total: int, rows: Sequence[Row], minima: Sequence[int], *, live: bool
+) -> tuple[int, ...]:
+    """Each column's width, where what and result fill the total."""
+    widths = list(_widths(rows, minima))
     least = _MINIMA[_WHAT] + _MINIMA[_RESULT]
     taken = sum(width for index, width in enumerate(widths) if index not in _LEFTOVER)
     left = total - len(_GAP) * (len(widths) - 1) - taken
@@ -157,7 +180,9 @@ def _widths(rows: Sequence[Row], total: int | None, minima: Sequence[int]) -> tu
         left = max(left + widths[_FUNCTION] - narrower, least)
         widths[_FUNCTION] = narrower
     # What is addressed matters more than the end of a long list of values.
-    if widths[_WHAT] + widths[_RESULT] > left:
+    if live:
+        widths[_WHAT] = max(left * 3 // 5, _MINIMA[_WHAT])
+    elif widths[_WHAT] + widths[_RESULT] > left:
         widths[_WHAT] = max(min(widths[_WHAT], left * 3 // 5), left - widths[_RESULT])
     else:
         widths[_WHAT] += (left - widths[_WHAT] - widths[_RESULT]) // 2

@@ -3,8 +3,9 @@
 # The one place where packets, serial reads and relayed bytes meet. What comes out for a link does
 # not depend on how its bytes were cut, nor on whether they came live or from a file.
 #
-# Holds one Bus for each serial link and one Conversation for each open connection, at most
-# MAX_CONVERSATIONS; beyond, the one that was silent longest is closed.
+# Holds one Bus for each serial link, or one TwoTaps where its bytes say who speaks, and one
+# Conversation for each open connection, at most MAX_CONVERSATIONS; beyond, the one that was silent
+# longest is closed.
 
 from __future__ import annotations
 
@@ -14,28 +15,38 @@ from typing import TYPE_CHECKING
 from mbtool.core import (
     Chunk,
     Connection,
+    Direction,
     EventKind,
+    LineSettings,
     Packet,
     Quiet,
     SerialFormat,
     SerialLink,
+    Stamp,
     WireEvent,
 )
 from mbtool.devices import NamedTransaction, Namer
-from mbtool.modbus import Adu, Bus, Conversation, Decoded, Transaction
+from mbtool.modbus import Adu, Bus, Conversation, Decoded, Transaction, TwoTaps
 from mbtool.packets import (
+    SERIAL_LINK_TYPES,
+    USER_LINK_TYPES,
     CloseReason,
     StreamClosed,
     StreamGap,
     StreamItem,
     StreamOpened,
     TcpReassembler,
+    serial_pieces,
 )
+from mbtool.workflows.line_timing import LineTiming
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
 MAX_CONVERSATIONS = 4096
+
+_LOST = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
+"""Events behind which bytes of a serial line are missing."""
 
 Evidence = Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | WireEvent
 Record = NamedTransaction | WireEvent
@@ -49,15 +60,23 @@ class Decoder:
         namer: Namer,
         *,
         lines: Mapping[str, SerialLink] | None = None,
+        line: LineSettings | None = None,
+        timing: LineTiming | None = None,
         ports: Iterable[int] = (),
         rtu_ports: Iterable[int] = (),
     ) -> None:
-        """`lines` are the serial links by name, `ports` and `rtu_ports` those of packets."""
+        """`lines` are the serial links by name, `ports` and `rtu_ports` those of packets.
+
+        `line` is what every other serial link is like, `timing` which silences hold on them.
+        """
         self._namer = namer
         self._lines = dict(lines or {})
+        self._line = line or LineSettings(SerialFormat())
+        self._timing = timing or LineTiming()
+        self._serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if line is not None else set())
         self._rtu_ports = frozenset(rtu_ports)
         self._reassembler = TcpReassembler(frozenset(ports) | self._rtu_ports)
-        self._buses: dict[str, Bus] = {}
+        self._buses: dict[str, Bus | TwoTaps] = {}
         self._conversations: OrderedDict[Connection, Conversation] = OrderedDict()
         self._interfaces: set[str] = set()
         """Links that have brought packets."""
@@ -68,11 +87,25 @@ class Decoder:
         self._last_ns = max(self._last_ns, item.ts_ns)
         if not isinstance(item, Packet):
             return self._piece(item)
-        self._interfaces.add(item.link)
+        pieces: Sequence[StreamItem]
+        if item.link_type in self._serial_types:
+            pieces = serial_pieces(item)
+        else:
+            self._interfaces.add(item.link)
+            pieces = self._reassembler.feed(item)
         records: list[Record] = []
-        for piece in self._reassembler.feed(item):
+        for piece in pieces:
             records += self._piece(piece)
         return records
+
+    def begin_line(self, line: SerialLink) -> None:
+        """Learn what a serial link is like whose bytes come next."""
+        self._lines[line.name] = line
+
+    def end_line(self, link: str) -> list[Record]:
+        """A serial link's bytes end here; what comes under its name later is another's."""
+        bus = self._buses.pop(link, None)
+        return [] if bus is None else self._named(bus.close())
 
     def close(self) -> list[Record]:
         """The evidence ends: what was held comes out."""
@@ -111,10 +144,13 @@ class Decoder:
         return [*self._broken_off(item), item]
 
     def _broken_off(self, event: WireEvent) -> list[Record]:
-        """What a serial line held when bytes behind it were lost: it cannot be completed."""
-        if event.kind is not EventKind.DISCARDED or event.link not in self._buses:
-            return []
-        return self._named(self._buses.pop(event.link).close())
+        """What was held when bytes behind it were lost: it cannot be completed."""
+        if event.kind is EventKind.GAP and not event.link:  # A hole in a log, in any link's bytes.
+            held = [*self._conversations.values(), *self._buses.values()]
+            self._conversations.clear()
+            self._buses.clear()
+            return [record for one in held for record in self._named(one.close())]
+        return self.end_line(event.link) if event.kind in _LOST else []
 
     def _quiet(self, quiet: Quiet) -> list[Record]:
         bus = self._buses.get(quiet.link)
@@ -132,7 +168,10 @@ class Decoder:
 
     def _chunk(self, chunk: Chunk) -> list[Record]:
         if chunk.connection is None:
-            return self._named(self._bus(chunk.link).feed(chunk.data, chunk.ts_ns))
+            bus = self._bus(chunk)
+            if isinstance(bus, TwoTaps):
+                return self._named(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
+            return self._named(bus.feed(chunk.data, chunk.ts_ns))
         conversation = self._conversation(chunk.connection)
         records = self._named(conversation.feed(chunk.direction, chunk.data, chunk.ts_ns))
         if len(self._conversations) > MAX_CONVERSATIONS:
@@ -140,11 +179,18 @@ class Decoder:
             records += self._named(oldest.close())
         return records
 
-    def _bus(self, link: str) -> Bus:
+    def _bus(self, chunk: Chunk) -> Bus | TwoTaps:
+        link = chunk.link
         bus = self._buses.get(link)
         if bus is None:
-            line = self._lines.get(link) or SerialLink(link, SerialFormat())
-            bus = self._buses[link] = Bus(link, line.format, ascii=line.ascii)
+            line = self._lines.get(link) or self._line.on(link)
+            format_, is_ascii = self._timing.format_of(line), line.ascii
+            if chunk.direction is Direction.UNKNOWN:
+                timed = chunk.stamp is not Stamp.UNKNOWN
+                bus = Bus(link, format_, ascii=is_ascii, timed=timed)
+            else:
+                bus = TwoTaps(link, format_, ascii=is_ascii)
+            self._buses[link] = bus
         return bus
 
     def _conversation(self, connection: Connection) -> Conversation:

@@ -1,25 +1,41 @@
 """Reads recordings of any kind into named transactions and events."""
 
-# A packet capture is decoded. A log gives back what was decoded when it was made, or with `raw`
+# A packet capture is decoded, and so are the bytes of a serial line in a file, which is a line of
+# its own. A log gives back what was decoded when it was made, or with `raw`
 # decodes its evidence afresh: by the line settings and profiles that it carries, unless the user
 # gives others. Several packet captures are parts of one, in the order in which they are named, so
 # a connection may begin in one and end in the next.
 #
-# Raises InputError for what cannot be read, and CutError after all that came before a cut.
+# Raises InputError for what cannot be read, CutError after all that came before a cut, and
+# DamageError after all of a log that is whole.
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mbtool.core import Chunk, InputError, Packet, SerialLink, UsageError, WireEvent, parse_link
+from mbtool.core import (
+    Chunk,
+    EventKind,
+    InputError,
+    LineSettings,
+    Packet,
+    SerialLink,
+    Silence,
+    UsageError,
+    WireEvent,
+    parse_link,
+)
 from mbtool.devices import Assignment, Assignments, Namer, parse_who, profile_from_json
 from mbtool.logs import LogReader, follow
 from mbtool.modbus import Transaction
-from mbtool.sources.files import STANDARD_INPUT, CaptureKind, open_capture
+from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.decoding import Decoder
+from mbtool.workflows.line_timing import LineTiming
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,6 +43,8 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.decoding import Record
+
+_UNREAD_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
 SPEC = "spec"
@@ -43,6 +61,11 @@ class ReadingOptions:
     ports: Sequence[int] = ()
     """TCP ports of slaves; none for the log's own, or 502."""
     rtu_ports: Sequence[int] = ()
+    line: LineSettings | None = None
+    """The line that the serial bytes of a file were heard on."""
+    t1_5: Silence | None = None
+    """Silences in place of those that the line has by its settings."""
+    t3_5: Silence | None = None
     raw: bool = False
     """Decode a log's evidence afresh."""
 
@@ -57,6 +80,9 @@ class Reading:
         self._done = 0
         self._evidence = 0
         self._found = False
+        self._has_read = False
+        self._unread: str | None = None
+        """What was said first of what cannot be looked into."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
             options.ports or (DEFAULT_PORT,),
             options.rtu_ports,
@@ -84,33 +110,56 @@ class Reading:
             "name other ports with --port, for RTU over TCP with --rtu-port"
         )
 
+    @property
+    def why_unread(self) -> str | None:
+        """One line where all that a pass brought is that the capture cannot be looked into."""
+        if self._unread is None or self._has_read or self._done < len(self._paths):
+            return None
+        return f"{', '.join(self._paths)}: nothing in it could be read: {self._unread}"
+
     def demand_files(self) -> None:
-        """See that each file is there and of a kind that can be read. Raises InputError."""
+        """See that each file is there, named once, and of a kind that can be read.
+
+        A pipe is not looked into, as it can be read only once. Raises InputError, UsageError.
+        """
+        known: set[object] = set()
         for path in self._paths:
-            if path != STANDARD_INPUT:
-                open_capture(path).close()
+            place, is_pipe = _place(path)
+            if not is_pipe:
+                open_capture(path, self._options.line).close()
+            if place in known:
+                raise UsageError(f"{path}: named twice; what is in it would count twice")
+            known.add(place)
 
     def records(self) -> Iterator[Record]:
         """Give everything, file by file."""
         for record in self._records():
             self._found = True
+            if isinstance(record, WireEvent) and record.kind in _UNREAD_EVENTS:
+                self._unread = self._unread or record.message
+            else:
+                self._has_read = True
             yield record
 
     def _records(self) -> Iterator[Record]:
         options = self._options
         decoder = Decoder(
             Namer(options.assignments),
+            line=options.line,
+            timing=LineTiming(options.assignments, options.t1_5, options.t3_5),
             ports=options.ports or (DEFAULT_PORT,),
             rtu_ports=options.rtu_ports,
         )
         try:
             for path in self._paths:
-                with open_capture(path) as capture:
+                with open_capture(path, options.line) as capture:
                     self._current = capture
                     if capture.kind is CaptureKind.MCAP:
                         yield from self._log_records(capture)
-                    else:
+                    elif capture.kind in PACKET_KINDS:
                         yield from self._capture_records(capture, decoder)
+                    else:
+                        yield from self._serial_records(capture, decoder)
                 self._done += 1
         except InputError:
             yield from decoder.close()
@@ -122,11 +171,24 @@ class Reading:
             self._evidence += 1
             yield from decoder.feed(packet)
 
+    def _serial_records(self, capture: CaptureFile, decoder: Decoder) -> Iterator[Record]:
+        line, pieces = capture.serial(self._options.line)
+        decoder.begin_line(line.on(capture.link))
+        for piece in pieces:
+            self._evidence += 1
+            yield from decoder.feed(piece)
+        yield from decoder.end_line(capture.link)
+
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
         log = LogReader(capture.stream, capture.name)
         if self._options.raw:
             self.assignments = _all_assignments(log, self._options.assignments)
             yield from self._decoded_again(log)
+        elif self._options.t1_5 is not None or self._options.t3_5 is not None:
+            raise UsageError(
+                f"{capture.name}: a log gives what was decoded when it was made; "
+                "--t1-5 and --t3-5 go with --raw, which decodes it afresh"
+            )
         else:
             with suppress(UsageError):  # The log's transactions are named; only figures lack.
                 self.assignments = _all_assignments(log, self._options.assignments)
@@ -141,7 +203,12 @@ class Reading:
         )
         ports, rtu_ports = self._ports
         decoder = Decoder(
-            Namer(self.assignments), lines=_lines(log), ports=ports, rtu_ports=rtu_ports
+            Namer(self.assignments),
+            lines=_lines(log),
+            line=options.line,
+            timing=LineTiming(self.assignments, options.t1_5, options.t3_5),
+            ports=ports,
+            rtu_ports=rtu_ports,
         )
         try:
             for evidence in log.evidence():
@@ -151,6 +218,17 @@ class Reading:
             yield from decoder.close()
             raise
         yield from decoder.close()
+
+
+def _place(path: str) -> tuple[object, bool]:
+    """What tells a file from others, however it is named, and whether it is a pipe."""
+    if path == STANDARD_INPUT:
+        return path, True
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):  # Opening it says what is wrong.
+        return path, False
+    return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 
 
 def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import platform
 import shlex
 import sys
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from mbtool.core import InterfaceLink, TapLink
+from mbtool.core import InterfaceLink, TapLink, UsageError
 from mbtool.devices import profile_to_json
 from mbtool.logs import LogWriter, RotatingLog
 from mbtool.workflows.reading import PORTS, RTU_PORTS, SPEC
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
     from mbtool.logs import Rotation
 
 
+_OTHER_KINDS = frozenset({".pcap", ".pcapng", ".jsonl", ".csv"})
+"""Endings of names that say of a file what no log is."""
+
+
 def begin_log(
     path: str,
     links: Sequence[LinkSpec],
@@ -30,7 +35,13 @@ def begin_log(
     rotation: Rotation | None = None,
     overwrite: bool = False,
 ) -> LogWriter | RotatingLog:
-    """Create a log and say in it all that decoding it again needs. Raises UsageError."""
+    """Create a log and say in it all that decoding it again needs.
+
+    Raises UsageError, and OutputError where another recorder has the file.
+    """
+    name = PurePath(path)
+    if name.suffix.lower() in _OTHER_KINDS:
+        raise UsageError(f"{path}: a log is an MCAP file: name it {name.with_suffix('.mcap')}")
     capture = {
         "host": platform.node(),
         "system": platform.platform(),

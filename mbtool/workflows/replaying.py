@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from mbtool.core import CutError, UsageError, WireEvent
+from mbtool.core import CutError, DamageError, InputError, UsageError, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.replay import OnMiss, RecordedSlave, Recording
 from mbtool.slave import open_shell
@@ -23,22 +23,23 @@ def read_recording(
     path: str,
     options: ReadingOptions,
     wanted: Callable[[NamedTransaction], bool],
-    on_cut: Callable[[CutError], None],
+    on_cut: Callable[[CutError | DamageError], None],
 ) -> Recording:
     """The transactions of a capture or a log, ready to be played.
 
-    A cut file is played as far as it goes, and `on_cut` is told. Raises InputError, UsageError.
+    Of a file that is cut or damaged what is there is played, and `on_cut` is told. Raises
+    InputError, UsageError.
     """
     transactions: list[NamedTransaction] = []
     try:
         for record in Reading([path], options).records():
             if not isinstance(record, WireEvent) and wanted(record):
                 transactions.append(record)
-    except CutError as error:
+    except (CutError, DamageError) as error:
         on_cut(error)
     recording = Recording.of(transactions)
     if not recording.answers:
-        raise UsageError(f"{path}: no request to play an answer for; see what it holds with decode")
+        raise InputError(f"{path}: no request to play an answer for; see what it holds with decode")
     _demand_one_slave_each(path, transactions)
     return recording
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import SerialLink, TcpLink, UsageError
+from mbtool.core.link_spec import ANSWERED
 from mbtool.slave import DeviceResponder, RegisterImage, load_image, open_shell, units_on
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ def device_slave(
 
 def slave_link(link: LinkSpec) -> SerialLink | TcpLink:
     """The same link, if a slave can be on it. Raises UsageError."""
+    if isinstance(link, SerialLink):
+        link.demand_one_port()
     if isinstance(link, SerialLink | TcpLink):
         return link
-    raise UsageError(
-        f"link {link}: a slave needs rtu:PORT, ascii:PORT, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
-    )
+    raise UsageError(f"link {link}: a slave needs {ANSWERED}")

@@ -58,14 +58,22 @@ class Sniffer:
         begin_log: Callable[[], Log] | None = None,
         ports: Sequence[int] = (),
         on_lost: Callable[[LinkError], None] = lambda _error: None,
+        on_refused: Callable[[WireEvent], None] = lambda _event: None,
     ) -> None:
-        """`on_lost` is told when a link goes away while others stay."""
+        """`on_lost` is told when a link goes away while others stay.
+
+        `on_refused` is told when a tap cannot reach its slave: once, until it could be reached or
+        cannot be for another reason.
+        """
         self._links = links
         self._decoder = decoder
         self._begin_log = begin_log
         self._log: Log | None = None
         self._ports = ports
         self._on_lost = on_lost
+        self._on_refused = on_refused
+        self._refused: dict[str, str] = {}
+        """Why the slaves of taps cannot be reached, by link."""
         self._inbox = Inbox()
         self._open_sources = ExitStack()
         self.sources: list[LiveSource] = []
@@ -135,11 +143,21 @@ class Sniffer:
 
     def _logged(self, records: list[Record]) -> Iterator[Record]:
         for record in records:
-            if isinstance(record, WireEvent) and record.kind is EventKind.DISCARDED:
-                self._discarded += record.missing
             if self._log is not None:
                 self._log.write(record)
+            if isinstance(record, WireEvent):
+                self._note(record)
         yield from records
+
+    def _note(self, event: WireEvent) -> None:
+        match event.kind:
+            case EventKind.DISCARDED:
+                self._discarded += event.missing
+            case EventKind.OPENED:
+                self._refused.pop(event.link, None)
+            case EventKind.REFUSED if self._refused.get(event.link) != event.message:
+                self._refused[event.link] = event.message
+                self._on_refused(event)
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:

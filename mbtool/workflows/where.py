@@ -7,7 +7,8 @@
 #     40 <= address < 50 and 17 in values
 #
 # A name that does not apply to a transaction compares as false, whatever it is compared with.
-# The expression is parsed, never evaluated as Python: what is not a comparison is refused.
+# The expression is parsed, never evaluated as Python: what is not a comparison is refused, and so
+# is one that can never hold, such as a number with a text (where_terms.py).
 #
 # Limits: MAX_LENGTH characters, and MAX_DEPTH levels of not, and, or and parentheses.
 
@@ -20,34 +21,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import UsageError
+from mbtool.workflows.where_terms import NAMES, Kind, Term, complaint
 
 if TYPE_CHECKING:
     from mbtool.devices.named import NamedTransaction
 
 Where = Callable[["NamedTransaction"], bool]
-_Value = Callable[["NamedTransaction"], Any]
-
-NAMES: dict[str, _Value] = {
-    "link": lambda one: one.link,
-    "transport": lambda one: one.transport,
-    "source": lambda one: one.source,
-    "destination": lambda one: one.destination,
-    "unit": lambda one: one.unit,
-    "transaction_id": lambda one: one.transaction_id,
-    "function": lambda one: one.function,
-    "address": lambda one: one.address,
-    "quantity": lambda one: one.quantity,
-    "values": lambda one: (one.request_values or []) + (one.response_values or []),
-    "outcome": lambda one: one.outcome,
-    "exception": lambda one: one.exception,
-    "latency_ms": lambda one: None if one.latency_ns is None else one.latency_ns / 1e6,
-    "retries": lambda one: one.retries,
-    "device": lambda one: one.device,
-    "reference": lambda one: one.reference,
-    "points": lambda one: [point.name for point in one.points],
-    "findings": lambda one: one.findings,
-    "verdicts": lambda one: one.verdicts,
-}
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Eq: operator.eq,
@@ -111,14 +90,18 @@ class _Compiler:
         """A chain of comparisons, as in `40 <= address < 50`."""
         terms = [self._term(node) for node in (left, *rights)]
         compares = []
-        for one_operator in operators:
+        for at, one_operator in enumerate(operators):
             compare = _COMPARISONS.get(type(one_operator))
             if compare is None:
                 raise self._refused("compare with == and !=, not with is")
+            membership = isinstance(one_operator, ast.In | ast.NotIn)
+            why = complaint(terms[at], terms[at + 1], membership=membership)
+            if why is not None:
+                raise self._wrong(why)
             compares.append(compare)
 
         def holds(one: NamedTransaction) -> bool:
-            values = [term(one) for term in terms]
+            values = [term.value(one) for term in terms]
             if any(value is None for value in values):
                 return False
             try:
@@ -126,41 +109,53 @@ class _Compiler:
                     compare(values[at], values[at + 1]) for at, compare in enumerate(compares)
                 )
             except TypeError:
-                return False  # A number was compared with a text: it is neither more nor less.
+                return False  # A name inside a list does not apply: it is neither more nor less.
 
         return holds
 
-    def _term(self, node: ast.expr) -> _Value:
+    def _term(self, node: ast.expr) -> Term:
         match node:
-            case ast.Tuple(elts=items) | ast.List(elts=items):
-                parts = [self._single(item) for item in items]
-                return lambda one: [part(one) for part in parts]
+            case ast.Tuple(elts=nodes) | ast.List(elts=nodes):
+                items = tuple(self._single(item) for item in nodes)
+                return Term(
+                    text=self._source(node),
+                    value=lambda one: [item.value(one) for item in items],
+                    kind=Kind.LIST,
+                    items=items,
+                )
             case _:
                 return self._single(node)
 
-    def _single(self, node: ast.expr) -> _Value:
+    def _single(self, node: ast.expr) -> Term:
         match node:
             case ast.Name(id=name):
                 if name not in NAMES:
-                    raise UsageError(
-                        f"--where {_short(self._text)!r}: there is no {_short(name)!r}; "
-                        f"there are {', '.join(NAMES)}"
-                    )
+                    raise self._wrong(f"there is no {_short(name)!r}; there are {', '.join(NAMES)}")
                 return NAMES[name]
-            case ast.Constant(value=int() | float() | str() as constant):
-                return lambda _: constant
+            case ast.Constant(value=str() as text):
+                return Term(
+                    text=_short(repr(text)), value=lambda _: text, kind=Kind.TEXT, constant=text
+                )
+            case ast.Constant(value=int() | float() as number):
+                return self._number(node, number)
             case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as number)):
-                return lambda _: -number
+                return self._number(node, -number)
             case _:
                 raise self._refused(
                     f"{self._source(node)!r} is neither a name, a number nor a text"
                 )
 
+    def _number(self, node: ast.expr, number: float) -> Term:
+        return Term(text=self._source(node), value=lambda _: number, kind=Kind.NUMBER)
+
     def _refused(self, why: str) -> UsageError:
-        return UsageError(f"--where {_short(self._text)!r}: {why}; {_EXAMPLE}")
+        return self._wrong(f"{why}; {_EXAMPLE}")
+
+    def _wrong(self, why: str) -> UsageError:
+        return UsageError(f"--where {_short(self._text)!r}: {why}")
 
     def _source(self, node: ast.expr) -> str:
-        return _short(ast.get_source_segment(self._text, node) or "")
+        return _short(" ".join((ast.get_source_segment(self._text, node) or "").split()))
 
 
 def _short(text: str) -> str:

@@ -7,6 +7,8 @@ import json
 import os
 import re
 import signal
+from dataclasses import replace
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import jsonschema
@@ -18,11 +20,12 @@ from mbtool.logs.schemas import TRANSACTION
 from tests.cli.program import Program
 from tests.logs.samples import EVENT, NAMED, transaction, write_log
 from tests.packets.building import pcap
-from tests.workflows.evidence import capture_file, captured
+from tests.workflows.evidence import capture_file, captured, damaged_log
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mbtool.core import Packet
     from tests.cli.program import CommandLine
 
 TABLE = """\
@@ -36,6 +39,11 @@ TABLE = """\
 
 def _jsonl(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
+
+
+def _unknown(packets: list[Packet]) -> list[Packet]:
+    """Packets of a link type that nobody knows."""
+    return [replace(packet, link_type=9999) for packet in packets]
 
 
 def test_prints_a_table_and_says_what_it_was(mbtool: CommandLine, capture: Path) -> None:
@@ -136,6 +144,22 @@ def test_prints_what_comes_before_a_cut(mbtool: CommandLine, capture: Path) -> N
     assert second.startswith(f"mbtool: {capture}: ")
 
 
+@pytest.mark.parametrize("raw", [[], ["--raw"]])
+def test_prints_what_is_whole_of_a_damaged_log(
+    mbtool: CommandLine, tmp_path: Path, raw: list[str]
+) -> None:
+    path = damaged_log(tmp_path / "a.mcap", 1)
+    told = mbtool("decode", path, "--format", "jsonl", "--events", "all", *raw)
+    assert told.code == exit_codes.UNREADABLE
+    first, hole, last = _jsonl(told.out)
+    assert (first["outcome"], hole["kind"], last["outcome"]) == ("ok", "gap", "ok")
+    assert hole["link"] == ""
+    counted, why = told.err.splitlines()
+    assert counted == "2 transactions: 2 ok; 1 event: 1 gap"
+    assert why.startswith(f"mbtool: {path}: damaged at byte ")
+    assert why.endswith(" bytes of the log are left out, all else was read")
+
+
 @pytest.mark.parametrize(
     ("data", "more", "why"),
     [
@@ -152,6 +176,52 @@ def test_says_why_nothing_came(
     assert (told.code, told.out) == (exit_codes.DONE, "")
     assert told.err.splitlines()[0] == "0 transactions"
     assert told.err.splitlines()[1].startswith(f"{path}: {why}")
+
+
+@pytest.mark.parametrize("more", [[], ["--format", "jsonl"]])
+def test_a_capture_of_which_nothing_can_be_read_is_an_error(
+    mbtool: CommandLine, tmp_path: Path, more: list[str]
+) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap(_unknown(captured(1))))
+    told = mbtool("decode", path, *more)
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err.splitlines()[-1] == (
+        f"mbtool: {path}: nothing in it could be read: link type 9999 cannot be looked into"
+    )
+
+
+def test_a_capture_of_which_a_part_can_be_read_is_none(
+    mbtool: CommandLine, tmp_path: Path, capture: Path
+) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap(_unknown(captured(1))))
+    assert mbtool("decode", path, capture).code == exit_codes.DONE
+
+
+def test_a_file_is_read_once(mbtool: CommandLine, tmp_path: Path, capture: Path) -> None:
+    (tmp_path / "other.pcap").symlink_to(capture)
+    for again in (capture, tmp_path / "other.pcap"):
+        told = mbtool("decode", capture, again)
+        assert (told.code, told.out) == (exit_codes.USAGE, "")
+        assert told.err == f"mbtool: {again}: named twice; what is in it would count twice\n"
+    assert "-: named twice" in mbtool("decode", "-", "-").err
+
+
+def test_reads_a_named_pipe(mbtool: CommandLine, tmp_path: Path, capture: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = Thread(target=lambda: pipe.write_bytes(capture.read_bytes()))
+    writer.start()
+    told = mbtool("decode", pipe)
+    writer.join()
+    assert (told.code, told.out) == (exit_codes.DONE, TABLE)
+
+
+def test_an_empty_name_is_wrong_usage(mbtool: CommandLine) -> None:
+    told = mbtool("decode", "")
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith("mbtool: a file's name is empty; name a capture or a log")
 
 
 def test_a_filter_that_nothing_passes_needs_no_reason(mbtool: CommandLine, capture: Path) -> None:
@@ -225,3 +295,45 @@ def test_an_absent_input_leaves_an_older_output_alone(mbtool: CommandLine, tmp_p
     told = mbtool("decode", tmp_path / "absent.pcap", "-o", older)
     assert told.code == exit_codes.UNREADABLE
     assert older.read_text() == "{}\n"
+
+
+BYTES = "# a read\n01 03 00 00 00 02 c4 0b\n01 03 04 12 34 56 78 81 07\n"
+
+
+def test_reads_the_bytes_of_a_line_that_is_named(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "bench.txt"
+    path.write_text(BYTES)
+    told = mbtool("decode", path, "--link", "rtu@19200-8E1")
+    assert told.code == exit_codes.DONE
+    assert "bench  1     03 read holding     holding 0..1  4660, 22136" in told.out
+    assert told.err == "1 transaction: 1 ok\n"
+
+
+def test_without_a_line_bytes_are_no_capture(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "bench.txt"
+    path.write_text(BYTES)
+    told = mbtool("decode", path)
+    assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
+    assert told.err.startswith(f"mbtool: {path}: a text file, no capture; ")
+    assert told.err.endswith("say which: --link rtu@19200-8E1\n")
+
+
+def test_a_digit_too_few_is_one_line_with_its_row(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "bench.txt"
+    path.write_text(BYTES + "01 3\n")
+    told = mbtool("decode", path, "--link", "rtu@19200-8E1")
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err.splitlines()[-1].startswith(f"mbtool: {path}: row 4: '3' is not made of pairs")
+
+
+@pytest.mark.parametrize("line", ["rtu:/dev/ttyUSB0@19200", "serial", "rtu@9600-7E1"])
+def test_a_line_that_is_none_is_a_wrong_use(mbtool: CommandLine, capture: Path, line: str) -> None:
+    told = mbtool("decode", capture, "--link", line)
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith(f"mbtool: --link {line!r}: ")
+    assert len(told.err.splitlines()) == 1
+
+
+def test_a_followed_log_has_lines_of_its_own(mbtool: CommandLine, tmp_path: Path) -> None:
+    told = mbtool("decode", tmp_path / "a.mcap", "--follow", "--link", "rtu@9600")
+    assert told.code == exit_codes.USAGE

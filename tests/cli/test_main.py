@@ -22,7 +22,7 @@ from tests.workflows.bench import FAST
 from tests.workflows.evidence import capture_file
 
 README = Path(__file__).resolve().parents[2] / "README.md"
-COMMANDS = ("sniff", "decode", "replay", "slave", "devices", "line", "demo")
+COMMANDS = ("sniff", "decode", "replay", "slave", "devices", "links", "line", "demo")
 
 
 def test_says_its_version(mbtool: CommandLine) -> None:
@@ -95,6 +95,17 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["decode", "a", "--follow", "--raw"], "--follow goes with one log, and not with --raw"),
         (["decode", "-", "--follow"], "--follow reads a log on disk, not standard input"),
         (["sniff", "usb0"], "link 'usb0': write rtu:PORT@19200-8E1, "),
+        (["sniff", "usb0"], "net:INTERFACE or tap:LISTEN=TARGET\n"),
+        (
+            ["slave", "fa3-at1m8x", "--on", "usb0"],
+            "link 'usb0': write rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:",
+        ),
+        (["sniff", "tap:127.0.0.1:1704=127.0.0.1:1704"], "the tap would call itself"),
+        (["sniff", "tap:127.0.0.1:1704=127.0.0.1:0"], "nothing listens at port 0"),
+        (["sniff", "rtu:/dev/ttyS0@99999999-8E1"], "no port has 99999999 baud; write 50 to"),
+        (["line", "--settings", "1"], "no port has 1 baud; write 50 to 4000000"),
+        (["decode", "a", "--where", 'outcome == "no_answer"'], "it is ok, exception, no-answer,"),
+        (["decode", "a", "--where", 'unit == "1"'], "unit is a number and '1' is a text"),
         (["sniff", "rtu:/dev/ttyUSB0@fast"], "line settings 'fast': write baud"),
         (["sniff", "tap:1502"], "link 'tap:1502': a tap needs where to listen"),
         (["sniff", "tcp:127.0.0.1:1502"], "put a tap before it"),
@@ -103,6 +114,15 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
             ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "absent/a.mcap"],
             "absent/a.mcap: the log cannot be created",
         ),
+        (
+            ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "a.pcap"],
+            "a.pcap: a log is an MCAP file: name it a.mcap",
+        ),
+        (
+            ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "."],
+            ".: a directory; name a file in it, for example x.mcap",
+        ),
+        (["decode", "-", "-o", "."], ".: a directory; name a file in it"),
         (
             ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "a.mcap", "--rotate", "often"],
             "rotation 'often': write a size in KB",
@@ -175,7 +195,7 @@ def test_a_file_that_cannot_be_read_is_one_line(
     told = mbtool(command, path, *more)
     if command == "replay" and "end" in problem:
         # What comes before a cut is played; here it is nothing.
-        assert told.code == exit_codes.USAGE
+        assert told.code == exit_codes.UNREADABLE
         assert "no request to play an answer for" in told.err
         return
     assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
@@ -292,11 +312,25 @@ def test_a_pipe_that_nobody_reads_ends_it(arguments: list[str]) -> None:
     assert (ran.returncode, ran.stderr) == (exit_codes.DONE, "")
 
 
-@pytest.mark.parametrize("redirection", [">&-", ">&- 2>&-"])
-def test_closed_streams_are_no_error(capture: Path, redirection: str) -> None:
-    ran = _said_through(redirection, "decode", capture)
+@pytest.mark.parametrize("more", [[], ["--format", "csv"], ["-o", "-"]])
+def test_a_result_that_goes_nowhere_is_one_line(capture: Path, more: list[str]) -> None:
+    ran = _said_through(">&-", "decode", capture, *more)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == (
+        "mbtool: standard output: closed, so what goes there is lost; redirect it to a file\n"
+    )
+    assert _said_through(">&- 2>&-", "decode", capture, *more).returncode == exit_codes.UNREADABLE
+
+
+@pytest.mark.parametrize("redirection", [">&-", ">&- 2>&-", "2>&-"])
+def test_closed_streams_are_no_error_where_a_file_gets_the_result(
+    capture: Path, redirection: str
+) -> None:
+    path = capture.with_name("a.jsonl")
+    ran = _said_through(redirection, "decode", capture, "-o", path)
     assert ran.returncode == exit_codes.DONE
-    assert "Traceback" not in ran.stderr
+    assert (ran.stdout, "Traceback" in ran.stderr) == ("", False)
+    assert len(path.read_text().splitlines()) == 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")

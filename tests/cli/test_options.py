@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.cli.options import assignments, condition
+from mbtool.cli.options import assignments, condition, file_line, silence
 from mbtool.core import UsageError
 from tests.logs.samples import transaction
 
@@ -23,3 +23,17 @@ def test_one_device_has_one_profile() -> None:
 def test_without_a_condition_everything_is_wanted() -> None:
     assert condition(None)(transaction())
     assert not condition("unit == 9")(transaction())
+
+
+def test_a_line_is_named_or_not() -> None:
+    assert file_line(None) is None
+    assert str(file_line("rtu@9600")) == "rtu@9600-8E1"
+    with pytest.raises(UsageError, match="rtu@19200-8E1 or ascii@9600-7E1"):
+        file_line("tcp")
+
+
+def test_a_silence_is_given_or_not() -> None:
+    assert silence("--t3-5", None) is None
+    assert str(silence("--t3-5", "28bits")) == "28bits"
+    with pytest.raises(UsageError, match=r"^--t3-5: silence 'long': write a number and bits"):
+        silence("--t3-5", "long")

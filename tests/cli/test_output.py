@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +47,77 @@ def test_a_file_on_a_full_disk_is_one_line(
     told = mbtool("decode", capture, "--format", format_, "-o", "/dev/full")
     assert told.code == exit_codes.UNREADABLE
     assert told.err == "mbtool: /dev/full: cannot be written: No space left on device\n"
+
+
+_FULL = """
+import resource, sys
+from mbtool.cli.main import run
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
+sys.exit(run(sys.argv[2:]))
+"""
+
+
+def _on_a_disk_with_room_for(size: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", _FULL, str(size), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the system")
+@pytest.mark.parametrize("name", ["a.csv", "a.jsonl", "a.txt"])
+def test_a_full_disk_leaves_no_empty_file_behind(capture: Path, name: str) -> None:
+    path = capture.with_name(name)
+    ran = _on_a_disk_with_room_for(0, "decode", capture, "-o", path)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == f"mbtool: {path}: cannot be written: File too large\n"
+    assert not path.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the system")
+def test_a_disk_that_runs_full_leaves_what_there_was_room_for(capture: Path) -> None:
+    path = capture.with_name("a.csv")
+    ran = _on_a_disk_with_room_for(100, "decode", capture, "-o", path)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == (
+        f"mbtool: {path}: cannot be written: File too large; it ends early, after 100 bytes\n"
+    )
+    assert path.stat().st_size == 100
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the system")
+def test_a_file_that_was_there_stays_there_when_the_disk_is_full(capture: Path) -> None:
+    path = capture.with_name("a.csv")
+    path.touch()
+    assert _on_a_disk_with_room_for(0, "decode", capture, "-o", path).returncode == 3
+    assert path.exists()
+
+
+def test_an_input_that_brings_nothing_leaves_no_empty_file_behind(
+    mbtool: CommandLine, capture: Path
+) -> None:
+    path = capture.with_name("a.jsonl")
+    capture.write_bytes(capture.read_bytes()[:30])
+    assert mbtool("decode", capture, "-o", path).code == exit_codes.UNREADABLE
+    assert not path.exists()
+
+
+def test_a_result_without_a_row_is_a_file_all_the_same(mbtool: CommandLine, capture: Path) -> None:
+    path = capture.with_name("a.jsonl")
+    assert mbtool("decode", capture, "-o", path, "--where", "unit == 9").code == exit_codes.DONE
+    assert path.read_bytes() == b""
+
+
+@pytest.mark.parametrize("more", [[], ["--format", "csv"]])
+def test_a_folder_is_no_output(mbtool: CommandLine, capture: Path, more: list[str]) -> None:
+    told = mbtool("decode", capture, "-o", capture.parent, *more)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == f"mbtool: {capture.parent}: a directory; name a file in it\n"
+
+
+@pytest.mark.skipif(not Path("/dev/null").exists(), reason="no /dev/null here")
+def test_a_device_may_be_an_output_and_stays(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--format", "csv", "-o", "/dev/null")
+    assert told.code == exit_codes.DONE
+    assert Path("/dev/null").is_char_device()
 
 
 def _print_and_fail(path: Path, error: BaseException) -> None:

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 from mbtool.cli import exit_codes
 from mbtool.cli.replay import MissChoice
+from mbtool.modbus import rtu_adu
 from mbtool.replay import OnMiss
 from mbtool.workflows.asking import TcpMaster
-from tests.cli.program import Program, endpoint_in
+from tests.cli.program import CommandLine, Program, endpoint_in
+from tests.logs.samples import transaction, write_log
 from tests.packets.building import pcap
-from tests.workflows.evidence import READ, VALUES, captured
+from tests.workflows.evidence import READ, VALUES, captured, damaged_log
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,18 +26,48 @@ def test_a_replay_answers_until_ctrl_c(capture: Path) -> None:
         with TcpMaster(endpoint_in(said)) as master:
             assert master.ask(1, READ) == VALUES
         told = program.end(signal.SIGINT)
-    assert said.startswith(f"{capture}: 1 different requests to unit 1 on tcp:127.0.0.1:")
+    assert said.startswith(f"{capture}: 1 request to unit 1 on tcp:127.0.0.1:")
     assert (told.code, told.out, told.err) == (exit_codes.INTERRUPTED, "", "")
+
+
+def test_several_requests_and_units_are_said_as_such(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_log(path, [transaction(unit=unit, request_raw=rtu_adu(unit, READ)) for unit in (1, 2)])
+    with Program("replay", path, "--as-slave", "--on", "tcp:127.0.0.1:0") as program:
+        said = program.await_said("Ctrl-C ends")
+        assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
+    assert said.startswith(f"{path}: 2 different requests to units 1, 2 on tcp:127.0.0.1:")
+
+
+def test_a_recording_without_a_request_is_an_input_that_cannot_be_read(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap([]))
+    told = mbtool("replay", path, "--as-slave", "--on", "tcp:127.0.0.1:0")
+    assert told.code == exit_codes.UNREADABLE
+    assert "no request to play an answer for" in told.err
 
 
 def test_a_replay_of_a_cut_capture_says_so_and_plays_what_comes_before(tmp_path: Path) -> None:
     path = tmp_path / "cut.pcap"
     path.write_bytes(pcap(captured(1))[:-1])
     with Program("replay", path, "--as-slave", "--on", "tcp:127.0.0.1:0") as program:
-        assert "playing what comes before" in program.await_said("cut.pcap")
+        assert "playing what is there" in program.await_said("cut.pcap")
         with TcpMaster(endpoint_in(program.await_said("Ctrl-C ends"))) as master:
             assert master.ask(1, READ) == VALUES
         assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
+
+
+def test_a_replay_of_a_damaged_log_says_so_and_plays_the_rest(tmp_path: Path) -> None:
+    path = damaged_log(tmp_path / "a.mcap", 1)
+    with Program("replay", path, "--as-slave", "--on", "tcp:127.0.0.1:0") as program:
+        said = program.await_said("damaged at byte")
+        with TcpMaster(endpoint_in(program.await_said("Ctrl-C ends"))) as master:
+            assert master.ask(1, READ) == VALUES
+        assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
+    assert said.startswith(f"mbtool: {path}: damaged at byte ")
+    assert said.endswith("left out, all else was read; playing what is there\n")
 
 
 def test_the_choices_for_a_miss_are_the_players() -> None:

@@ -9,7 +9,7 @@ import pytest
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.serve import serve
+from mbtool.cli.serve import _SILENT_LOOKS, serve
 from mbtool.core import LinkError
 from mbtool.slave import Shell
 
@@ -51,6 +51,29 @@ def test_says_where_it_is_and_ends_with_ctrl_c(capsys: pytest.CaptureFixture[str
     assert end.value.exit_code == exit_codes.INTERRUPTED
     assert shell.stopped
     assert capsys.readouterr().err == "a device on tcp:127.0.0.1:1502; Ctrl-C ends\n"
+
+
+class _CrowdedShell(_Shell):
+    """A shell that turns a connection away before each look of its first hundred."""
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        self.turned_away += 1
+        if self.turned_away > 2 * _SILENT_LOOKS:
+            super().wait(timeout_s)
+
+
+def test_says_once_in_a_while_that_connections_are_turned_away(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(typer.Exit):
+        serve(_CrowdedShell(), "a device")
+    _, *told = capsys.readouterr().err.splitlines()
+    many = f"mbtool: {_SILENT_LOOKS} connections were turned away: the slave takes 1 at once"
+    assert told == [
+        many.replace(f"{_SILENT_LOOKS} connections were", "a connection was"),
+        many,
+        many,
+    ]
 
 
 def test_a_lost_link_ends_it() -> None:

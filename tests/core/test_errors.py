@@ -6,6 +6,7 @@ import pytest
 
 from mbtool.core import (
     CutError,
+    DamageError,
     InputError,
     LinkError,
     MbtoolError,
@@ -28,6 +29,7 @@ def test_profile_error_names_file_key_and_problem() -> None:
     [
         (ProfileError, UsageError),
         (CutError, InputError),
+        (DamageError, InputError),
         (LinkError, MbtoolError),
         (OutputError, MbtoolError),
     ],

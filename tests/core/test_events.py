@@ -8,7 +8,7 @@ from mbtool.core import EventKind, WireEvent
 def test_kinds_keep_the_values_that_stand_in_logs() -> None:
     assert {kind.value for kind in EventKind} >= {
         "skipped", "bad-check", "foreign", "gap", "overlap", "discarded", "opened", "closed",
-        "unreadable", "cut",
+        "unreadable", "cut", "line-error",
     }  # fmt: skip
 
 

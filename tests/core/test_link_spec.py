@@ -5,16 +5,19 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import (
+    AutoLink,
     Endpoint,
     InterfaceLink,
     LinkSpec,
     SerialFormat,
     SerialLink,
+    Silence,
     TapLink,
     TcpLink,
     UsageError,
     parse_link,
 )
+from mbtool.core.link_spec import HEARD
 
 E8 = SerialFormat(19200, 8, "E", 1)
 
@@ -28,6 +31,23 @@ E8 = SerialFormat(19200, 8, "E", 1)
         ("rtu:/dev/a@b@9600", SerialLink("/dev/a@b", SerialFormat(9600))),
         ("ascii:/dev/ttyS0@9600-7E1", SerialLink("/dev/ttyS0", SerialFormat(9600, 7), ascii=True)),
         ("ascii:/dev/ttyS0", SerialLink("/dev/ttyS0", SerialFormat(9600, 7), ascii=True)),
+        ("rtu:/dev/ttyUSB0@auto", AutoLink(("/dev/ttyUSB0",))),
+        ("ascii:/dev/ttyUSB0@AUTO", AutoLink(("/dev/ttyUSB0",), only_ascii=True)),
+        ("rtu:/dev/a,/dev/b@auto", AutoLink(("/dev/a", "/dev/b"))),
+        ("rtu:auto", SerialLink("auto", E8)),
+        (
+            "rtu:/dev/ttyUSB0,/dev/ttyUSB1@9600-8E1",
+            SerialLink("/dev/ttyUSB0", SerialFormat(9600), slave_port="/dev/ttyUSB1"),
+        ),
+        ("rtu:COM3,COM4", SerialLink("COM3", E8, slave_port="COM4")),
+        (
+            "ascii:/dev/a,/dev/b@9600-7E1",
+            SerialLink("/dev/a", SerialFormat(9600, 7), ascii=True, slave_port="/dev/b"),
+        ),
+        (
+            "rtu:/dev/ttyUSB0@9600-8E1,t3.5=28bits",
+            SerialLink("/dev/ttyUSB0", SerialFormat(9600, t3_5=Silence.parse("28bits"))),
+        ),
         ("net:eth0", InterfaceLink("eth0")),
         (
             "tap:127.0.0.1:1502=10.0.0.9:502",
@@ -36,6 +56,14 @@ E8 = SerialFormat(19200, 8, "E", 1)
         ("tap:[::1]:1502=plc", TapLink(Endpoint("::1", 1502), Endpoint("plc", 502))),
         ("tcp:127.0.0.1:1502", TcpLink(Endpoint("127.0.0.1", 1502))),
         ("tcp:10.0.0.9", TcpLink(Endpoint("10.0.0.9", 502))),
+        (
+            "tap:127.0.0.1:0=127.0.0.1:1502",
+            TapLink(Endpoint("127.0.0.1", 0), Endpoint("127.0.0.1", 1502)),
+        ),
+        (
+            "tap:127.0.0.1:1502=127.0.0.2:1502",
+            TapLink(Endpoint("127.0.0.1", 1502), Endpoint("127.0.0.2", 1502)),
+        ),
         ("tcp:[fe80::1%eth0]", TcpLink(Endpoint("fe80::1%eth0", 502))),
         ("tcp:[::1]:1502", TcpLink(Endpoint("::1", 1502))),
         ("rtu+tcp:127.0.0.1:1502", TcpLink(Endpoint("127.0.0.1", 1502), rtu=True)),
@@ -50,6 +78,7 @@ def test_reads_a_link(text: str, link: LinkSpec) -> None:
     ("text", "name"),
     [
         ("rtu:/dev/serial/by-id/usb-1@9600", "usb-1"),
+        ("rtu:/dev/ttyUSB0,/dev/ttyUSB1@9600", "ttyUSB0+ttyUSB1"),
         ("net:eth0", "eth0"),
         ("tap:127.0.0.1:1502=10.0.0.9:502", "10.0.0.9"),
         ("tap:127.0.0.1:1502=10.0.0.9:503", "10.0.0.9:503"),
@@ -71,10 +100,21 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("rtu:/", "no port is named"),
         ("rtu:/dev/ttyUSB0@", "line settings ''"),
         ("rtu:/dev/ttyUSB0@fast", "line settings 'fast'"),
+        ("rtu:/dev/ttyUSB0@99999999-8E1", "no port has 99999999 baud; write 50 to 4000000"),
         ("rtu:/dev/ttyUSB0@9600-7E1", "RTU needs 8 data bits"),
-        ("rtu:/dev/a,/dev/b@9600", "name one port"),
+        ("rtu:/dev/a,/dev/b,/dev/c@9600", "a line has one tap, or two different ones"),
+        ("rtu:/dev/a,/dev/a@9600", "a line has one tap, or two different ones"),
+        ("rtu:/dev/a,@9600", "no port is named"),
+        ("rtu:,/dev/b@9600", "no port is named"),
+        ("rtu:/dev/a@9600,t3.5=fast", "silence 'fast'"),
+        ("rtu:/dev/a@9600,t2=5ms", "'t2=5ms' is neither t1.5=SILENCE nor t3.5=SILENCE"),
         ("tap:127.0.0.1:1502", "whom to call"),
         ("tap:=10.0.0.9", "'' is no address"),
+        ("tap:127.0.0.1:1704=127.0.0.1:1704", "the tap would call itself"),
+        ("tap:0.0.0.0:1704=127.0.0.1:1704", "for example tap:0.0.0.0:0=127.0.0.1:1704"),
+        ("tap:localhost:1704=127.0.0.1:1704", "the tap would call itself"),
+        ("tap:[::]=[::1]", "the tap would call itself"),
+        ("tap:127.0.0.1:1704=10.0.0.9:0", "for example tap:127.0.0.1:1704=10.0.0.9:502"),
         ("tcp:1502:", "is no address"),
         ("tcp::1502", "is no address"),
         ("tcp:::1", "is no address"),
@@ -92,3 +132,26 @@ def test_link_that_cannot_be_says_what_would_be_right(text: str, advice: str) ->
         parse_link(text)
     assert advice in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["foo", "usb:/dev/ttyUSB0", "tcp:"])
+def test_a_text_that_is_no_link_is_told_what_the_command_takes(text: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_link(text, HEARD)
+    assert str(caught.value) == f"link {text!r}: write {HEARD}"
+
+
+def test_whoever_speaks_needs_one_port() -> None:
+    one, two = parse_link("rtu:/dev/a@9600"), parse_link("rtu:/dev/a,/dev/b@9600")
+    assert isinstance(one, SerialLink)
+    assert isinstance(two, SerialLink)
+    one.demand_one_port()
+    with pytest.raises(UsageError, match="to answer, name one, for example rtu:/dev/a@9600-8E1"):
+        two.demand_one_port()
+
+
+def test_a_line_without_settings_is_settled_with_all_its_ports() -> None:
+    link = AutoLink(("/dev/a", "/dev/b"))
+    assert link.name == "a+b"
+    assert str(link) == "rtu:/dev/a,/dev/b@auto"
+    assert link.settled(E8, ascii=True) == SerialLink("/dev/a", E8, True, "/dev/b")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import SerialFormat, UsageError
+from mbtool.core import SerialFormat, Silence, UsageError
 
 
 @pytest.mark.parametrize(
@@ -38,6 +38,48 @@ def test_character_has_start_data_parity_and_stop_bits(text: str, bits: int) -> 
     assert SerialFormat.parse(text).character_bits == bits
 
 
+@pytest.mark.parametrize(
+    ("text", "t1_5_us", "t3_5_us"),
+    [
+        ("9600-8E1,t3.5=28bits", 1718, 2916),  # CHINO LT830: 2.9 ms at 9600 baud.
+        ("19200-8E1,t3.5=28bits", 859, 1458),  # and 1.4 ms at 19200.
+        ("115200-8N1,t3.5=5ms", 750, 5000),
+        ("115200-8N1,t3.5=200us", 200, 200),  # t1.5 is never longer.
+        ("9600-8N1,t1.5=2chars,t3.5=4chars", 2083, 4166),
+        ("9600-8N1,t1.5=2.5ms", 2500, 3645),
+    ],
+)
+def test_silences_can_be_given(text: str, t1_5_us: int, t3_5_us: int) -> None:
+    line = SerialFormat.parse(text)
+    assert (line.t1_5_ns // 1000, line.t3_5_ns // 1000) == (t1_5_us, t3_5_us)
+    assert str(line) == text
+    assert SerialFormat.parse(str(line)) == line
+
+
+def test_silences_take_the_place_of_those_before() -> None:
+    line = SerialFormat.parse("9600-8E1,t1.5=1ms,t3.5=5ms")
+    assert str(line.with_silences(None, Silence.parse("6ms"))) == "9600-8E1,t1.5=1ms,t3.5=6ms"
+    assert line.with_silences(None, None) == line
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("9600-8E1,t3.5", "'t3.5' is neither"),
+        ("9600-8E1,", "'' is neither"),
+        ("9600-8E1,t3.5=0ms", "silence '0ms'"),
+        ("9600-8E1,t3.5=2s", "silence '2s'"),
+        ("9600-8E1,t3.5=2000ms", "t3.5 is more than 0 and at most 1 s"),
+        ("9600-8E1,t1.5=6ms,t3.5=5ms", "t1.5 of 6ms is longer than t3.5, 5ms"),
+        ("9600-8E1,t1.5=6ms", "t1.5 of 6ms is longer than t3.5"),
+    ],
+)
+def test_silences_that_cannot_be_are_the_users_mistake(text: str, why: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        SerialFormat.parse(text)
+    assert why in str(caught.value)
+
+
 @pytest.mark.parametrize("text", ["19200-8E1", "9600-7O2", "115200-8N1"])
 def test_settings_read_as_they_are_written(text: str) -> None:
     assert str(SerialFormat.parse(text)) == text
@@ -54,6 +96,17 @@ def test_letters_may_be_small_and_the_format_left_out() -> None:
 def test_settings_that_cannot_be_are_the_users_mistake(text: str) -> None:
     with pytest.raises(UsageError, match="for example 19200-8E1"):
         SerialFormat.parse(text)
+
+
+@pytest.mark.parametrize("baud", ["0", "1", "49", "4000001", "99999999"])
+def test_a_rate_that_no_port_has_is_the_users_mistake(baud: str) -> None:
+    with pytest.raises(UsageError, match=f"no port has {baud} baud; write 50 to 4000000"):
+        SerialFormat.parse(f"{baud}-8E1")
+
+
+@pytest.mark.parametrize("baud", [50, 300, 4_000_000])
+def test_a_rate_that_a_port_has_is_taken(baud: int) -> None:
+    assert SerialFormat.parse(str(baud)).baud == baud
 
 
 @pytest.mark.parametrize(

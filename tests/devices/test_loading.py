@@ -223,3 +223,12 @@ mbtool.devices.load_profile("idec-ft1a-touch")
 assert len([name for name in opened if name.endswith(".toml")]) == 1
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
+
+
+def test_timing_is_merged_key_by_key(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(PUMP + '[timing]\nt3_5 = "28bits"\nt1_5 = "1ms"\n')
+    profile = _load(tmp_path, 'extends = "base.toml"\nname = "other"\n[timing]\nt1_5 = "2ms"\n')
+    assert (profile.timing.t1_5, profile.timing.t3_5) == ("2ms", "28bits")
+    assert profile_from_json(profile_to_json(profile), "a log") == profile
+    key, problem = _problem(tmp_path, PUMP + "[timing]\nt35 = 1\n")
+    assert (key, problem) == ("timing.t35", "unknown key; did you mean 't3_5'?")

@@ -158,7 +158,8 @@ def test_documentation_names_every_profile_key_and_rule() -> None:
 def test_example_of_the_documentation_is_a_profile(tmp_path: Path) -> None:
     text = DOCUMENTATION.read_text(encoding="utf-8")
     (tmp_path / "pump.toml").write_text(
-        text.partition("```toml\n")[2].partition("```")[0], encoding="utf-8"
+        text.partition("## A profile of your own")[2].partition("```toml\n")[2].partition("```")[0],
+        encoding="utf-8",
     )
     profile = load_profile(str(tmp_path / "pump.toml"))
     assert [point.name for point in profile.points] == ["Speed", "State", "CH{n} temperature"]

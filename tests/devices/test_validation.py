@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from mbtool.core import ProfileError
-from mbtool.devices import Access, Area, Exceptions, FunctionRule, Point, PointType, Profile
+from mbtool.devices import Access, Area, Exceptions, FunctionRule, Point, PointType, Profile, Timing
 from mbtool.devices.validation import validate
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.tables import Table
@@ -134,3 +134,12 @@ def test_two_points_at_one_address_are_refused() -> None:
 
 def test_two_points_of_one_name_are_refused() -> None:
     assert _problem(_profile(_point(), _point(address=4)))[1] == "another point has this name"
+
+
+def test_a_silence_that_is_none_is_told() -> None:
+    assert _problem(_profile(timing=Timing(t3_5="28 bit times"))) == (
+        "timing.t3_5",
+        "silence '28 bit times': write a number and bits, chars, ms or us, for example 28bits or "
+        "5ms",
+    )
+    validate(_profile(timing=Timing(t1_5="1ms", t3_5="28bits")), "pump.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import TYPE_CHECKING, Any
 
 from hypothesis import strategies as st
@@ -19,6 +20,8 @@ from mbtool.core import (
 )
 from mbtool.devices import NamedTransaction, PointValue
 from mbtool.logs import LogItem, LogWriter
+from mbtool.logs.layout import Opcode
+from mbtool.logs.records import RecordStream
 from mbtool.modbus import DirectionBy, Outcome, Transport, Verdict
 
 if TYPE_CHECKING:
@@ -115,6 +118,22 @@ def write_log(path: Path, items: Iterable[LogItem]) -> Path:
         for item in items:
             log.write(item)
     return path
+
+
+def records_of(data: bytes, opcode: Opcode) -> list[tuple[int, int]]:
+    """Where the records of a kind begin, and how long their content is."""
+    stream = RecordStream(io.BytesIO(data), "x.mcap")
+    stream.read_magic()
+    found = []
+    while (record := stream.read()).opcode != Opcode.DATA_END:
+        if record.opcode == opcode:
+            found.append((record.offset, len(record.content)))
+    return found
+
+
+def changed(data: bytes, at: int) -> bytes:
+    """The same with one bit of a byte changed."""
+    return data[:at] + bytes([data[at] ^ 0x40]) + data[at + 1 :]
 
 
 def stock_messages(path: Path) -> list[tuple[str, str, bytes]]:

@@ -8,14 +8,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Header, Metadata
 
-from mbtool.core import OutputError, UsageError
-from mbtool.logs.complete_file import SECTOR, CompleteFile, create_file
+from mbtool.core import OutputError
+from mbtool.logs.complete_file import SECTOR, CompleteFile
 from mbtool.logs.container import Container
 from mbtool.logs.layout import MAGIC, TAIL_SIZE, packed
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from _typeshed import ReadableBuffer
 
 HEAD = MAGIC + packed(Header(profile="mbtool", library="test"))
@@ -129,28 +127,6 @@ def test_a_log_that_failed_stays_as_it_is_and_says_why_to_its_end() -> None:
         container.finish()
     assert last.value is first.value
     assert disk.getvalue() == before
-
-
-def test_a_file_that_exists_is_not_overwritten(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    path.write_bytes(b"evidence")
-    with pytest.raises(UsageError, match="the file exists"):
-        create_file(path)
-    assert path.read_bytes() == b"evidence"
-
-
-def test_a_file_that_exists_is_replaced_on_request(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    path.write_bytes(b"old")
-    create_file(path, replace=True).close()
-    assert path.read_bytes() == b""
-
-
-def test_a_file_that_cannot_be_created_is_the_users_mistake(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be created: No such file or directory"):
-        create_file(tmp_path / "absent" / "x.mcap")
-    with pytest.raises(UsageError, match="cannot be created"):
-        create_file(tmp_path / "a\0b")
 
 
 def fill(container: Container, flushes: int) -> None:

@@ -10,8 +10,9 @@ from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
-from mbtool.logs.complete_file import CompleteFile, create_file
+from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import CHUNK_SIZE, MAX_TIME, Container
+from mbtool.logs.creating import create_file
 from mbtool.logs.layout import MAGIC, RECORD_HEAD
 from tests.logs.test_complete_file import HEAD, SCHEMA
 

@@ -13,12 +13,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from mbtool.core import CutError, InputError
+from mbtool.core import CutError, DamageError, EventKind, InputError, WireEvent
+from mbtool.devices import NamedTransaction
 from mbtool.logs import LogReader, LogWriter, follow, read_log
-from mbtool.logs.layout import FOOTER_SIZE
-from tests.logs.samples import ONE_OF_EACH, chunk, items, transaction, write_log
+from mbtool.logs.layout import FOOTER_SIZE, Opcode
+from tests.logs.samples import (
+    ONE_OF_EACH,
+    changed,
+    chunk,
+    items,
+    records_of,
+    transaction,
+    write_log,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mbtool.logs import LogItem
 
 
@@ -112,9 +123,109 @@ def test_a_log_with_any_byte_damaged_gives_nothing_wrong_and_says_so(tmp_path: P
         found, error = read(data[:at] + bytes([data[at] ^ 0x40]) + data[at + 1 :])
         # A chunk whose opcode or place is damaged is passed over; the CRC at the end tells.
         rest = iter(whole)
-        assert all(item in rest for item in found)
+        assert all(item in rest for item in found if not _is_hole(item))
         # Whatever stands before the summary is under a CRC.
         assert at >= summary_at or error is not None
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_damaged_chunk_costs_what_it_holds_and_no_more(tmp_path: Path, number: int) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    offset, size = records_of(data, Opcode.CHUNK)[number]
+    found, error = read(changed(data, offset + 9 + size - 20))
+    (hole,) = (item for item in found if _is_hole(item))
+    assert [item for item in found if item is not hole] == [
+        *whole[: 2 * number],
+        *whole[2 * number + 2 :],
+    ]
+    assert found.index(hole) == 2 * number
+    assert isinstance(hole, WireEvent)
+    # The time is that of what follows, or at the end of what came last.
+    assert hole.ts_ns == _known_ns(found[2 * number + (1 if number < 2 else -1)])
+    assert hole.message == (
+        f"{size} bytes of the log, from byte {offset} on, are damaged and left out"
+    )
+    assert isinstance(error, DamageError)
+    assert str(error).startswith(f"x.mcap: damaged at byte {offset}: a chunk ")
+    assert str(error).endswith(f"; {size} bytes of the log are left out, all else was read")
+
+
+def test_damaged_chunks_side_by_side_are_one_hole(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    first, second, _ = records_of(data, Opcode.CHUNK)
+    for offset, size in (first, second):
+        data = changed(data, offset + 9 + size - 20)
+    found, error = read(data)
+    assert [_is_hole(item) for item in found] == [True, False, False]
+    assert found[1:] == whole[4:]
+    assert "and at 1 more place" in str(error)
+
+
+def test_a_hole_stands_among_the_evidence_and_not_among_the_transactions(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    offset, size = records_of(data, Opcode.CHUNK)[1]
+    data = changed(data, offset + 9 + size - 20)
+    evidence, _ = given_by(LogReader(io.BytesIO(data), "x.mcap").evidence())
+    assert [_is_hole(item) for item in evidence] == [False, True, False]
+    transactions, error = given_by(LogReader(io.BytesIO(data), "x.mcap").transactions())
+    assert len(transactions) == 2
+    assert isinstance(error, DamageError)
+
+
+def test_a_damaged_profile_is_left_out_and_costs_nothing_else(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    ((offset, size),) = records_of(data, Opcode.ATTACHMENT)
+    for at in range(offset + 9, offset + 9 + size):
+        log = LogReader(io.BytesIO(changed(data, at)), "x.mcap")
+        assert log.profiles == {}
+        found, error = given_by(log.items())
+        assert found == whole
+        assert isinstance(error, DamageError)
+        assert str(error).startswith(f"x.mcap: damaged at byte {offset}: ")
+        assert str(error).endswith(f"; {size} bytes of the log are left out, all else was read")
+
+
+def test_damage_between_the_records_of_items_costs_none(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    offset, size = records_of(data, Opcode.MESSAGE_INDEX)[0]
+    found, error = read(changed(data, offset + 9 + size - 1))
+    assert found == whole
+    assert isinstance(error, DamageError)
+    assert "the bytes before are not those that were written" in str(error)
+
+
+def test_a_damaged_log_that_is_cut_too_tells_both(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    first, _, third = records_of(data, Opcode.CHUNK)
+    data = changed(data, first[0] + 9 + first[1] - 20)[: third[0] + 20]
+    found, error = read(data)
+    assert [_is_hole(item) for item in found] == [True, False, False]
+    assert isinstance(error, CutError)
+    assert f"; before that, damaged at byte {first[0]}: a chunk" in str(error)
+
+
+def test_a_log_whose_lengths_are_damaged_ends_there_and_says_so(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    offset, _ = records_of(data, Opcode.CHUNK)[1]
+    found, error = read(changed(data, offset + 8))
+    assert found == whole[:2]
+    assert isinstance(error, DamageError)
+    assert str(error).endswith("is the most, and what follows is lost")
+
+
+def test_following_goes_on_behind_damage(tmp_path: Path) -> None:
+    path = some_chunks(tmp_path / "x.mcap")
+    data = path.read_bytes()
+    offset, size = records_of(data, Opcode.CHUNK)[1]
+    path.write_bytes(changed(data, offset + 9 + size - 20))
+    found, error = given_by(follow(path, lambda: False))
+    assert isinstance(error, DamageError)
+    assert [_is_hole(item) for item in found] == [False, False, True, False, False]
 
 
 @settings(max_examples=300, deadline=None)
@@ -248,15 +359,31 @@ def some_chunks(path: Path) -> Path:
     return path
 
 
+def _is_hole(item: LogItem) -> bool:
+    return isinstance(item, WireEvent) and item.kind is EventKind.GAP and not item.link
+
+
+def _known_ns(item: LogItem) -> int | None:
+    return item.response_ns if isinstance(item, NamedTransaction) else item.ts_ns
+
+
 def read(data: bytes) -> tuple[list[LogItem], InputError | None]:
-    found: list[LogItem] = []
     try:
-        for item in LogReader(io.BytesIO(data), "x.mcap").items():
-            found.append(item)
-    except InputError as raised:
-        error: InputError | None = raised
-    else:
-        error = None
+        log = LogReader(io.BytesIO(data), "x.mcap")
+    except InputError as early:
+        return [], early
+    found, error = given_by(log.items())
     assert error is None or str(error).startswith("x.mcap: ")
     assert "\n" not in str(error)
     return found, error
+
+
+def given_by(items: Iterator[LogItem]) -> tuple[list[LogItem], InputError | None]:
+    """What is given, and the error that it ends with."""
+    found: list[LogItem] = []
+    try:
+        for item in items:
+            found.append(item)
+    except InputError as error:
+        return found, error
+    return found, None

@@ -35,3 +35,9 @@ def wire_events(decoded: Iterable[Decoded]) -> list[WireEvent]:
 def pdus(events: Iterable[Adu | Skipped]) -> list[tuple[int, str]]:
     """Unit and PDU of each ADU."""
     return [(adu.unit, adu.pdu.hex()) for adu in adus(events)]
+
+
+def with_parity(characters: bytes, parity: str) -> bytes:
+    """What a port of 8 data bits hears of 7 and a parity bit: `even`, `odd`, `mark` or `space`."""
+    marked = {"even": (0, 1), "odd": (1, 0), "mark": (1, 1), "space": (0, 0)}[parity]
+    return bytes(each | marked[each.bit_count() & 1] << 7 for each in characters)

@@ -8,6 +8,7 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.modbus import Transport, encode_pdu, exception_pdu, parse_pdu, pdu_length, pdu_of
+from tests.modbus.reading import with_parity
 
 if TYPE_CHECKING:
     from mbtool.modbus.layouts import Value
@@ -203,6 +204,8 @@ def test_exception_response_names_function_and_code() -> None:
         (Transport.RTU, bytes.fromhex("11 03 006B 0003 7687")),
         (Transport.RTU_TCP, bytes.fromhex("11 03 006B 0003 7687")),
         (Transport.ASCII, b":1103006B00037E\r\n"),
+        (Transport.ASCII, b":1103006b00037e\r"),
+        (Transport.ASCII, with_parity(b":1103006B00037E\r\n", "even")),
     ],
 )
 def test_adu_of_any_transport_has_a_unit_and_a_pdu(transport: Transport, raw: bytes) -> None:

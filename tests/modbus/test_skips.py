@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from mbtool.core import EventKind
-from mbtool.modbus.adu import Adu, Skipped
+from mbtool.modbus.adu import Adu, Checksum, Skipped
 from mbtool.modbus.skips import MAX_RUN, SkipRun
 
 
 def run() -> SkipRun:
-    return SkipRun(lambda raw: (EventKind.SKIPPED, f"{len(raw)} bytes"))
+    return SkipRun(lambda raw: (EventKind.SKIPPED, f"{len(raw)} bytes", None))
 
 
 def test_run_is_one_event_with_the_time_of_its_first_byte() -> None:
@@ -34,3 +34,13 @@ def test_full_run_goes_out_and_the_next_begins_with_its_own_time() -> None:
     ]  # fmt: skip
     skips.end(events)
     assert len(events[-1].raw) == MAX_RUN - 1
+
+
+def test_event_has_the_check_that_is_wrong() -> None:
+    check = Checksum(received=0x8876, computed=0x8776)
+    skips = SkipRun(lambda raw: (EventKind.BAD_CHECK, "wrong", check))
+    events: list[Adu | Skipped] = []
+    skips.add(b"ab", 10, events)
+    skips.end(events)
+    assert events == [Skipped(10, EventKind.BAD_CHECK, "wrong", b"ab", check)]
+    assert not check.ok

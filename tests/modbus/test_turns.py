@@ -6,8 +6,21 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.modbus import DirectionBy, parse_pdu
-from mbtool.modbus.turns import DEFAULT_TURN_NS, Judgement, Turns, answers, is_answer_to, mismatch
+from mbtool.modbus.habits import Latency
+from mbtool.modbus.turns import (
+    DEFAULT_TURN_NS,
+    MAX_KNOWN,
+    SURE,
+    Judgement,
+    Turns,
+    answers,
+    is_answer_to,
+    likelihood,
+    mismatch,
+    roles_of,
+)
 
+MS = 1_000_000
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 WRITE = bytes.fromhex("06 0001 0003")
 READ = bytes.fromhex("03 006B 0003")
@@ -17,43 +30,97 @@ ANSWER = bytes.fromhex("03 06 022B 0000 0064")
 class Spoken:
     """Turns after some frames, each judged and noted, a millisecond apart."""
 
-    def __init__(self) -> None:
-        self.turns = Turns()
+    def __init__(self, *, timed: bool = True) -> None:
+        self.turns = Turns(timed=timed)
         self.now_ns = 0
 
-    def hear(self, unit: int, pdu: bytes, after_ns: int = 1_000_000) -> Judgement:
+    def hear(self, unit: int, pdu: bytes, after_ns: int = MS) -> Judgement:
         self.now_ns += after_ns
         judgement = self.turns.judge(unit, pdu, self.now_ns)
         self.turns.spoke(judgement, unit, pdu, self.now_ns)
         return judgement
 
+    def learn_latency(self, latency_ns: int = 5 * MS) -> Spoken:
+        """A line that polls and is answered."""
+        for _ in range(Latency.FEW + 4):
+            self.hear(1, READ, 30 * MS)
+            self.hear(1, ANSWER, latency_ns)
+        return self
+
+
+def says(judgement: Judgement) -> tuple[Direction, DirectionBy, bool]:
+    """What it says, and whether it is sure."""
+    return judgement.direction, judgement.by, judgement.confidence >= SURE
+
 
 def test_answer_to_the_request_that_waits_is_a_response() -> None:
     spoken = Spoken()
     assert spoken.hear(1, READ) == Judgement(REQUEST, DirectionBy.FORM, 1.0)
-    assert spoken.hear(1, ANSWER) == Judgement(RESPONSE, DirectionBy.PENDING, 0.99)
+    assert spoken.hear(1, ANSWER) == Judgement(RESPONSE, DirectionBy.PENDING, 1.0)
 
 
 def test_form_that_fits_both_is_decided_by_the_turn() -> None:
     spoken = Spoken()
-    assert spoken.hear(1, WRITE) == Judgement(REQUEST, DirectionBy.IDLE, 0.9)
-    assert spoken.hear(1, WRITE) == Judgement(RESPONSE, DirectionBy.PENDING, 0.99)
-    assert spoken.hear(1, WRITE) == Judgement(REQUEST, DirectionBy.IDLE, 0.9)
+    assert says(spoken.hear(1, WRITE)) == (REQUEST, DirectionBy.IDLE, True)
+    assert says(spoken.hear(1, WRITE)) == (RESPONSE, DirectionBy.PENDING, True)
+    assert says(spoken.hear(1, WRITE)) == (REQUEST, DirectionBy.IDLE, True)
 
 
 def test_turn_goes_back_to_the_master_after_a_while() -> None:
     spoken = Spoken()
     spoken.hear(1, WRITE)
     assert spoken.hear(1, WRITE, after_ns=DEFAULT_TURN_NS + 1).direction is REQUEST
-    assert spoken.hear(1, WRITE, after_ns=DEFAULT_TURN_NS).direction is RESPONSE
+    assert spoken.hear(1, WRITE).direction is RESPONSE
+
+
+def test_request_that_comes_again_too_late_for_an_answer_is_one_by_timing() -> None:
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(1, WRITE)
+    assert says(spoken.hear(1, WRITE, after_ns=300 * MS)) == (REQUEST, DirectionBy.TIMING, True)
+    assert says(spoken.hear(1, WRITE, after_ns=5 * MS)) == (RESPONSE, DirectionBy.PENDING, True)
+
+
+def test_slow_line_waits_longer_for_an_answer() -> None:
+    spoken = Spoken().learn_latency(300 * MS)
+    spoken.hear(1, WRITE)
+    assert says(spoken.hear(1, WRITE, 300 * MS)) == (RESPONSE, DirectionBy.PENDING, True)
+
+
+def test_echoes_teach_no_latency() -> None:
+    """One of them may have been a retry."""
+    spoken = Spoken()
+    for number in range(2 * Latency.FEW):
+        write = bytes((0x06, 0, 1, 0, number))
+        spoken.hear(1, write, 30 * MS)
+        spoken.hear(1, write, 5 * MS)
+    spoken.hear(1, WRITE, 30 * MS)
+    assert spoken.hear(1, WRITE, 90 * MS).direction is RESPONSE
+
+
+def test_silences_say_nothing_where_times_are_made_up() -> None:
+    spoken = Spoken(timed=False)
+    for _ in range(Latency.FEW + 4):
+        spoken.hear(1, READ)
+        spoken.hear(1, ANSWER)
+    spoken.hear(1, WRITE)
+    assert spoken.hear(1, WRITE, after_ns=300 * MS).direction is RESPONSE
 
 
 def test_write_that_is_not_the_echo_of_the_one_that_waits_is_a_request() -> None:
-    spoken = Spoken()
+    spoken = Spoken().learn_latency(5 * MS)
     spoken.hear(1, WRITE)
     other = bytes.fromhex("06 0002 0003")
-    assert spoken.hear(1, other) == Judgement(REQUEST, DirectionBy.IDLE, 0.7)
+    assert spoken.hear(1, other, 300 * MS).direction is REQUEST
     assert spoken.hear(1, other).direction is RESPONSE
+
+
+@pytest.mark.xfail(reason="called a wrong answer by timing with 0.8, though no latency was heard")
+def test_other_write_on_a_line_of_echoes_is_a_request_or_ambiguous() -> None:
+    """No echo teaches a latency, and 200 ms are supposed; many masters wait less."""
+    spoken = Spoken()
+    spoken.hear(1, WRITE)
+    judgement = spoken.hear(1, bytes.fromhex("06 0002 0003"), 100 * MS)
+    assert judgement.direction is REQUEST or judgement.confidence < SURE
 
 
 def test_response_of_another_unit_does_not_end_the_turn() -> None:
@@ -67,13 +134,22 @@ def test_wrong_response_of_the_same_unit_ends_the_turn() -> None:
     spoken = Spoken()
     spoken.hear(1, READ)
     assert spoken.hear(1, bytes.fromhex("03 02 022B")).direction is RESPONSE
-    assert spoken.turns.order(1, 3, spoken.now_ns)[0] is REQUEST
+    assert spoken.turns.turn.waiting is None
 
 
 def test_nobody_answers_a_broadcast() -> None:
     spoken = Spoken()
     spoken.hear(0, WRITE)
+    assert spoken.turns.turn.waiting is None
     assert spoken.hear(0, WRITE).direction is REQUEST
+
+
+def test_nobody_answers_force_listen_only() -> None:
+    spoken = Spoken()
+    listen_only = bytes.fromhex("08 0004 0000")
+    spoken.hear(1, listen_only)
+    assert spoken.turns.turn.waiting is None
+    assert spoken.hear(1, listen_only).direction is REQUEST
 
 
 def test_longer_echo_of_diagnostics_is_a_response() -> None:
@@ -83,20 +159,106 @@ def test_longer_echo_of_diagnostics_is_a_response() -> None:
     assert spoken.hear(1, loopback).direction is RESPONSE
 
 
+def test_count_that_diagnostics_tell_is_a_response() -> None:
+    """A request for a count has no data; this is one whose request was not heard."""
+    spoken = Spoken()
+    spoken.hear(1, READ)
+    spoken.hear(1, ANSWER)
+    assert spoken.hear(1, bytes.fromhex("08 000B 0000")).direction is REQUEST
+    assert spoken.hear(1, bytes.fromhex("08 000B 0108")).direction is RESPONSE
+
+
 def test_form_without_a_length_is_judged_by_the_turn() -> None:
     spoken = Spoken()
-    assert spoken.hear(1, b"\x2b\x0d\x00") == Judgement(REQUEST, DirectionBy.IDLE, 0.5)
+    assert spoken.hear(1, b"\x2b\x0d\x00").direction is REQUEST
     assert spoken.hear(1, b"\x2b\x0d\x00\x01").direction is RESPONSE
 
 
-def test_likelier_role_is_tried_first() -> None:
+def test_late_answer_to_a_request_that_was_repeated_is_a_response() -> None:
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(1, WRITE)
+    assert spoken.hear(1, WRITE, 300 * MS).direction is REQUEST
+    assert spoken.hear(1, WRITE, 3 * MS).direction is RESPONSE
+    assert spoken.turns.turn.owed is not None
+    assert spoken.hear(1, ANSWER, 3 * MS).direction is RESPONSE
+
+
+def test_echo_of_an_ambiguous_frame_is_no_surer() -> None:
     spoken = Spoken()
-    assert spoken.turns.order(1, 3, 0) == (REQUEST, RESPONSE)
+    spoken.hear(1, WRITE)
+    doubtful = spoken.hear(1, WRITE, 300 * MS)
+    assert doubtful.confidence < SURE
+    assert spoken.hear(1, WRITE, 3 * MS).confidence <= doubtful.confidence
     spoken.hear(1, READ)
-    assert spoken.turns.order(1, 3, spoken.now_ns) == (RESPONSE, REQUEST)
-    assert spoken.turns.order(1, 0x83, spoken.now_ns) == (RESPONSE, REQUEST)
-    assert spoken.turns.order(2, 3, spoken.now_ns) == (REQUEST, RESPONSE)
-    assert spoken.turns.order(1, 4, spoken.now_ns) == (REQUEST, RESPONSE)
+    assert spoken.hear(1, ANSWER).confidence == 1
+
+
+def test_request_for_bits_that_comes_again_is_no_answer_to_itself() -> None:
+    spoken = Spoken()
+    contacts = bytes.fromhex("01 03E8 0011")
+    assert spoken.hear(1, contacts).direction is REQUEST
+    assert spoken.hear(1, contacts, 300 * MS).direction is REQUEST
+    assert spoken.hear(1, bytes.fromhex("01 03 1234 01")).direction is RESPONSE
+
+
+def test_damage_leaves_the_turn_in_doubt() -> None:
+    spoken = Spoken()
+    spoken.hear(1, READ)
+    spoken.turns.heard_damage()
+    turn = spoken.turns.turn
+    assert (turn.waiting, turn.lost) == (None, True)
+    assert turn.owed is not None
+    assert turn.owed.pdu == READ
+    assert spoken.hear(1, ANSWER).direction is RESPONSE
+    assert not spoken.turns.turn.lost
+
+
+def test_frame_is_expected_that_the_waiting_request_asks_for() -> None:
+    spoken = Spoken()
+    turns = spoken.turns
+    assert not turns.expects(turns.turn, 1, 0x03, len(ANSWER), RESPONSE)
+    assert not turns.expects(turns.turn, 1, 0x03, len(READ), REQUEST)
+    spoken.hear(1, READ)
+    assert turns.expects(turns.turn, 1, 0x03, len(ANSWER), RESPONSE)
+    assert turns.expects(turns.turn, 1, 0x03, 0, RESPONSE)
+    assert turns.expects(turns.turn, 1, 0x83, 2, RESPONSE)
+    assert not turns.expects(turns.turn, 1, 0x03, len(ANSWER) + 2, RESPONSE)
+    assert not turns.expects(turns.turn, 2, 0x03, len(ANSWER), RESPONSE)
+    assert not turns.expects(turns.turn, 1, 0x03, len(READ), REQUEST)
+    spoken.hear(1, ANSWER)
+    assert turns.expects(turns.turn, 1, 0x03, len(READ), REQUEST)
+
+
+def test_turn_can_be_supposed_without_being_taken() -> None:
+    turns = Turns()
+    before = turns.turn
+    asked = turns.follow(before, 1, READ, REQUEST, 0, 1)
+    assert asked.waiting is not None
+    assert asked.waiting.fits(1, ANSWER)
+    assert turns.judge_under(asked, 1, ANSWER, 2, (RESPONSE,)).by is DirectionBy.PENDING
+    assert turns.follow(asked, 1, ANSWER, RESPONSE, 2, 3).waiting is None
+    assert turns.turn is before
+
+
+def test_likelihood_of_the_better_of_two() -> None:
+    assert likelihood(0) == 0.5
+    assert likelihood(1) == pytest.approx(2 / 3)
+    assert likelihood(10) > 0.999
+
+
+def test_roles_are_those_whose_form_fits() -> None:
+    assert roles_of(READ) == (REQUEST,)
+    assert roles_of(ANSWER) == (RESPONSE,)
+    assert roles_of(WRITE) == (REQUEST, RESPONSE)
+    assert roles_of(b"\x41\x00") == (REQUEST, RESPONSE)
+
+
+def test_what_is_known_of_a_line_is_bounded() -> None:
+    turns = Turns()
+    for number in range(3 * MAX_KNOWN):
+        pdu = bytes((0x06, *number.to_bytes(2), 0, 0))
+        turns.hear(Judgement(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, number, number)
+    assert len(turns._known) <= MAX_KNOWN
 
 
 @pytest.mark.parametrize(

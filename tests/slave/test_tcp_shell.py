@@ -171,6 +171,7 @@ def test_connections_are_bounded() -> None:
         _ask(second)
         _await_end(third)
         _ask(first)
+        assert (slave.turned_away, slave.places) == (1, 2)
 
 
 def test_a_connection_that_ends_leaves_its_place_to_another() -> None:

@@ -58,6 +58,17 @@ def read_exactly(fd: int, count: int) -> bytes:
     return data
 
 
+def stop_marking(port: str) -> None:
+    """Have a terminal mark nothing any more, so that what is written can be a driver's marks."""
+    import termios
+
+    descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY)
+    attributes = termios.tcgetattr(descriptor)
+    attributes[0] &= ~termios.PARMRK
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+    os.close(descriptor)
+
+
 def start_program(text: str, *arguments: str) -> subprocess.Popen[str]:
     """Run a Python program whose standard input and output are pipes."""
     return subprocess.Popen(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 import zstandard
 
-from mbtool.core import CutError, InputError, Packet
+from mbtool.core import Chunk, CutError, InputError, Packet, parse_line
 from mbtool.sources.files import CaptureKind, open_capture, read_packets
 from tests.packets.building import Pcapng, packet, pcap
 
@@ -287,3 +287,132 @@ def test_an_error_while_reading_is_one_line(
         monkeypatch.setattr(capture, "stream", Broken())
         with pytest.raises(InputError, match="cannot be read: Input/output error"):
             list(capture.packets())
+
+
+_FRAME = bytes.fromhex("01 03 0000 0002 c40b")  # unit 1, read two holding registers, CRC
+_BYTE_TIMES = b"t_start_s,t_end_s,line,byte_hex\n0.1,0.2,rx,01\n"
+_MONITOR_TEXT = (
+    b"2023-02-28 17:14:21.619992 Read holding register for device ID 1 , "
+    b"Start address = 258 Quantity = 16\n"
+)
+
+
+@pytest.mark.parametrize("pack", [_plain, gzip.compress, _zstd])
+@pytest.mark.parametrize(
+    ("content", "line", "kind"),
+    [
+        (_BYTE_TIMES, None, CaptureKind.BYTE_TIMES),
+        (_BYTE_TIMES, "rtu@9600", CaptureKind.BYTE_TIMES),
+        (_MONITOR_TEXT, None, CaptureKind.MONITOR_TEXT),
+        (_PCAP, "rtu@9600", CaptureKind.PCAP),
+        (_MCAP, "rtu@9600", CaptureKind.MCAP),
+        (_FRAME, "rtu@9600", CaptureKind.RAW),
+        (bytes(64), "rtu@9600", CaptureKind.RAW),
+        (b"# of 2024: tio\n01 03", "rtu@9600", CaptureKind.HEX),
+        (b"0103000000", "rtu@9600", CaptureKind.HEX),
+        (b"what is this", "rtu@9600", CaptureKind.HEX),
+        (b":0103\r\n" * 9, "ascii@9600", CaptureKind.RAW),
+        (b"FB\r\n:0103\r\n", "ascii@9600", CaptureKind.RAW),
+        (b"00000001000000010000000100000001" * 2, "ascii@9600", CaptureKind.RAW),
+        (b"3a 30 31 30 33 0d 0a", "ascii@9600", CaptureKind.HEX),
+        (b"0x3a,0x30", "ascii@9600", CaptureKind.HEX),
+        (b"# of a line: ascii\n3a3031", "ascii@9600", CaptureKind.HEX),
+    ],
+)
+def test_tells_how_a_file_holds_the_bytes_of_a_line(
+    tmp_path: Path,
+    pack: Callable[[bytes], bytes],
+    content: bytes,
+    line: str | None,
+    kind: CaptureKind,
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(pack(content))
+
+    with open_capture(path, None if line is None else parse_line(line)) as capture:
+        assert capture.kind is kind
+        assert capture.link == "a"
+
+
+def test_gives_the_bytes_of_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "bench.bin"
+    path.write_bytes(_FRAME)
+    line = parse_line("rtu@9600")
+
+    with open_capture(path, line) as capture:
+        of_file = capture.serial(line)
+        assert of_file.line == line
+        (chunk,) = of_file.pieces
+    assert isinstance(chunk, Chunk)
+    assert (chunk.link, chunk.data) == ("bench", _FRAME)
+
+
+def test_the_bytes_of_standard_input_are_called_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    _standard_input(monkeypatch, _FRAME)
+    line = parse_line("rtu@9600")
+
+    with open_capture("-", line) as capture:
+        assert capture.link == "stdin"
+        assert [piece.link for piece in capture.serial(line).pieces] == ["stdin"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (_FRAME, "a file that begins with 01 03 00 00 00 02 c4 0b, no capture"),
+        (b"01 03 00 00", "a text file, no capture"),
+    ],
+)
+def test_bytes_of_a_line_that_nobody_names_are_refused_with_a_hint(
+    tmp_path: Path, content: bytes, words: str
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(content)
+
+    with pytest.raises(InputError) as caught:
+        open_capture(path)
+
+    assert str(caught.value).startswith(f"{path}: {words}")
+    assert str(caught.value).endswith(
+        "if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
+    )
+
+
+def test_a_known_kind_of_file_is_no_line_whatever_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "a.zip"
+    path.write_bytes(b"PK\x03\x04" + bytes(60))
+
+    with pytest.raises(InputError, match="a zip archive, no capture") as caught:
+        open_capture(path, parse_line("rtu@9600"))
+
+    assert "--link" not in str(caught.value)
+
+
+def test_a_file_is_read_as_what_it_is_only(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(_BYTE_TIMES)
+    with open_capture(path) as capture, pytest.raises(InputError, match="bytes of a serial line"):
+        next(capture.packets())
+    path.write_bytes(_PCAP)
+    with open_capture(path) as capture, pytest.raises(InputError, match="pcap, where bytes"):
+        capture.serial(parse_line("rtu@9600"))
+
+
+def test_an_error_while_bytes_are_read_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.csv"
+
+    class Broken(io.BytesIO):
+        def readline(self, size: int | None = -1, /) -> bytes:
+            raise OSError(5, "Input/output error")
+
+        read1 = readline
+
+    line = parse_line("rtu@9600")
+    for content in (_FRAME, _BYTE_TIMES, _MONITOR_TEXT, b"01 03"):
+        path.write_bytes(content)
+        with open_capture(path, line) as capture:
+            monkeypatch.setattr(capture, "stream", Broken())
+            with pytest.raises(InputError, match="cannot be read: Input/output error"):
+                list(capture.serial(line).pieces)

@@ -13,11 +13,12 @@ import pytest
 
 from mbtool.core import InterfaceLink, LinkError, Packet, Quiet
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.interface import InterfaceSource
+from mbtool.sources.interface import InterfaceSource, _program
 from tests.sources.live_helpers import drain, take_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 if sys.platform != "linux":
     pytest.skip("listening to an interface needs Linux", allow_module_level=True)
@@ -120,7 +121,33 @@ def test_a_missing_privilege_says_which_and_how_to_give_it(monkeypatch: pytest.M
     ):
         pass
     command = f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}"
-    assert str(caught.value).endswith(command)
+    first, _, second = str(caught.value).partition(
+        "; or give raw sockets to every Python program: "
+    )
+    assert first == f"net:lo: listening needs the capability cap_net_raw: sudo {_program()}"
+    assert second == command
+
+
+@pytest.mark.parametrize(
+    ("folder", "there", "said"),
+    [
+        ("bin", True, "bin/mbtool"),
+        ("../bin", True, "{folder}/mbtool"),
+        ("bin", False, "{folder}/python -m mbtool"),
+    ],
+)
+def test_under_sudo_the_program_is_called_by_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, there: bool, said: str
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    place = (here / folder).resolve()
+    place.mkdir()
+    if there:
+        (place / "mbtool").touch()
+    monkeypatch.setattr(sys, "executable", str(place / "python"))
+    assert _program() == said.format(folder=place)
 
 
 def test_scapy_is_not_imported_before_a_capture_starts() -> None:

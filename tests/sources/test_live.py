@@ -28,3 +28,8 @@ def test_a_link_has_its_source(text: str, kind: str, name: str) -> None:
 def test_an_endpoint_cannot_be_listened_to() -> None:
     with pytest.raises(UsageError, match=r"^link tcp:10\.0\.0\.9:502: .*tap:127"):
         live_source(parse_link("tcp:10.0.0.9:502"), Inbox())
+
+
+def test_a_line_whose_settings_are_unknown_cannot_be_listened_to_yet() -> None:
+    with pytest.raises(UsageError, match=r"rtu:/dev/ttyUSB0@auto: its settings"):
+        live_source(parse_link("rtu:/dev/ttyUSB0@auto"), Inbox())

@@ -10,12 +10,23 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import Chunk, LinkError, Quiet, SerialFormat, SerialLink, Stamp
+from mbtool.core import (
+    Chunk,
+    EventKind,
+    LinkError,
+    Quiet,
+    SerialFormat,
+    SerialLink,
+    Stamp,
+    WireEvent,
+)
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.serial_line import SerialSource
+from mbtool.sources.serial_records import Kind, Record
 from tests.sources.live_helpers import (
     drain,
     start_program,
+    stop_marking,
     take_bytes,
     take_until,
     wait_for_end,
@@ -74,6 +85,33 @@ def test_every_byte_arrives_in_order_with_the_time_of_its_read(pty: tuple[int, s
     times = [chunk.ts_ns for chunk in chunks]
     assert times == sorted(times)
     assert {chunk.stamp for chunk in chunks} == {Stamp.LAST_BYTE}
+
+
+def test_a_damaged_byte_is_an_event_beside_its_chunk(pty: tuple[int, str]) -> None:
+    near, port = pty
+    inbox = Inbox()
+    with source_on(port, inbox):
+        take_until(inbox, lambda item: isinstance(item, Quiet))
+        stop_marking(port)
+        os.write(near, b"\x01\xff\x00\xf8")
+        items = take_until(inbox, lambda item: isinstance(item, WireEvent))
+    assert [item.data for item in items if isinstance(item, Chunk)] == [b"\x01\xf8"]
+    event = items[-1]
+    assert isinstance(event, WireEvent)
+    assert (event.kind, event.message) == (
+        EventKind.LINE_ERROR,
+        "parity or framing error at byte F8H",
+    )
+
+
+def test_bytes_that_the_driver_lost_are_told() -> None:
+    inbox = Inbox()
+    source = source_on("/dev/absent", inbox)
+    source._take(Record(Kind.OVERRUN, 5, (3).to_bytes(8, "little")))
+    event = inbox.get(0)
+    assert isinstance(event, WireEvent)
+    assert (event.kind, event.missing, event.ts_ns) == (EventKind.LINE_ERROR, 3, 5)
+    assert event.message == "overrun: the port's driver lost at least 3 bytes"
 
 
 def test_a_silent_line_tells_that_time_passes(pty: tuple[int, str]) -> None:

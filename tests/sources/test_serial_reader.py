@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import os
 from threading import Event
+from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import LinkError
+from mbtool.core import LinkError, SerialFormat
+from mbtool.sources.line_errors import ErrorCounts
 from mbtool.sources.serial_port import IDLE_S
 from mbtool.sources.serial_reader import read_until
 from mbtool.sources.serial_records import Kind, Record, RecordReader, RecordWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DAMAGED = 0xDA
+LINE = SerialFormat(19200, 8, "N", 2)
+"""Twice t3.5 is 4.01 ms."""
 
 
 class ScriptedPort:
@@ -20,6 +29,8 @@ class ScriptedPort:
         self._script = script
         self._told_to_end = told_to_end
         self.waits: list[float] = []
+        self.damaged: Sequence[int] = ()
+        self.overruns = 0
 
     def read(self, wait_s: float) -> bytes:
         self.waits.append(wait_s)
@@ -27,7 +38,17 @@ class ScriptedPort:
             self._told_to_end.set()
         if not self._script:
             raise LinkError("unplugged")
-        return self._script.pop(0)
+        data = self._script.pop(0)
+        self.damaged = [at for at, byte in enumerate(data) if byte == DAMAGED]
+        return data
+
+    def counts(self) -> ErrorCounts:
+        counts = ErrorCounts(overrun=self.overruns)
+        self.overruns += 2
+        return counts
+
+    def tune(self, format_: SerialFormat) -> None:
+        raise NotImplementedError
 
     def close(self) -> None:
         pass
@@ -41,7 +62,7 @@ def run_loop(script: list[bytes]) -> tuple[list[Record], list[float]]:
         writer = RecordWriter(writing)
         try:
             # The last piece is read after the loop was told to end.
-            read_until(told_to_end, port, writer, settle_s=0.004)
+            read_until(told_to_end, port, writer, LINE)
         except LinkError:
             writer.put(Kind.ERROR, 0)
         os.set_blocking(reading, False)
@@ -63,7 +84,7 @@ def test_a_silence_is_told_only_after_a_look_that_waits_for_nothing() -> None:
     kinds = [record.kind for record in records]
     assert kinds[:3] == [Kind.DATA, Kind.QUIET, Kind.DATA]
     # First the long wait, after data the short one, then the look, then the long wait again.
-    assert waits[:4] == [IDLE_S, 0.004, 0, IDLE_S]
+    assert waits[:4] == [IDLE_S, pytest.approx(0.00401, rel=0.01), 0, IDLE_S]
 
 
 def test_a_byte_that_comes_while_looking_prevents_the_silence() -> None:
@@ -77,9 +98,32 @@ def test_a_lost_port_ends_the_loop_after_what_came() -> None:
     try:
         port = ScriptedPort([b"\x01", b"\x02"], Event())
         with pytest.raises(LinkError, match="unplugged"):
-            read_until(told_never, port, RecordWriter(writing), settle_s=0.004)
+            read_until(told_never, port, RecordWriter(writing), LINE)
         records = RecordReader().feed(os.read(reading, 2**16))
-        assert [record.data for record in records] == [b"\x01", b"\x02"]
+        data = [record.data for record in records if record.kind is Kind.DATA]
+        assert data == [b"\x01", b"\x02"]
     finally:
         os.close(reading)
         os.close(writing)
+
+
+def test_damaged_bytes_are_told_behind_the_bytes_themselves() -> None:
+    records, _ = run_loop([b"\x01\xda\x02", b""])
+    assert [record.kind for record in records][:2] == [Kind.DATA, Kind.DAMAGE]
+    assert records[0].data == b"\x01\xda\x02"
+    assert records[1].data == b"parity or framing error at byte DAH"
+    assert records[1].ts_ns == records[0].ts_ns - LINE.character_ns
+
+
+def test_what_the_driver_lost_is_told_at_the_end_at_the_latest() -> None:
+    records, _ = run_loop([b"\x01", b""])
+    assert [(record.kind, record.lost) for record in records if record.kind is Kind.OVERRUN] == [
+        (Kind.OVERRUN, 2)
+    ]
+
+
+def test_damage_on_a_port_that_goes_away_is_told() -> None:
+    records, _ = run_loop([b"\xda", b"\xda"])
+    told = [record.data for record in records if record.kind is Kind.DAMAGE]
+    assert told[0] == b"parity or framing error at byte DAH"
+    assert len(told) == 2

@@ -26,6 +26,7 @@ from mbtool.core import (
 )
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.relay import _why
 from mbtool.sources.tap import TapSource, _remedy
 from tests.sources.live_helpers import PATIENCE_S, drain, take_until
 
@@ -245,10 +246,49 @@ def test_a_target_that_refuses_is_an_event_and_resets_the_master(bench: Bench) -
                 call_and_read(master, tap.endpoint)
             event = take_until(inbox, lambda item: isinstance(item, WireEvent))[-1]
     assert isinstance(event, WireEvent)
-    assert event.kind is EventKind.CLOSED
+    assert event.kind is EventKind.REFUSED
     assert (event.link, event.source, event.destination) == (tap.link, str(source), str(target))
-    assert event.message.endswith("does not accept it: Connection refused")
+    assert event.message == f"{target} cannot be reached: Connection refused"
     assert not any(isinstance(item, StreamOpened | StreamClosed) for item in drain(inbox))
+
+
+@pytest.mark.parametrize("host", ["nosuch.invalid", "no..host", "x" * 70])
+def test_a_target_that_no_name_leads_to_is_an_event(host: str) -> None:
+    inbox = Inbox()
+    with TapSource(TapLink(ANY_PORT, Endpoint(host, 502)), inbox) as tap:
+        with closing(socket.socket()) as master:
+            master.settimeout(PATIENCE_S)
+            with pytest.raises(ConnectionResetError):
+                call_and_read(master, tap.endpoint)
+        event = take_until(inbox, lambda item: isinstance(item, WireEvent))[-1]
+    assert isinstance(event, WireEvent)
+    assert event.kind is EventKind.REFUSED
+    assert event.message.startswith(f"{host}:502 cannot be reached: ")
+    assert "Errno" not in event.message
+
+
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [
+        (ConnectionRefusedError(errno.ECONNREFUSED, "Connect call failed"), "Connection refused"),
+        (
+            OSError(f"Multiple exceptions: [Errno {errno.ECONNREFUSED}] Connect call failed, ..."),
+            "Connection refused",
+        ),
+        (socket.gaierror(socket.EAI_NONAME, "Name or service not known"), "no such host"),
+        (socket.gaierror(socket.EAI_AGAIN, "Temporary failure"), "Temporary failure"),
+        (TimeoutError(), "no answer in 10 s"),
+        (OSError("something else"), "something else"),
+    ],
+)
+def test_why_a_target_cannot_be_reached_is_said_in_words(error: Exception, why: str) -> None:
+    assert _why(error) == why
+
+
+def test_a_listening_address_that_no_host_can_have_is_one_line(bench: Bench) -> None:
+    link = TapLink(Endpoint("no..host", 0), bench.target)
+    with pytest.raises(LinkError, match="no such host"), TapSource(link, bench.inbox):
+        pass
 
 
 def test_a_connection_over_the_bound_is_turned_away_with_an_event(bench: Bench) -> None:

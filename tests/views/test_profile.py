@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from rich.console import Console, RenderableType
 
-from mbtool.devices import PointType, Profile, builtin_profiles, load_profile
+from mbtool.devices import PointType, Profile, Timing, builtin_profiles, load_profile
 from mbtool.views.profile import profile_list, profile_page
 
 
@@ -106,3 +106,10 @@ def _with_point(**changes: object) -> Profile:
 )
 def test_says_what_it_knows_of_a_range(changes: dict[str, object], text: str) -> None:
     assert any(line.endswith(f"  {text}") for line in _lines(profile_page(_with_point(**changes))))
+
+
+def test_a_page_says_which_silences_a_device_keeps() -> None:
+    profile = msgspec.structs.replace(
+        load_profile("idec-ft1a-touch"), timing=Timing(t1_5="1ms", t3_5="28bits")
+    )
+    assert "timing: t1.5 1ms, t3.5 28bits" in _lines(profile_page(profile))

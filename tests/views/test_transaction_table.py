@@ -151,11 +151,11 @@ def test_an_event_is_yellow_and_has_no_number() -> None:
     assert screen.lines[2].startswith("\x1b[33m    22:13:20.000  rs485        gap")
 
 
-def test_a_row_is_shown_when_it_is_flushed() -> None:
+def test_a_row_is_shown_when_there_is_a_pause() -> None:
     screen = Screen(terminal=True)
     screen.add()
     assert screen.text == ""
-    screen.table.flush()
+    screen.table.pause()
     assert len(screen.lines) == 3
     screen.add()
     assert len(screen.lines) == 4
@@ -172,6 +172,50 @@ def test_nothing_is_shown_of_nothing() -> None:
     screen = Screen(terminal=True)
     screen.table.flush()
     assert screen.text == ""
+
+
+def _live(screen: Screen) -> None:
+    """A read, then what is longer in every way, as a sniffer shows them: each at once."""
+    screen.add()
+    screen.table.pause()
+    screen.add(
+        START_NS + 60_000_000,
+        function=16,
+        function_name="write multiple registers",
+        reference="HR400001..400004",
+        request_values=[4660, 22136, 1, 2],
+        outcome=Outcome.EXCEPTION,
+        exception=2,
+        exception_name="illegal data address",
+        response_values=None,
+        latency_ns=1_234_567_890,
+    )
+    screen.table.pause()
+    screen.add(response_values=list(range(1000, 1005)))
+    screen.table.flush()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_the_columns_of_a_live_table_stand_still(width: int, terminal: bool) -> None:
+    screen = Screen(terminal=terminal, width=width)
+    _live(screen)
+    heading, _, *lines = screen.lines
+    result, latency = heading.index("result"), heading.index("latency")
+    rows = [line for line in lines if line[:4].strip()]
+    assert [row[latency:] for row in rows] == ["0.4 ms", "1234.6 ms", "0.4 ms"]
+    assert [row[result - 2 : result + 4] for row in rows] == ["  4660", "  exce", "  1000"]
+    assert not terminal or max(map(len, screen.lines)) <= width
+
+
+def test_a_live_table_into_a_pipe_grows_for_what_is_longer_and_then_stands_still() -> None:
+    screen = Screen(terminal=False)
+    screen.add()
+    screen.table.pause()
+    for reference in ("R" * 50, "HR400001"):
+        screen.add(reference=reference)
+    first, *rest = (line.index("4660") for line in screen.lines[2:])
+    assert rest == [first + 10, first + 10]
 
 
 def test_columns_grow_for_what_comes_after_the_sample() -> None:

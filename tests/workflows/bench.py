@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import socket
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Endpoint, SerialFormat, SerialLink, TapLink, TcpLink
@@ -48,6 +49,12 @@ class Bench:
     def tap(self) -> TapLink:
         return TapLink(ANY, self.slave())
 
+    def refusing_tap(self) -> TapLink:
+        """A tap before a port that is taken and does not listen."""
+        silent = self._stack.enter_context(closing(socket.socket()))
+        silent.bind(("127.0.0.1", 0))
+        return TapLink(ANY, Endpoint(*silent.getsockname()))
+
     def line(self, folder: Path) -> tuple[SerialLink, int]:
         """A serial line: the end to listen at, and the descriptor of the end that speaks."""
         names = [str(folder / "tap"), str(folder / "master")]
@@ -68,6 +75,23 @@ def ask(sniffer: Sniffer, pdu: bytes, count: int = 1, tap: int = 0) -> None:
     with TcpMaster(taps[tap].endpoint) as master:
         for _ in range(count):
             assert master.ask(1, pdu) == pdu
+
+
+def call_in_vain(sniffer: Sniffer, count: int) -> None:
+    """Connect to a sniffer's tap whose slave cannot be reached."""
+    (tap,) = (source for source in sniffer.sources if isinstance(source, TapSource))
+    for _ in range(count):
+        be_turned_away(tap.endpoint)
+
+
+def be_turned_away(endpoint: Endpoint) -> None:
+    """Connect where the connection is reset at once."""
+    address = (endpoint.host, endpoint.port)
+    with (
+        suppress(ConnectionResetError),
+        socket.create_connection(address, PATIENCE_S) as master,
+    ):
+        assert master.recv(1) == b""
 
 
 def speak(descriptor: int, pdu: bytes, unit: int = 1) -> None:

@@ -4,15 +4,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import Chunk, Connection, Direction, Endpoint, SerialFormat, SerialLink, Stamp
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    Endpoint,
+    Quiet,
+    SerialFormat,
+    SerialLink,
+    Stamp,
+)
+from mbtool.devices import Namer
+from mbtool.logs import LogWriter
+from mbtool.logs.layout import Opcode
 from mbtool.modbus import mbap_adu, rtu_adu
+from mbtool.workflows.decoding import Decoder
+from tests.logs.samples import changed, records_of
 from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from mbtool.core import Packet
-    from mbtool.workflows.decoding import Record
+    from mbtool.workflows.decoding import Evidence, Record
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -69,6 +84,30 @@ def captured(exchanges: int = 3) -> list[Packet]:
 def capture_file(exchanges: int = 3) -> bytes:
     """The same as a pcap file."""
     return pcap(captured(exchanges))
+
+
+def damaged_log(path: Path, number: int) -> Path:
+    """A log of three reads on a serial line, each in a chunk of its own, one of them damaged."""
+    return damaged(path, [exchange(1000 * second) for second in range(3)], number)
+
+
+def damaged(path: Path, flushes: Sequence[Sequence[Chunk]], number: int) -> Path:
+    """A log of what was heard and decoded, a chunk of the file for each flush, one damaged."""
+    decoder = Decoder(Namer(), lines={LINE.name: LINE})
+    with LogWriter(path, capture={}) as log:
+        log.add_link(LINE.name, {"spec": str(LINE)})
+        for second, chunks in enumerate(flushes, 1):
+            items: list[Evidence] = [*chunks, Quiet(chunks[-1].ts_ns + 100 * MS, LINE.name)]
+            for item in items:
+                if isinstance(item, Chunk):
+                    log.write(item)
+                for record in decoder.feed(item):
+                    log.write(record)
+            log.tick(second * 1_000_000_000)
+    data = path.read_bytes()
+    offset, size = records_of(data, Opcode.CHUNK)[number]
+    path.write_bytes(changed(data, offset + 9 + size - 20))
+    return path
 
 
 def of_link(records: Iterable[Record], link: str) -> list[Record]:

@@ -18,6 +18,7 @@ from mbtool.core import (
     SerialFormat,
     SerialLink,
     WireEvent,
+    parse_line,
 )
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
 from mbtool.logs import LogWriter
@@ -224,6 +225,19 @@ def test_what_a_line_lost_breaks_off_what_it_held() -> None:
     records = _decoded([half, lost, second, *exchange(100)])
     assert _outcomes(records)[:2] == ["skipped", "discarded"]
     assert _outcomes(records)[-1] == "ok"
+
+
+def test_a_hole_in_a_log_breaks_off_what_every_link_held() -> None:
+    hole = WireEvent(ts_ns=START_NS + 2 * MS, link="", kind=EventKind.GAP, message="damaged")
+    half = heard(0, READ)
+    half = Chunk(ts_ns=half.ts_ns, link=LINE.name, data=half.data[:4])
+    asked = relayed(1, REQUEST, READ)
+    answered = relayed(3, RESPONSE, VALUES)
+    records = _decoded([half, asked, hole, heard(3, VALUES), answered, *exchange(100)])
+    assert _outcomes(records[: records.index(hole)]) == ["no-answer", "skipped"]
+    assert sorted(_outcomes(records[records.index(hole) :])) == [
+        "gap", "ok", "unsolicited", "unsolicited",
+    ]  # fmt: skip
 
 
 def test_an_event_of_a_source_passes() -> None:
@@ -435,3 +449,88 @@ def test_a_log_decodes_to_what_was_decoded_live(tmp_path: Path) -> None:
     assert mbap_adu(0, 1, READ) in {
         one.request_raw for one in again if isinstance(one, NamedTransaction)
     }
+
+
+def _packets(link_type: int, *adus: bytes) -> list[Packet]:
+    """The bytes of a serial line in packets, each 20 ms after the one before."""
+    header = bytes(8) + b"\x02\0\0\0" if link_type == 250 else b""
+    return [
+        Packet(
+            ts_ns=START_NS + number * 20 * MS,
+            link="com1",
+            link_type=link_type,
+            data=header + adu,
+            original_length=len(header + adu),
+        )
+        for number, adu in enumerate(adus)
+    ]
+
+
+def test_packets_with_bytes_of_a_serial_line_are_decoded_as_a_line() -> None:
+    chunks = exchange(0)
+    plain = Decoder(Namer(Assignments()), lines={LINE.name: LINE})
+    wanted = [record for chunk in chunks for record in plain.feed(chunk)] + plain.close()
+    for link_type in (147, 250):
+        decoder = Decoder(Namer(Assignments()))
+        packets = _packets(link_type, *(chunk.data for chunk in chunks))
+        records = [record for packet in packets for record in decoder.feed(packet)]
+        records += decoder.close()
+        (one,) = records
+        assert isinstance(one, NamedTransaction)
+        assert (one.link, one.outcome, one.transport) == ("com1", Outcome.OK, Transport.RTU)
+        (other,) = wanted
+        assert isinstance(other, NamedTransaction)
+        assert one.latency_ns == other.latency_ns
+
+
+def test_what_the_user_says_of_a_line_is_what_an_unknown_one_is_like() -> None:
+    decoder = Decoder(Namer(Assignments()), line=parse_line("ascii@9600-7E1"))
+    packets = _packets(147, ascii_adu(1, READ), ascii_adu(1, VALUES))
+    (one,) = [record for packet in packets for record in decoder.feed(packet)]
+    assert isinstance(one, NamedTransaction)
+    assert one.transport is Transport.ASCII
+
+
+def test_other_user_link_types_are_a_line_where_the_user_says_so() -> None:
+    packets = _packets(150, *(chunk.data for chunk in exchange(0)))
+    decoder = Decoder(Namer(Assignments()))
+    (event,) = [record for packet in packets for record in decoder.feed(packet)]
+    assert isinstance(event, WireEvent)
+    assert event.kind is EventKind.UNREADABLE
+    decoder = Decoder(Namer(Assignments()), line=parse_line("rtu@19200"))
+    records = [record for packet in packets for record in decoder.feed(packet)]
+    records += decoder.close()
+    (one,) = records
+    assert isinstance(one, NamedTransaction)
+
+
+def test_a_packet_that_was_cut_ends_what_was_held() -> None:
+    decoder = Decoder(Namer(Assignments()))
+    (whole,) = _packets(147, rtu_adu(1, READ))
+    short = Packet(
+        ts_ns=whole.ts_ns,
+        link=whole.link,
+        link_type=147,
+        data=whole.data[:-3],
+        original_length=len(whole.data),
+    )
+    skipped, cut = decoder.feed(short)
+    assert isinstance(skipped, WireEvent)
+    assert skipped.raw == short.data
+    assert isinstance(cut, WireEvent)
+    assert (cut.kind, cut.missing) == (EventKind.CUT, 3)
+
+
+def test_a_line_that_ended_leaves_nothing_to_the_next_of_its_name() -> None:
+    decoder = Decoder(Namer(Assignments()))
+    request, response = exchange(0)
+    decoder.begin_line(SerialLink(request.link, SerialFormat()))
+    assert decoder.feed(request) == []
+    (unanswered,) = decoder.end_line(request.link)
+    assert isinstance(unanswered, NamedTransaction)
+    assert unanswered.outcome is Outcome.NO_ANSWER
+    records = [*decoder.feed(response), *decoder.close()]
+    assert [one.outcome for one in records if isinstance(one, NamedTransaction)] == [
+        Outcome.UNSOLICITED
+    ]
+    assert decoder.end_line("never seen") == []

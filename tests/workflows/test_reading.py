@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 import pytest
 import zstandard
 
-from mbtool.core import CutError, EventKind, InputError, UsageError, WireEvent
+from mbtool.core import (
+    CutError,
+    DamageError,
+    EventKind,
+    InputError,
+    UsageError,
+    WireEvent,
+    parse_line,
+)
 from mbtool.devices import (
     Assignments,
     NamedTransaction,
@@ -17,8 +25,10 @@ from mbtool.devices import (
     profile_to_json,
 )
 from mbtool.logs import LogWriter
+from mbtool.logs.layout import Opcode
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions, followed
+from tests.logs.samples import changed, records_of
 from tests.packets.building import pcap
 from tests.workflows.evidence import (
     LINE,
@@ -26,6 +36,8 @@ from tests.workflows.evidence import (
     REFUSED,
     capture_file,
     captured,
+    damaged,
+    damaged_log,
     exchange,
 )
 
@@ -200,6 +212,46 @@ def test_a_cut_log_gives_all_before_the_cut(tmp_path: Path, raw: bool) -> None:
     assert 1 <= len(_transactions(records)) < 10
 
 
+@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_damaged_log_gives_all_that_is_whole_and_says_where_some_is_missing(
+    tmp_path: Path, number: int, raw: bool
+) -> None:
+    path = damaged_log(tmp_path / "a.mcap", number)
+    records: list[Record] = []
+    with pytest.raises(DamageError, match=r"damaged at byte \d+: .* all else was read"):
+        records.extend(Reading([str(path)], ReadingOptions(raw=raw)).records())
+    assert [one.outcome.value for one in _transactions(records)] == ["ok", "ok"]
+    (hole,) = (record for record in records if isinstance(record, WireEvent))
+    assert hole.kind is EventKind.GAP
+    assert "are damaged and left out" in hole.message
+    assert records.index(hole) == number
+
+
+def test_a_request_is_not_joined_to_a_response_behind_damage(tmp_path: Path) -> None:
+    first, second = exchange(0), exchange(1000)
+    path = damaged(tmp_path / "a.mcap", [first[:1], [first[1], second[0]], second[1:]], 1)
+    records: list[Record] = []
+    with pytest.raises(DamageError):
+        records.extend(Reading([str(path)], ReadingOptions(raw=True)).records())
+    assert [getattr(one, "outcome", None) or one.kind for one in records] == [  # type: ignore[union-attr]
+        "no-answer", "gap", "unsolicited",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_log_whose_profile_is_damaged_is_read_as_without_it(tmp_path: Path, raw: bool) -> None:
+    path = _serial_log(tmp_path / "a.mcap", "1=idec-ft1a-touch")
+    data = path.read_bytes()
+    ((offset, size),) = records_of(data, Opcode.ATTACHMENT)
+    path.write_bytes(changed(data, offset + 9 + size // 2))
+    records: list[Record] = []
+    with pytest.raises(DamageError, match=r"an attachment whose CRC is wrong; .* all else"):
+        records.extend(Reading([str(path)], ReadingOptions(raw=raw)).records())
+    assert len(_transactions(records)) == len(records) == 2
+    assert {one.device for one in _transactions(records)} == {None if raw else "idec-ft1a-touch"}
+
+
 def _read_of(tmp_path: Path) -> NamedTransaction:
     path = tmp_path / "one.pcap"
     path.write_bytes(capture_file(1))
@@ -334,3 +386,67 @@ def test_a_reading_that_is_left_early_closes_its_file(tmp_path: Path) -> None:
     assert reading.fraction is not None
     del records
     assert reading.fraction is None
+
+
+RTU = parse_line("rtu@19200-8E1")
+_BUS = b"".join(chunk.data for chunk in [*exchange(0), *exchange(100, READ, REFUSED)])
+_TIMES = "t_start_s,t_end_s,line,byte_hex\n" + "".join(
+    f"{number * 11 / 19200 + (0.01 if number >= 8 else 0):.7f},"
+    f"{(number * 11 + 8) / 19200 + (0.01 if number >= 8 else 0):.7f},rx,{byte:02x}\n"
+    for number, byte in enumerate(b"".join(chunk.data for chunk in exchange(0)))
+)
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, zstandard.compress])
+@pytest.mark.parametrize("content", [_BUS, _BUS.hex(" ").encode()])
+def test_reads_the_bytes_of_a_line_that_the_user_names(
+    tmp_path: Path, pack: Callable[[bytes], bytes], content: bytes
+) -> None:
+    path = tmp_path / "bench.bin"
+    path.write_bytes(pack(content))
+    good, refused = _transactions(_read(path, line=RTU))
+    assert (good.link, good.response_values) == ("bench", [0x1234, 0x5678])
+    assert refused.exception == 2
+    with pytest.raises(InputError, match="--link rtu@19200-8E1"):
+        _read(path)
+
+
+def test_reads_byte_times_with_what_they_show_of_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text(_TIMES)
+    (one,) = _transactions(_read(path))
+    assert one.response_values == [0x1234, 0x5678]
+    assert one.latency_ns == pytest.approx(10_000_000, abs=1000)
+    assert one.start_ns == pytest.approx(8 * 11 * 1_000_000_000 // 19200, abs=1000)
+
+
+def test_each_file_of_bytes_is_a_line_of_its_own(tmp_path: Path) -> None:
+    request, response = (chunk.data for chunk in exchange(0))
+    paths = [tmp_path / "a" / "bench.bin", tmp_path / "b" / "bench.bin"]
+    for path, data in zip(paths, (request, response), strict=True):
+        path.parent.mkdir()
+        path.write_bytes(data)
+    options = ReadingOptions(line=RTU)
+    found = _transactions(list(Reading([str(path) for path in paths], options).records()))
+    assert [one.outcome for one in found] == ["no-answer", "unsolicited"]
+
+
+@pytest.mark.parametrize(
+    ("text", "row"), [(_TIMES + "0.2,0.3,rx,zz\n", 19), (_TIMES + "0.2,0.3\n", 19)]
+)
+def test_what_comes_before_a_wrong_row_is_given(tmp_path: Path, text: str, row: int) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text(text)
+    records: list[Record] = []
+    with pytest.raises(InputError, match=f"row {row}: "):
+        records.extend(Reading([str(path)], ReadingOptions()).records())
+    assert len(_transactions(records)) == 1
+
+
+def test_a_cut_packed_file_of_bytes_gives_what_comes_before(tmp_path: Path) -> None:
+    path = tmp_path / "bench.bin.gz"
+    path.write_bytes(gzip.compress(_BUS)[:-8])
+    records: list[Record] = []
+    with pytest.raises(CutError, match="the compressed stream ends"):
+        records.extend(Reading([str(path)], ReadingOptions(line=RTU)).records())
+    assert len(_transactions(records)) == 2

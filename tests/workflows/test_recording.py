@@ -116,6 +116,32 @@ def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
     assert path.read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("name", "right"),
+    [
+        ("x.pcap", "x.mcap"),
+        ("x.PCAPNG", "x.mcap"),
+        ("a.b.jsonl", "a.b.mcap"),
+        ("x.csv", "x.mcap"),
+    ],
+)
+def test_a_name_that_says_another_kind_of_file_is_refused(
+    tmp_path: Path, name: str, right: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        begin_log(str(tmp_path / name), LINKS, DEVICES)
+    assert str(caught.value) == (
+        f"{tmp_path / name}: a log is an MCAP file: name it {tmp_path / right}"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x", "x.log", "2026.11.21"])
+def test_a_log_may_have_any_other_name(tmp_path: Path, name: str) -> None:
+    begin_log(str(tmp_path / name), LINKS, DEVICES).close()
+    assert (tmp_path / name).exists()
+
+
 @pytest.mark.parametrize("rotation", ["often", "0MB", "100", ""])
 def test_a_wrong_rotation_leaves_no_log(tmp_path: Path, rotation: str) -> None:
     with pytest.raises(UsageError, match="for example 100MB or 1h"):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import CutError, InputError, UsageError, parse_link
+from mbtool.core import CutError, DamageError, InputError, UsageError, parse_line, parse_link
 from mbtool.modbus import mbap_adu
 from mbtool.replay import OnMiss
 from mbtool.slave import TcpSlave
@@ -15,7 +15,15 @@ from mbtool.workflows.reading import ReadingOptions
 from mbtool.workflows.replaying import read_recording, recorded_slave
 from mbtool.workflows.where import parse_where
 from tests.packets.building import MASTER, End, Talk, pcap
-from tests.workflows.evidence import READ, VALUES, WRITE, capture_file, captured
+from tests.workflows.evidence import (
+    READ,
+    VALUES,
+    WRITE,
+    capture_file,
+    captured,
+    damaged_log,
+    exchange,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,8 +42,8 @@ def _on_two_slaves() -> bytes:
     return pcap(packets)
 
 
-def _recording(path: Path, where: str = "unit >= 0") -> tuple[Recording, list[CutError]]:
-    cuts: list[CutError] = []
+def _recording(path: Path, where: str = "unit >= 0") -> tuple[Recording, list[InputError]]:
+    cuts: list[InputError] = []
     return read_recording(str(path), ReadingOptions(), parse_where(where), cuts.append), cuts
 
 
@@ -84,7 +92,7 @@ def test_a_recording_without_a_request_is_refused(
 ) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(exchanges))
-    with pytest.raises(UsageError, match=r"a\.pcap: no request to play an answer for"):
+    with pytest.raises(InputError, match=r"a\.pcap: no request to play an answer for"):
         _recording(path, where)
 
 
@@ -92,8 +100,22 @@ def test_a_cut_recording_is_played_as_far_as_it_goes(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(pcap(captured(2))[:-1])
     recording, cuts = _recording(path)
-    assert len(cuts) == 1
+    assert [type(cut) for cut in cuts] == [CutError]
     assert len(recording.answers[1, READ]) == 2
+
+
+@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("raw", [False, True])
+def test_of_a_damaged_log_what_is_there_is_played(tmp_path: Path, number: int, raw: bool) -> None:
+    path = damaged_log(tmp_path / "a.mcap", number)
+    told: list[InputError] = []
+    recording = read_recording(
+        str(path), ReadingOptions(raw=raw), parse_where("unit >= 0"), told.append
+    )
+    assert len(recording.answers[1, READ]) == 2
+    (error,) = told
+    assert isinstance(error, DamageError)
+    assert "all else was read" in str(error)
 
 
 def test_a_recording_that_is_not_there_is_named(tmp_path: Path) -> None:
@@ -113,3 +135,13 @@ def test_a_recording_cannot_be_played_on_an_interface(tmp_path: Path) -> None:
             speed=1.0,
             allow_remote=False,
         )
+
+
+def test_the_bytes_of_a_line_are_a_recording_like_any_other(tmp_path: Path) -> None:
+    path = tmp_path / "bench.bin"
+    path.write_bytes(b"".join(chunk.data for chunk in exchange(0)))
+    options = ReadingOptions(line=parse_line("rtu@19200-8E1"))
+    recording = read_recording(str(path), options, parse_where("unit >= 0"), lambda _: None)
+    assert recording.units == {1}
+    ((answer,),) = recording.answers.values()
+    assert answer.pdu == VALUES

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import InputError, UsageError, parse_link
+from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import load_profile
 from mbtool.slave import TcpSlave
 from mbtool.workflows.asking import TcpMaster
-from mbtool.workflows.serving import device_slave
+from mbtool.workflows.serving import device_slave, slave_link
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,10 +40,15 @@ def test_other_units_get_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
         assert master.ask(8, READ) is None
 
 
-@pytest.mark.parametrize("link", ["net:eth0", "tap:127.0.0.1:0=10.0.0.9"])
+@pytest.mark.parametrize("link", ["net:eth0", "tap:127.0.0.1:0=10.0.0.9", "rtu:x@auto"])
 def test_a_link_that_no_slave_can_be_on_is_refused(link: str) -> None:
-    with pytest.raises(UsageError, match="a slave needs rtu:PORT, ascii:PORT, tcp:HOST:PORT or"):
+    with pytest.raises(UsageError, match=f"a slave needs {re.escape(ANSWERED)}"):
         device_slave(TOUCH, parse_link(link))
+
+
+def test_a_link_with_two_ports_is_refused() -> None:
+    with pytest.raises(UsageError, match="two ports can only listen; to answer, name one"):
+        slave_link(parse_link("rtu:/dev/a,/dev/b@9600"))
 
 
 def test_others_are_let_in_only_with_leave() -> None:

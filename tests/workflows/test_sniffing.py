@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from mbtool.core import (
     LinkError,
     LinkSpec,
     OutputError,
+    SerialFormat,
     SerialLink,
     TapLink,
     UsageError,
@@ -26,7 +28,8 @@ from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
 from mbtool.workflows.sniffing import Sniffer, serial_lines
-from tests.workflows.bench import ANY, Bench, ask, speak, until
+from tests.sources.live_helpers import stop_marking
+from tests.workflows.bench import ANY, Bench, ask, call_in_vain, speak, until
 from tests.workflows.evidence import READ, VALUES, WRITE
 
 if TYPE_CHECKING:
@@ -101,6 +104,46 @@ def test_hears_several_links_at_once(bench: Bench, tmp_path: Path) -> None:
         ask(sniffer, WRITE)
         records = _run(sniffer, 2)
     assert {one.link for one in _transactions(records)} == {link.name, tap.name}
+
+
+def test_a_slave_that_cannot_be_reached_is_told_once_and_logged_each_time(
+    bench: Bench, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    tap = bench.refusing_tap()
+    told: list[WireEvent] = []
+    records: list[Record] = []
+    with _sniffer(tap, log=path, on_refused=told.append) as sniffer:
+        call_in_vain(sniffer, 3)
+        stop = until(records, lambda found: len(found) >= 3)
+        for record in sniffer.records(stop):
+            records.append(record)
+    events = [one for one in records if isinstance(one, WireEvent)]
+    assert [one.kind for one in events] == [EventKind.REFUSED] * 3
+    why = f"{tap.target} cannot be reached: Connection refused"
+    assert {one.message for one in events} == {why}
+    assert told == events[:1]
+    assert list(Reading([str(path)], ReadingOptions()).records()) == records
+
+
+def test_a_slave_that_is_lost_a_second_time_is_told_a_second_time() -> None:
+    told: list[WireEvent] = []
+    sniffer = _sniffer(on_refused=told.append)
+    events = [
+        WireEvent(ts_ns=number, link="10.0.0.9", kind=kind, message=message)
+        for number, (kind, message) in enumerate(
+            [
+                (EventKind.REFUSED, "no answer"),
+                (EventKind.REFUSED, "refused"),
+                (EventKind.REFUSED, "refused"),
+                (EventKind.OPENED, ""),
+                (EventKind.REFUSED, "refused"),
+            ]
+        )
+    ]
+    for event in events:
+        list(sniffer._logged([event]))
+    assert [one.ts_ns for one in told] == [0, 1, 4]
 
 
 def test_says_where_a_tap_listens_that_asked_for_any_port(bench: Bench) -> None:
@@ -297,3 +340,28 @@ def test_two_links_of_one_name_are_refused(links: tuple[str, ...]) -> None:
 def test_serial_links_are_known_by_the_name_their_bytes_carry() -> None:
     serial, tap = parse_link("rtu:/dev/ttyUSB0@9600-8N2"), TapLink(ANY, Endpoint("10.0.0.9", 502))
     assert serial_lines([serial, tap]) == {"ttyUSB0": serial}
+
+
+def _has_damage(records: list[Record]) -> bool:
+    return any(getattr(one, "kind", None) is EventKind.LINE_ERROR for one in records)
+
+
+def test_damage_that_the_driver_tells_is_shown_and_logged(tmp_path: Path) -> None:
+    near, far = os.openpty()
+    link = SerialLink(os.ttyname(far), SerialFormat())
+    path = tmp_path / "a.mcap"
+    records: list[Record] = []
+    try:
+        with _sniffer(link, log=path) as sniffer:
+            stop_marking(link.port)
+            os.write(near, b"\xff\x00\xf8")  # What a driver gives for a damaged F8.
+            for record in sniffer.records(until(records, _has_damage)):
+                records.append(record)
+    finally:
+        os.close(near)
+        os.close(far)
+    (damage,) = [
+        one for one in records if isinstance(one, WireEvent) and one.kind is EventKind.LINE_ERROR
+    ]
+    assert damage.message == "parity or framing error at byte F8H"
+    assert damage in list(Reading([str(path)], ReadingOptions()).records())

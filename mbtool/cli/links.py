@@ -1,0 +1,84 @@
+"""mbtool links: what there is to open here."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core.here import InterfaceHere, SerialPortHere
+
+
+class LinksFormat(StrEnum):
+    """How ports and interfaces are printed."""
+
+    TABLE = "table"
+    JSONL = "jsonl"
+
+
+def links(
+    format_: Annotated[
+        LinksFormat, typer.Option("--format", help="How to print.")
+    ] = LinksFormat.TABLE,
+) -> None:
+    """List serial ports and interfaces, and what is in their way.
+
+    For each the LINK to give, what would spoil its timing, who holds it, what is not permitted, and
+    the command against it. Nothing is opened, and nothing is changed.
+    """
+    from mbtool.cli.talk import say
+    from mbtool.sources.interfaces_here import interfaces_here
+    from mbtool.sources.ports_here import ports_here
+
+    ports, interfaces = ports_here(), interfaces_here()
+    if format_ is LinksFormat.JSONL:
+        _print_json_lines(ports, interfaces)
+    else:
+        _print_tables(ports, interfaces)
+    if not ports:
+        say("no serial ports here; without hardware, mbtool line lays a virtual serial line")
+    elif ports[0].unseen_processes:
+        say(
+            f"processes that could not be asked what they hold: {ports[0].unseen_processes}; "
+            "sudo shows more"
+        )
+
+
+def _print_tables(ports: Sequence[SerialPortHere], interfaces: Sequence[InterfaceHere]) -> None:
+    from mbtool.cli.console import PipeConsole
+    from mbtool.views.links import print_interfaces, print_ports
+
+    console = PipeConsole()
+    if ports:
+        print_ports(console, ports)
+        console.print()
+    print_interfaces(console, interfaces)
+
+
+def _print_json_lines(ports: Sequence[SerialPortHere], interfaces: Sequence[InterfaceHere]) -> None:
+    """One object to a line, without what does not apply or is not known."""
+    for port in ports:
+        _print_json({"kind": "serial", "link": port.link, **_fields(port)})
+    for one in interfaces:
+        told = {"kind": "interface", "link": one.link, **_fields(one)}
+        _print_json({**told, "may_capture": one.may_capture})
+
+
+def _fields(here: SerialPortHere | InterfaceHere) -> dict[str, Any]:
+    return asdict(
+        here,
+        dict_factory=lambda pairs: {
+            key: value for key, value in pairs if value is not None and value != "" and value != ()
+        },
+    )
+
+
+def _print_json(record: dict[str, Any]) -> None:
+    # Not by msgspec: a name that is no UTF-8, which an interface may have, must not fail here.
+    typer.echo(json.dumps(record, separators=(",", ":")))

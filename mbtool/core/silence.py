@@ -1,0 +1,65 @@
+"""How long a line is silent, as a user or a manual says it: 28bits, 3.5chars, 5ms, 750us."""
+
+# Bits and characters depend on the line's baud rate and format, so a silence keeps the unit it was
+# given in, and a manual's 28 bit times mean the same at 9600 and at 19200 baud.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from decimal import Decimal
+from enum import StrEnum
+from typing import Self
+
+from mbtool.core.errors import UsageError
+
+_PATTERN = re.compile(r"(?P<amount>\d{1,6}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
+
+MAX_NS = 1_000_000_000
+"""No line is silent for longer between two frames because it must be."""
+
+
+class SilenceUnit(StrEnum):
+    """What a silence is counted in."""
+
+    BITS = "bits"
+    CHARACTERS = "chars"
+    MILLISECONDS = "ms"
+    MICROSECONDS = "us"
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """An amount and its unit."""
+
+    amount: Decimal
+    unit: SilenceUnit
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read `28bits`, `3.5chars`, `5ms` or `750us`. Raises UsageError."""
+        match = _PATTERN.fullmatch(text.strip().lower())
+        if match is None or not Decimal(match["amount"]):
+            raise UsageError(
+                f"silence {text!r}: write a number and bits, chars, ms or us, "
+                "for example 28bits or 5ms"
+            )
+        return cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
+
+    def ns(self, baud: int, character_bits: int) -> int:
+        """How long it is on a line of this baud rate and character."""
+        match self.unit:
+            case SilenceUnit.BITS:
+                return int(self.amount * 1_000_000_000 / baud)
+            case SilenceUnit.CHARACTERS:
+                return int(self.amount * character_bits * 1_000_000_000 / baud)
+            case SilenceUnit.MILLISECONDS:
+                return int(self.amount * 1_000_000)
+            case SilenceUnit.MICROSECONDS:
+                return int(self.amount * 1_000)
+
+    def __str__(self) -> str:
+        amount = f"{self.amount:f}"
+        if "." in amount:
+            amount = amount.rstrip("0").rstrip(".")
+        return f"{amount}{self.unit}"

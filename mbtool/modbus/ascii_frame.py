@@ -1,0 +1,96 @@
+"""Reads one frame of a Modbus ASCII line, also one that is not quite as the standard wants it."""
+
+# A frame is a colon, two hexadecimal digits for each byte, the LRC among them, CR and LF (Serial
+# Line V1.02, 2.5.2.1). Devices differ: some write small digits, some leave out CR or LF, and
+# function 08, sub-function 3 puts another character in the place of LF. All of these are read; what
+# is unusual about them is kept beside the bytes.
+#
+# A port with 8 data bits that hears a line with 7 finds in bit 7 of each character the parity bit,
+# or the first of two stop bits. Such a frame is read without it, but only where bit 7 is the same
+# in every character (even or odd parity, or always set): otherwise it is damage.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from mbtool.modbus.adu import Checksum
+from mbtool.modbus.framing import lrc
+
+CR = 0x0D
+LF = 0x0A
+SEVEN_BITS = bytes(character & 0x7F for character in range(256))
+"""Translates characters to what they are without bit 7."""
+_ODD_ONES = bytes(character.bit_count() & 1 for character in range(256))
+
+_MIN_BYTES = 3
+"""Unit, function code and LRC."""
+_FRAME = re.compile(
+    rb":((?:[0-9A-Fa-f]{2}){%d,})(\r[^:]?|\n)" % _MIN_BYTES,
+    re.DOTALL,
+)
+_INSIDE = re.compile(rb":(.*?)(?:\r?\n|\r.?)?", re.DOTALL)
+_NO_DIGIT = re.compile(rb"[^0-9A-Fa-f]")
+
+
+@dataclass(frozen=True, slots=True)
+class AsciiFrame:
+    """What the characters of a frame say, its LRC right or wrong."""
+
+    digits: bytes
+    end: bytes
+    """CR and one more character, or one of the two alone."""
+    body: bytes
+    """Unit and PDU."""
+    checksum: Checksum
+    parity_in_data: bool
+    """Whether bit 7 of its characters was a parity bit."""
+
+    @property
+    def is_lower_case(self) -> bool:
+        return self.digits != self.digits.upper()
+
+
+def read_frame(raw: bytes, *, eight_bits: bool = True) -> AsciiFrame | None:
+    """Read a whole frame, or None where it is none. `eight_bits` says what the port passes on."""
+    match, parity_in_data = _FRAME.fullmatch(raw), False
+    if match is None and eight_bits and _has_parity(raw):
+        match, parity_in_data = _FRAME.fullmatch(raw.translate(SEVEN_BITS)), True
+    if match is None:
+        return None
+    digits, end = match.groups()
+    binary = bytes.fromhex(digits.decode("ascii"))
+    checksum = Checksum(binary[-1], lrc(binary[:-1]))
+    return AsciiFrame(digits, end, binary[:-1], checksum, parity_in_data)
+
+
+def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
+    """What is wrong with characters from a colon to an end that are no frame."""
+    seen = raw.translate(SEVEN_BITS) if eight_bits and _has_parity(raw) else raw
+    inside = _INSIDE.fullmatch(seen)
+    digits = inside[1] if inside else seen[1:]
+    wrong = _NO_DIGIT.search(digits)
+    if wrong is not None:
+        # The colon is the first character, so the first digit is the second.
+        return (
+            f"a frame with {_named(wrong[0][0])} as its character {wrong.start() + 2}, "
+            "where a hexadecimal digit would be right"
+        )
+    if len(digits) % 2:
+        return f"a frame with {len(digits)} hexadecimal digits, where two make a byte"
+    return (
+        f"a frame with {len(digits) // 2} bytes, where unit, function and LRC are {_MIN_BYTES} "
+        "at least"
+    )
+
+
+def _has_parity(raw: bytes) -> bool:
+    """Whether bit 7 is set somewhere, and everywhere as one kind of parity sets it."""
+    if raw.isascii():
+        return False
+    return len(set(raw.translate(_ODD_ONES))) == 1 or min(raw) >= 0x80
+
+
+def _named(character: int) -> str:
+    printed = f"'{chr(character)}' ({character:02X}H)"
+    return printed if 0x20 < character < 0x7F else f"{character:02X}H"

@@ -1,0 +1,65 @@
+"""What a request lets one expect of its response, as bytes."""
+
+# From the request's form (V1.1b3, section 6): with which bytes its response begins and how long it
+# is. This is asked of each frame on a line, so nothing is parsed.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.packing import bit_bytes
+
+UNKNOWN_SIZE = 0
+
+_ECHOED = frozenset({0x05, 0x06, 0x15, 0x16})
+_REGISTERS = frozenset({0x03, 0x04, 0x17})
+_BITS = frozenset({0x01, 0x02})
+_ADDRESS_AND_QUANTITY_ECHOED = frozenset({0x0F, 0x10})
+_FIXED = {0x07: 2, 0x0B: 5}
+_QUERY_DATA, _FORCE_LISTEN_ONLY = 0, 4
+"""Sub-functions of 08; the second is the one that nobody answers (V1.1b3, 6.8)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """The response that a request asks for."""
+
+    code: int
+    head: bytes
+    """How its PDU begins."""
+    size: int = UNKNOWN_SIZE
+    """How long its PDU is; UNKNOWN_SIZE where only the response itself says."""
+
+    @classmethod
+    def of(cls, request: bytes) -> Expectation | None:
+        """Read a request's PDU; None where nobody answers it."""
+        code = request[0]
+        if code in _ECHOED:
+            return cls(code, request, len(request))
+        if code in _REGISTERS or code in _BITS:
+            quantity = int.from_bytes(request[3:5])
+            count = 2 * quantity if code in _REGISTERS else bit_bytes(quantity)
+            # More than a byte can count has no response but an exception: no PDU is so long.
+            return cls(code, bytes((code, count & 0xFF)), 2 + count)
+        if code in _ADDRESS_AND_QUANTITY_ECHOED:
+            return cls(code, request[:5], 5)
+        if code == 0x08:
+            sub_function = int.from_bytes(request[1:3])
+            if sub_function == _FORCE_LISTEN_ONLY:
+                return None
+            echoed = request if sub_function == _QUERY_DATA else request[:3]
+            return cls(code, echoed, len(request))
+        if code == 0x2B:
+            return cls(code, request[:2])
+        return cls(code, request[:1], _FIXED.get(code, UNKNOWN_SIZE))
+
+    def fits(self, pdu: bytes) -> bool:
+        """Whether a PDU can be the response, or an exception response to the request."""
+        if pdu[0] == self.code:
+            return pdu.startswith(self.head) and self.size in (UNKNOWN_SIZE, len(pdu))
+        return len(pdu) == 2 and self.is_named_by(pdu[0])
+
+    def is_named_by(self, code: int) -> bool:
+        """Whether a function code is the request's, as it is or as an exception's."""
+        return code in (self.code, self.code | EXCEPTION_BIT)

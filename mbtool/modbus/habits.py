@@ -1,0 +1,53 @@
+"""What a line and its adapter do often, learned from the frames heard."""
+
+from __future__ import annotations
+
+from math import log2
+
+_PACE = 1 / 32
+"""How much one frame counts: after a few dozen the line's own habit prevails."""
+
+
+class Habit:
+    """How often something is seen at a frame, as what it costs to suppose it."""
+
+    __slots__ = ("_least", "_most", "_often", "bits")
+
+    def __init__(self, bits: float, limits: tuple[float, float]) -> None:
+        """`bits` is what it costs before anything was heard."""
+        self._least, self._most = limits
+        self._often: float = 2**-bits
+        self.bits = bits
+
+    def learn(self, *, seen: bool) -> None:
+        """Note one more frame."""
+        self._often += (seen - self._often) * _PACE
+        self.bits = (
+            min(max(-log2(self._often), self._least), self._most) if self._often else self._most
+        )
+
+
+class Latency:
+    """How long slaves on this line take to answer."""
+
+    __slots__ = ("_heard", "_longest_ns")
+
+    FIRST_NS = 200_000_000
+    """Supposed to be the longest while few responses were heard: slow devices take as long."""
+    LEAST_NS = 10_000_000
+    """No line is supposed to be faster, since an adapter hands over what it heard in blocks."""
+    FEW = 16
+
+    def __init__(self) -> None:
+        self._heard = 0
+        self._longest_ns = float(self.LEAST_NS)
+
+    def learn(self, latency_ns: int) -> None:
+        """Note one more response. The longest is forgotten slowly."""
+        self._heard += 1
+        self._longest_ns = max(latency_ns, self._longest_ns * 0.998, self.LEAST_NS)
+
+    def octaves_late(self, silence_ns: int) -> float:
+        """How many doublings a silence is above the longest latency; below 0 for a shorter one."""
+        longest_ns = max(self._longest_ns, self.FIRST_NS if self._heard < self.FEW else 0)
+        return log2(max(silence_ns, 1) / longest_ns)

@@ -1,0 +1,449 @@
+"""Explains the bytes heard on an RTU line as a whole: frames, damage, noise, and what is open."""
+
+# A CRC alone finds no frames: every valid frame that ends in 00 is valid one byte shorter, and any
+# valid frame before a 00 is valid one byte longer. So each place of a window is asked what may
+# begin there: frames of the length that their function has as a request or a response and whose CRC
+# is right; frames of no known form that the CRC and the silences bound; damaged frames; a frame
+# whose end is still to come; a byte that belongs to none. The cheapest row of such pieces from the
+# first byte to the last is taken, where a piece costs what speaks against it (weights.py) under the
+# turn that the pieces before it lead to (turns.py).
+#
+# At each place the BEAM cheapest rows are kept, and none that is weights.MARGIN bits above one that
+# has come further; so the search goes from frame to frame where all is well, and looks at every
+# byte only where it is not. Its work is bounded by the window: at most BEAM rows a place, and for
+# each at most a dozen pieces.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import takewhile
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.modbus import weights
+from mbtool.modbus.adu import MAX_RTU_ADU
+from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
+from mbtool.modbus.habits import Habit
+from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
+from mbtool.modbus.turns import ROLES, Turn, Turns, is_counted, likelihood
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+
+BEAM = 4
+DOUBT = 6.0
+"""Bits: what is so much dearer raises no doubt."""
+MOST_UNKNOWN_ENDS = 3
+"""Ends that are tried of a frame whose function no table knows."""
+LOST_BYTES = (1, 2)
+"""How many bytes a damaged frame is supposed to have lost."""
+LONG_SKIP = 4
+"""Skipped bytes after which the turn is in doubt: a damaged frame may be among them."""
+
+_NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
+_QUERY_DATA = b"\x08\x00\x00"
+"""Sub-function 0 of 08 may be longer than usual, and nothing tells how long (V1.1b3, 6.8.1)."""
+
+
+class Kind(Enum):
+    """What a piece is."""
+
+    FRAME = "frame"
+    DAMAGED = "damaged"
+    SKIPPED = "skipped"
+    OPEN = "open"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of the window."""
+
+    kind: Kind
+    place: int
+    size: int
+    role: Direction = Direction.UNKNOWN
+    roles: tuple[Direction, ...] = ()
+    """Those whose form a frame has."""
+    confidence: float = 1.0
+    """How sure it is that no other row of pieces explains these bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Bytes of a line, with when each arrived."""
+
+    data: bytes
+    times: Sequence[int]
+    character_ns: int
+    silences: Sequence[bool]
+    """Whether a silence of t3.5 stands before each byte; of the first, and behind the last."""
+    is_behind_noise: bool
+    """Whether what was given out last belongs to no frame."""
+    may_go_on: bool
+    """Whether a frame whose end is not here may still be completed."""
+
+    def start_ns(self, place: int) -> int:
+        return self.times[place] - self.character_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """What the line does often."""
+
+    skip: Habit
+    glue: Habit
+    tear: Habit
+
+
+@dataclass(slots=True, eq=False)
+class _Row:
+    """Pieces from the first byte to a place, the last of them first."""
+
+    cost: float
+    turn: Turn
+    before: _Row | None
+    piece: Piece | None
+    skipped: int = 0
+    """How many bytes were skipped up to here."""
+    runs: int = 0
+    """How often bytes were skipped before: each time makes the next likelier."""
+    is_anchored: bool = False
+    """Whether a frame ends here, so that another is likely to begin."""
+    rivals: tuple[_Row, ...] = ()
+    """Rows that lead to the same turn and are nearly as cheap."""
+
+
+@dataclass(slots=True)
+class _Frame:
+    size: int
+    role: Direction
+    roles: tuple[Direction, ...]
+    cost: float
+
+
+class Tiling:
+    """The search over one window."""
+
+    def __init__(
+        self, window: Window, turns: Turns, habits: Habits, roles: tuple[Direction, ...] = ROLES
+    ) -> None:
+        self._window = window
+        self._data = window.data
+        self._end = len(window.data)
+        self._turns = turns
+        self._habits = habits
+        self._roles = roles
+        self._is_known = len(roles) == 1
+        """Whether it is known who speaks, so that no turn matters."""
+        self._rows: list[list[_Row]] = [[] for _ in range(self._end + 1)]
+        self._lowest = [float("inf")] * (self._end + 1)
+        self._reach = float("inf")
+        """What a row may cost at most beside one that has come further."""
+        self._found: dict[int, list[_Frame]] = {}
+        self._torn = [0] * (self._end + 2)
+        for place in range(1, self._end + 1):
+            self._torn[place + 1] = self._torn[place] + window.silences[place]
+
+    def pieces(self) -> list[Piece]:
+        """The cheapest explanation, in order, without a hole."""
+        skipped = int(self._window.is_behind_noise)
+        self._rows[0] = [_Row(0.0, self._turns.turn, None, None, skipped, 0, not skipped)]
+        for place in range(self._end):
+            rows = self._rows[place]
+            if rows:
+                ahead = min(self._lowest[place + 1 : place + MAX_RTU_ADU + 1])
+                self._reach = ahead + weights.MARGIN
+                rows = [row for row in rows if row.cost <= self._reach]
+                if rows:
+                    self._go_on(place, rows)
+                self._rows[place] = []
+        ends = sorted(self._rows[self._end], key=lambda row: row.cost)
+        return list(_merged(_with_doubts(ends)))
+
+    def _add(self, place: int, row: _Row) -> None:
+        """Keep a row, if none that leads to the same turn is cheaper."""
+        if row.cost > self._reach:
+            return
+        rows = self._rows[place]
+        for index, other in enumerate(rows):
+            if bool(other.skipped) == bool(row.skipped) and other.turn == row.turn:
+                better, worse = (row, other) if row.cost < other.cost else (other, row)
+                if worse.cost - better.cost < DOUBT:
+                    better.rivals = (*better.rivals, worse)
+                rows[index] = better
+                break
+        else:
+            rows.append(row)
+            if len(rows) > BEAM:
+                rows.remove(max(rows, key=lambda one: one.cost))
+        if row.cost < self._lowest[place]:
+            self._lowest[place] = row.cost
+            self._reach = min(self._reach, row.cost + weights.MARGIN)
+
+    def _go_on(self, place: int, rows: list[_Row]) -> None:
+        """Lay every piece that may begin at a place."""
+        frames = self._frames(place)
+        silent = self._window.silences[place]
+        anchored = [row for row in rows if silent or row.is_anchored or self._is_due(row, place)]
+        unknown = list(self._unknown(place)) if anchored and not frames else []
+        starts = 0.0 if silent else self._habits.glue.bits
+        for row in rows:
+            turn = row.turn
+            if row.skipped >= LONG_SKIP and not turn.lost:
+                turn = turn.behind_damage()
+            for frame in frames:
+                self._lay_frame(place, row, turn, frame, starts)
+            if row in anchored:
+                for frame in unknown:
+                    self._lay_frame(place, row, turn, frame, starts)
+            if not frames and (silent or not row.skipped):
+                self._lay_damaged(place, row, turn, starts)
+            self._lay_open(place, row, turn, starts, is_unknown=bool(unknown))
+            self._lay_skip(place, row, bool(frames), bool(unknown))
+
+    def _is_due(self, row: _Row, place: int) -> bool:
+        """Whether a row leads to a request whose response may begin at a place."""
+        waiting = row.turn.waiting
+        return (
+            waiting is not None
+            and place + MIN_FRAME <= self._end
+            and waiting.is_named_by(self._data[place], self._data[place + 1])
+        )
+
+    def _lay_frame(self, place: int, row: _Row, turn: Turn, frame: _Frame, starts: float) -> None:
+        raw = self._data[place : place + frame.size]
+        unit, pdu = raw[0], raw[1:-2]
+        start_ns = self._window.start_ns(place)
+        cost = frame.cost + starts + self._tears(place, frame.size)
+        follows = turn
+        if not self._is_known:
+            end_ns = self._window.times[place + frame.size - 1]
+            cost += self._turns.weigh(turn, unit, pdu, frame.role, start_ns)
+            follows = self._turns.follow(turn, unit, pdu, frame.role, start_ns, end_ns)
+        piece = Piece(Kind.FRAME, place, frame.size, frame.role, frame.roles)
+        total = row.cost + cost
+        self._add(place + frame.size, _Row(total, follows, row, piece, 0, row.runs, True))
+
+    def _lay_open(
+        self, place: int, row: _Row, turn: Turn, starts: float, *, is_unknown: bool
+    ) -> None:
+        expected, cost = self._open(place, turn)
+        if cost is None:
+            return
+        size = self._end - place
+        cost += row.cost + starts
+        if self._frames(place) or is_unknown:
+            cost += weights.OPEN_OVER_FRAME
+        is_zero = size == 1 and self._data[place] == 0  # Noise, or the end of what was laid before.
+        if (row.is_anchored or self._window.silences[place]) and not is_zero:
+            cost += weights.WAIT + self._inside(place, size, known=expected)
+        else:
+            cost += self._tears(place, size) + size * weights.SKIP_MORE
+        self._add(self._end, _Row(cost, turn, row, Piece(Kind.OPEN, place, size)))
+
+    def _lay_damaged(self, place: int, row: _Row, turn: Turn, starts: float) -> None:
+        for size, cost in self._damaged(place, turn):
+            cost += starts + size * weights.SKIP_MORE
+            piece = Piece(Kind.DAMAGED, place, size)
+            lost = turn.behind_damage()
+            self._add(place + size, _Row(row.cost + cost, lost, row, piece, 0, row.runs))
+
+    def _lay_skip(self, place: int, row: _Row, is_frame: bool, is_unknown: bool) -> None:
+        if row.skipped:
+            cost = weights.SKIP_MORE
+        else:
+            cost = max(self._habits.skip.bits - row.runs, weights.SKIP_LIMITS[0])
+            if self._data[place] in _NOISE:
+                cost += weights.SKIP_NOISE
+        if is_frame:
+            cost += weights.COINCIDENCE
+        elif is_unknown:
+            cost += weights.UNKNOWN_COINCIDENCE
+        piece = Piece(Kind.SKIPPED, place, 1)
+        runs = row.runs + (not row.skipped)
+        self._add(place + 1, _Row(row.cost + cost, row.turn, row, piece, row.skipped + 1, runs))
+
+    def _tears(self, place: int, size: int) -> float:
+        torn = self._torn[place + size] - self._torn[place + 1]
+        return self._habits.tear.bits + (torn - 1) * weights.TORN_MORE if torn else 0.0
+
+    def _inside(self, place: int, size: int, *, known: bool) -> float:
+        """What it costs that silences stand inside a piece, and that frames begin there.
+
+        Registers may hold what looks like a frame, but not behind a silence, and hardly twice
+        where the piece is not `known` to be due.
+        """
+        silences = self._window.silences
+        inner = range(place + 1, place + size - MIN_FRAME + 1)
+        begins = sum(silences[at] and bool(self._frames(at)) for at in inner)
+        if not known:
+            begins = max(begins, sum(bool(self._frames(at)) for at in inner) - 1)
+        return self._tears(place, size) + weights.COINCIDENCE * begins
+
+    def _frames(self, place: int) -> list[_Frame]:
+        """Frames of known form with a correct CRC."""
+        frames = self._found.get(place)
+        if frames is None:
+            frames = self._found[place] = list(self._find_frames(place))
+        return frames
+
+    def _find_frames(self, place: int) -> Iterator[_Frame]:
+        head = self._data[place : place + MAX_RTU_ADU]
+        if len(head) < MIN_FRAME:
+            return
+        sizes = [(role, frame_size(head, role)) for role in self._roles]
+        for role, size in sizes:
+            if size and size <= len(head) and crc(head[:size]) == 0:
+                malformed = parse_pdu(head[1 : size - 2], role).problem is not None
+                roles = tuple(other for other, same in sizes if same == size)
+                yield _Frame(size, role, roles, weights.MALFORMED if malformed else 0.0)
+
+    def _unknown(self, place: int) -> Iterator[_Frame]:
+        """Frames that no known form bounds, but the silences or the CRC."""
+        head = self._data[place : place + MAX_RTU_ADU]
+        if len(head) < MIN_FRAME:
+            return
+        burst = self._burst(place) if self._window.silences[place] else 0
+        if burst >= MIN_FRAME and crc(head[:burst]) == 0:
+            for role in self._roles:
+                odd = weights.MALFORMED if frame_size(head, role) else 0.0
+                cost = weights.UNKNOWN_BETWEEN_SILENCES + odd
+                yield _Frame(burst, role, self._roles, cost)
+        unsized = [role for role in self._roles if frame_size(head, role) == 0]
+        if head[1:4] == _QUERY_DATA:
+            unsized = list(self._roles)
+        if not unsized:
+            return
+        for size in crc_ends(head, MOST_UNKNOWN_ENDS):
+            if size == burst:
+                continue
+            zero = weights.ENDS_IN_ZERO if head[size - 1] == 0 else 0.0
+            for role in unsized:
+                yield _Frame(size, role, self._roles, weights.UNKNOWN + zero)
+
+    def _burst(self, place: int) -> int:
+        """How many bytes there are up to the next silence; 0 where none stands near."""
+        for size in range(1, min(MAX_RTU_ADU, self._end - place) + 1):
+            if self._window.silences[place + size]:
+                return size
+        return 0
+
+    def _damaged(self, place: int, turn: Turn) -> Iterator[tuple[int, float]]:
+        """Sizes of frames that may have been damaged, with what that costs."""
+        head = self._data[place : place + MAX_RTU_ADU]
+        if len(head) < MIN_FRAME:
+            return
+        for role in self._roles:
+            size = frame_size(head, role)
+            if not size or size > MAX_RTU_ADU:
+                continue
+            expected, cost = self._expected(head, size, role, turn)
+            if not expected:
+                cost += weights.UNEXPECTED
+            if size <= len(head) and crc(head[:size]) != 0:
+                yield size, weights.DAMAGED + cost + self._inside(place, size, known=expected)
+            if expected:
+                for lost in LOST_BYTES:
+                    if MIN_FRAME <= size - lost <= len(head):
+                        more = weights.DAMAGED_SIZE + self._inside(place, size - lost, known=True)
+                        yield size - lost, weights.DAMAGED + cost + more
+
+    def _expected(self, head: bytes, size: int, role: Direction, turn: Turn) -> tuple[bool, float]:
+        """Whether a frame that begins so is due, and what speaks for it beside that."""
+        pdu_size = size - RTU_EXTRA_BYTES if size else 0
+        unit, pdu = head[0], head[1 : 1 + pdu_size]
+        if role is Direction.REQUEST:
+            if pdu and len(pdu) == pdu_size and self._turns.was_asked(unit, pdu):
+                return True, weights.FORESEEN
+            if is_counted(head[1:]):
+                return True, 0.0
+        elif self._turns.foresees(turn, unit, head[1], pdu_size):
+            return True, weights.FORESEEN
+        return self._turns.expects(turn, unit, head[1], pdu_size, role), 0.0
+
+    def _open(self, place: int, turn: Turn) -> tuple[bool, float | None]:
+        """Whether the rest can be a frame that is due and has only begun, and what that costs."""
+        rest = self._end - place
+        if not self._window.may_go_on or rest >= MAX_RTU_ADU:
+            return False, None
+        head = self._data[place:]
+        begun = weights.OPEN + rest * weights.OPEN_MORE
+        if rest < 2:
+            return False, begun
+        least: tuple[bool, float | None] = False, None
+        for role in self._roles:
+            size = frame_size(head, role)
+            if size is None or rest < size <= MAX_RTU_ADU:
+                expected, cost = self._expected(head, size or 0, role, turn)
+                cost += begun + (0.0 if expected else weights.OPEN_UNEXPECTED)
+            elif size == 0 or head[1:4] == _QUERY_DATA[: rest - 1]:
+                expected, cost = False, begun + weights.OPEN_UNEXPECTED
+                cost += weights.UNKNOWN_BETWEEN_SILENCES
+            else:
+                continue
+            if least[1] is None or cost < least[1]:
+                least = expected, cost
+        return least
+
+
+def _with_doubts(ends: list[_Row]) -> Iterator[Piece]:
+    """The pieces of the cheapest row; those that a row nearly as cheap has not are less sure."""
+    best = list(_back(ends[0]))
+    doubts: dict[int, float] = {}
+    for row in best:
+        for rival in row.rivals if row is not ends[0] else (*row.rivals, *ends[1:]):
+            more = rival.cost - row.cost
+            if more < DOUBT and not _waits(rival, row):
+                for place in _differences(best, row, rival):
+                    doubts[place] = min(doubts.get(place, 1.0), likelihood(more))
+    for row in reversed(best):
+        piece = row.piece
+        if piece is not None:
+            doubt = doubts.get(piece.place) if piece.kind is Kind.FRAME else None
+            yield piece if doubt is None else replace(piece, confidence=doubt)
+
+
+def _back(end: _Row) -> Iterator[_Row]:
+    """A row and those it continues, down to the empty one."""
+    row: _Row | None = end
+    while row is not None:
+        yield row
+        row = row.before
+
+
+def _waits(rival: _Row, row: _Row) -> bool:
+    """Whether a rival only waits for more: that is no other explanation."""
+    return rival.piece is not None and rival.piece.kind is Kind.OPEN and rival.piece != row.piece
+
+
+def _differences(best: list[_Row], row: _Row, rival: _Row) -> list[int]:
+    """Where pieces begin that lead to a row and that its rival has not."""
+    known = {id(one) for one in best}
+    others = set()
+    for other in _back(rival):
+        if id(other) in known:
+            common = other
+            break
+        others.add(other.piece)
+    differing = takewhile(lambda one: one is not common, _back(row))
+    return [one.piece.place for one in differing if one.piece and one.piece not in others]
+
+
+def _merged(pieces: Iterator[Piece]) -> Iterator[Piece]:
+    """Join skipped bytes that stand side by side."""
+    skipped: Piece | None = None
+    for piece in pieces:
+        if piece.kind is Kind.SKIPPED and skipped is not None:
+            skipped = Piece(Kind.SKIPPED, skipped.place, skipped.size + piece.size)
+        elif piece.kind is Kind.SKIPPED:
+            skipped = piece
+        else:
+            if skipped is not None:
+                yield skipped
+                skipped = None
+            yield piece
+    if skipped is not None:
+        yield skipped

@@ -1,0 +1,100 @@
+"""What speaks for and against an explanation of the bytes on an RTU line, in bits."""
+
+# A bit is a factor of two in likelihood, so costs add where probabilities multiply. The cheapest
+# explanation of all bytes is taken (tiling.py). What a CRC proves is 16 bits; the other figures are
+# judgements, with their reasons. What a line teaches about itself (turns.py, habits.py) replaces
+# them within the limits given here.
+
+from __future__ import annotations
+
+# Whose turn it is.
+
+REQUEST = 1.0
+"""A request while none waits: what a line is made of."""
+NEW_REQUEST = 2.0
+"""More for a request that this line has not heard before: masters repeat a list."""
+ANSWER = 0.0
+"""The response that the waiting request asks for."""
+UNANSWERED = 5.0
+"""A request while another waits: about one in thirty on a bad line."""
+REPEATED = 4.0
+"""The same, with the very request that waits: a retry is the usual reason."""
+ASKED_AGAIN = 5.0
+"""A request right behind its answer, where no times tell it from a late second answer."""
+LATE_ANSWER = 2.0
+"""The response to a request that the master has already repeated."""
+WRONG_ANSWER = 10.0
+"""A response of the unit and function that wait, which does not fit what was asked."""
+STRAY_ANSWER = 12.0
+"""A response to nothing: another request waits, or none does."""
+ANSWER_WHEN_LOST = 4.0
+"""The same behind damage, in which its request may have gone unheard."""
+ANSWER_AT_START = 6.0
+"""The same as the first frame of a capture."""
+ECHO_OF_A_READ = 16.0
+"""A response of bits whose bytes are its very request: 24 bits would have to agree."""
+MALFORMED = 6.0
+"""The CRC is right and the form is not: a tester, or a device with ways of its own."""
+ODD_REQUEST = 3.0
+"""The form is that of a request, and it says what none does."""
+UNLIKELY_UNIT = 3.0
+"""Units 248 to 255 are reserved (Serial Line V1.02, 2.2)."""
+EARLY_REPEAT = 4.0
+"""A request behind another within the longest latency of the line: masters wait longer."""
+LATE = 3.0
+"""A response later than the longest latency of the line."""
+LATE_PER_OCTAVE = 3.0
+"""More for each doubling."""
+MOST_FOR_LATENESS = 8.0
+BACKWARDS = 6.0
+"""An echo that answers after a longer silence than the one before its request."""
+
+# Where frames are.
+
+SKIP = 8.0
+"""Bytes that belong to no frame begin: rare on a line that works. Learned, from 3 to 10."""
+SKIP_LIMITS = (3.0, 10.0)
+SKIP_NOISE = -1.0
+"""Less for 00, F8, FC, FE, FF: what a line that turns around makes a receiver hear."""
+SKIP_MORE = 0.25
+"""Each further such byte, and each of a damaged frame."""
+COINCIDENCE = 16.0
+"""A correct CRC that is not taken for a frame."""
+UNKNOWN_COINCIDENCE = 8.0
+"""The same of a frame whose length only its CRC tells."""
+DAMAGED = 10.0
+"""A frame of the right size with a wrong CRC."""
+DAMAGED_SIZE = 3.0
+"""More where it has lost bytes, or its size is that of its burst."""
+FORESEEN = -6.0
+"""Less for a damaged or incomplete frame of which more than two bytes are as foreseen: a request
+that was heard before up to its CRC, a response with the byte count that was asked for."""
+UNEXPECTED = 3.0
+"""More for a damaged frame that the turn does not expect."""
+OPEN = 0.5
+"""The beginning of a frame whose end is still to come: it costs little to wait."""
+WAIT = -4.0
+"""Less for one behind a silence or another frame: to wait for what is likely loses nothing."""
+OPEN_OVER_FRAME = 10.0
+"""More where a whole frame begins there: the byte that is to come would have to be 00."""
+OPEN_MORE = 0.1
+"""Each of its bytes: what is long in coming may not come."""
+OPEN_UNEXPECTED = 1.5
+"""More where the turn does not expect it."""
+GLUED = 2.0
+"""A frame without a silence before it. Learned, from 0.2 to 8."""
+GLUED_LIMITS = (0.2, 8.0)
+TORN = 2.0
+"""A silence of t3.5 inside a frame. Learned, from 0.2 to 5."""
+TORN_LIMITS = (0.2, 5.0)
+TORN_MORE = 0.25
+"""Each further one: an adapter that tears does it all along."""
+UNKNOWN_BETWEEN_SILENCES = 2.0
+"""A frame of no known form whose CRC is right, which is a whole burst."""
+UNKNOWN = 6.0
+"""The same, found by its CRC alone among 253 lengths: 8 bits of its 16 are used up."""
+ENDS_IN_ZERO = 5.0
+"""More for such a frame that ends in 00: without that byte its CRC is right too."""
+
+MARGIN = 12.0
+"""Explanations that are so much worse than another are given up."""

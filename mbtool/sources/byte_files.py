@@ -1,0 +1,111 @@
+"""Reads the bytes of a serial line from files without times: raw, or written as hexadecimal."""
+
+# Hexadecimal is pairs of digits, with or without 0x before them, parted by white space or commas or
+# by nothing at all, in rows of any length; from a # on, a row is a comment.
+#
+# Such bytes have no times (Stamp.UNKNOWN). They get some all the same, as if they had come back to
+# back at the line's speed, counted from 1970-01-01: they keep the order, say how far into the file
+# a byte stands, and are the same wherever the file is copied to. A date would be made up.
+#
+# Holds at most READ_BYTES of a file.
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
+
+from mbtool.core import Chunk, CutError, InputError, Stamp
+
+if TYPE_CHECKING:
+    import io
+    from collections.abc import Iterable, Iterator
+
+    from mbtool.core import LineSettings, WireEvent
+
+READ_BYTES = 4096
+
+_DIGITS = re.compile(rb"(?:0[xX])?((?:[0-9A-Fa-f]{2})+)")
+_PARTED = re.compile(rb"[\s,]+")
+_HALF = re.compile(rb"(?:0[xX])?[0-9A-Fa-f]*")
+_SHOWN = 20
+
+
+class SerialBytes(NamedTuple):
+    """The bytes of a serial line in a file, of whatever kind."""
+
+    line: LineSettings
+    """What the user says of the line, or else what the file shows."""
+    pieces: Iterator[Chunk | WireEvent]
+    """Raises InputError, CutError, OSError."""
+
+
+def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
+    """A file that is nothing but the bytes."""
+    return SerialBytes(line, _back_to_back(_blocks(stream), link, line))
+
+
+def read_hex(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
+    """A text that writes the bytes as hexadecimal."""
+    return SerialBytes(line, _back_to_back(_from_hex(stream, name), link, line))
+
+
+def _blocks(stream: BinaryIO) -> Iterator[bytes]:
+    # What a pipe brings is given on at once.
+    read = cast("io.BufferedIOBase", stream).read1
+    while data := read(READ_BYTES):
+        yield data
+
+
+def _back_to_back(parts: Iterable[bytes], link: str, line: LineSettings) -> Iterator[Chunk]:
+    character_ns = line.format.character_ns
+    count = 0
+    for data in parts:
+        count += len(data)
+        yield Chunk(ts_ns=count * character_ns, link=link, data=data, stamp=Stamp.UNKNOWN)
+
+
+def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
+    row = 1
+    in_comment = False
+    rest = b""
+    """The end of a piece that may go on in the next one of the same row."""
+    while piece := stream.readline(READ_BYTES):
+        is_whole = piece.endswith(b"\n")
+        text, sharp, _ = (b"" if in_comment else rest + piece).partition(b"#")
+        rest = b""
+        in_comment = (in_comment or bool(sharp)) and not is_whole
+        words = _PARTED.split(text)
+        last = words.pop()
+        if not is_whole and not in_comment:
+            # A word may go on in the next piece; of one without end, pairs are taken meanwhile.
+            even = len(last) // 2 * 2 if len(last) > _SHOWN else 0
+            words.append(last[:even])
+            rest = last[even:]
+        else:
+            words.append(last)
+        data = _all_pairs(words, name, row)
+        if data:
+            yield data
+        row += is_whole
+    if rest:
+        if _DIGITS.fullmatch(rest) is None and _HALF.fullmatch(rest):
+            raise CutError(f"{name}: ends in the middle of a byte, in row {row}")
+        yield _pairs(rest, name, row)
+
+
+def _all_pairs(words: list[bytes], name: str, row: int) -> bytes:
+    try:
+        return bytes.fromhex(b" ".join(words).decode("ascii"))
+    except ValueError:  # There is a 0x, or worse: one by one shows which.
+        return b"".join(_pairs(word, name, row) for word in words if word)
+
+
+def _pairs(word: bytes, name: str, row: int) -> bytes:
+    match = _DIGITS.fullmatch(word)
+    if match is None:
+        shown = ascii(word[:_SHOWN].decode("utf-8", "replace"))
+        raise InputError(
+            f"{name}: row {row}: {shown} is not made of pairs of hexadecimal digits, "
+            "as in 01 03 00 6B or 0103006B"
+        )
+    return bytes.fromhex(match[1].decode("ascii"))

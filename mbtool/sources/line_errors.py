@@ -1,0 +1,132 @@
+"""What a port's driver tells of damage on the line, gathered into few words."""
+
+# Two witnesses: marks at single bytes (marks.py), and the driver's counters. Both are told, each as
+# what it says, since neither is complete: a driver without marks may count, another marks and does
+# not count, and only the counters know of bytes that were lost.
+#
+# A single error is told at once. While errors follow, as they do by thousands at a wrong baud rate,
+# they are gathered and told once in GATHER_NS. The counters are read as often, and whenever
+# something is told.
+#
+# Holds a count and the first SHOWN damaged bytes.
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+GATHER_NS = 1_000_000_000
+SHOWN = 8
+
+_COUNTER_MASK = 0xFFFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorCounts:
+    """A driver's counters, 32 bits each, since whenever it began."""
+
+    frame: int = 0
+    overrun: int = 0
+    """Characters that the hardware's FIFO had no room for."""
+    parity: int = 0
+    breaks: int = 0
+    buffer_overrun: int = 0
+    """Characters that the driver's buffer had no room for."""
+
+    def since(self, before: ErrorCounts) -> ErrorCounts:
+        """How far each has grown."""
+        pairs = zip(astuple(self), astuple(before), strict=True)
+        return ErrorCounts(*((after - then) & _COUNTER_MASK for after, then in pairs))
+
+    @property
+    def lost(self) -> int:
+        return self.overrun + self.buffer_overrun
+
+
+@dataclass(frozen=True, slots=True)
+class LineTrouble:
+    """What is to be told: damage in words, or a number of lost bytes."""
+
+    ts_ns: int
+    text: str = ""
+    lost: int = 0
+
+
+class LineErrors:
+    """Marks and counters in, `LineTrouble` out, at most two in GATHER_NS."""
+
+    def __init__(
+        self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
+    ) -> None:
+        """`counts` reads the driver's counters; None where it has none."""
+        self._counts = counts
+        self._character_ns = character_ns
+        self._before = counts()
+        self._due_ns = now_ns + GATHER_NS
+        self._told_ns = now_ns - GATHER_NS
+        self._marked = 0
+        self._first = bytearray()
+        self._first_ns = self._last_ns = 0
+
+    def mark(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
+        """Take the damaged bytes of one read; `ts_ns` is the time of the last byte."""
+        if not self._marked:
+            self._first_ns = ts_ns - (len(data) - 1 - damaged[0]) * self._character_ns
+            self._due_ns = min(self._due_ns, self._told_ns + GATHER_NS)
+        self._last_ns = ts_ns - (len(data) - 1 - damaged[-1]) * self._character_ns
+        self._marked += len(damaged)
+        self._first += bytes(data[at] for at in damaged[: SHOWN - len(self._first)])
+
+    def tell(self, now_ns: int) -> Sequence[LineTrouble]:
+        """What is due by now. Asked after every read, so it costs a comparison."""
+        return () if now_ns < self._due_ns else self.tell_all(now_ns)
+
+    def tell_all(self, now_ns: int) -> list[LineTrouble]:
+        """What there is, due or not."""
+        grown = self._grown()
+        marked = self._marked_text()
+        said = [text for text in (marked, _counted_text(grown)) if text]
+        troubles = []
+        if said:
+            troubles.append(LineTrouble(self._first_ns if marked else now_ns, "; ".join(said)))
+        if grown.lost:
+            troubles.append(LineTrouble(now_ns, lost=grown.lost))
+        if troubles:
+            self._told_ns = now_ns
+        self._due_ns = now_ns + GATHER_NS
+        self._marked = 0
+        self._first.clear()
+        return troubles
+
+    def _grown(self) -> ErrorCounts:
+        counts = self._counts()
+        before, self._before = self._before, counts
+        return counts.since(before) if counts and before else ErrorCounts()
+
+    def _marked_text(self) -> str:
+        if not self._marked:
+            return ""
+        shown = " ".join(f"{byte:02X}H" for byte in self._first)
+        if self._marked == 1:
+            a_break = "break, or " if self._first == b"\x00" else ""
+            return f"{a_break}parity or framing error at byte {shown}"
+        span_s = max(self._last_ns - self._first_ns, 0) / 1e9
+        more = " ..." if self._marked > SHOWN else ""
+        a_break = " (00H also for a break)" if 0 in self._first else ""
+        return (
+            f"{self._marked} bytes with a parity or framing error within {span_s:.3f} s: "
+            f"{shown}{more}{a_break}"
+        )
+
+
+def _counted_text(grown: ErrorCounts) -> str:
+    counted = (
+        (grown.parity, "parity error"),
+        (grown.frame, "framing error"),
+        (grown.breaks, "break"),
+    )
+    said = [f"{count} {word}{'' if count == 1 else 's'}" for count, word in counted if count]
+    return f"the driver counts {', '.join(said)}" if said else ""

@@ -1,0 +1,62 @@
+"""Takes a terminal driver's marks out of what was read: which bytes arrived damaged."""
+
+# With PARMRK set, a read of a port gives (termios(3); Linux drivers/tty/n_tty.c):
+#
+#     FF FF       a byte FF that arrived whole
+#     FF 00 X     a byte X whose parity bit or stop bit was wrong
+#     FF 00 00    a break, or such a byte 00
+#
+# and every other byte as itself. A damaged byte stays in the data, since it was heard. A break
+# stays as the 00 that it reads as without marks.
+#
+# A driver puts a whole escape into its buffer at once. So an FF behind which nothing follows, or
+# what no driver writes, is data.
+#
+# Holds at most two bytes, the beginning of an escape that a read cut off.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_MARK = b"\xff"
+_DAMAGED = b"\xff\x00"
+
+
+class Unmarker:
+    """Marked bytes in, the bytes of the wire out, however the reads were cut."""
+
+    def __init__(self) -> None:
+        self._held = b""
+
+    def feed(self, data: bytes) -> tuple[bytes, Sequence[int]]:
+        """The bytes that this read completes, and at which places damaged ones stand."""
+        if not self._held and _MARK not in data:
+            return data, ()
+        data = self._held + data
+        self._held = b""
+        heard = bytearray()
+        damaged: list[int] = []
+        start = 0
+        while (at := data.find(_MARK, start)) >= 0:
+            heard += data[start:at]
+            escape = data[at : at + 3]
+            if len(escape) < 3 and escape in (_MARK, _DAMAGED):
+                self._held = escape
+                return bytes(heard), damaged
+            if escape.startswith(_DAMAGED):
+                damaged.append(len(heard))
+                heard.append(escape[2])
+                start = at + 3
+            else:
+                heard += _MARK
+                start = at + (2 if escape[1:2] == _MARK else 1)
+        heard += data[start:]
+        return bytes(heard), damaged
+
+    def flush(self) -> bytes:
+        """Learn that nothing follows: what was held is data."""
+        held, self._held = self._held, b""
+        return held

@@ -1,0 +1,112 @@
+"""Two serial ports as one live source: one hears the master, the other the slaves."""
+
+# Each port has a reading process and a thread of its own; their chunks say who speaks. A port's
+# silence says nothing of the other's: a Quiet goes on with the time until which all that either
+# port heard has been put. The two end together: when one is lost the other is told to end, and what
+# it had still heard comes before the one Ended.
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from threading import Lock
+from typing import TYPE_CHECKING, Self
+
+from mbtool.core import Chunk, Direction, LinkError, Quiet, SerialLink
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.serial_line import SerialSource
+
+if TYPE_CHECKING:
+    from mbtool.sources.inbox import Item
+
+
+class TwoTapsSource:
+    """Listens to both ports of a link while its context is open. Entering raises LinkError."""
+
+    def __init__(self, link: SerialLink, inbox: Inbox) -> None:
+        self._link = link
+        self._inbox = inbox
+        self._lock = Lock()
+        self._taps = {
+            speaker: SerialSource(link, _Tap(self, speaker), speaker)
+            for speaker in (Direction.REQUEST, Direction.RESPONSE)
+        }
+        self._known_ns = dict.fromkeys(self._taps, 0)
+        """Until when all that a port heard has been put."""
+        self._quiet_ns = 0
+        """Until when the inbox knows it of both."""
+        self._listening = set(self._taps)
+        self._error: LinkError | None = None
+        self._opened = ExitStack()
+
+    @property
+    def link(self) -> str:
+        return self._link.name
+
+    @property
+    def place(self) -> str:
+        return str(self._link)
+
+    @property
+    def taps(self) -> list[SerialSource]:
+        """The master's side, the slaves' side."""
+        return list(self._taps.values())
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            for tap in self._taps.values():
+                opened.enter_context(tap)
+            self._opened = opened.pop_all()
+        with self._lock:
+            if self._error is not None:  # One was lost before the other was open.
+                self._tell_to_end()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End both; all that they have read is in the inbox, then Ended."""
+        with self._lock:
+            self._tell_to_end()
+        self._opened.close()
+
+    def put(self, item: Item, speaker: Direction) -> None:
+        """Pass on what one of the ports brings."""
+        with self._lock:
+            if isinstance(item, Ended):
+                self._end(item, speaker)
+                return
+            if not isinstance(item, Quiet):
+                self._inbox.put(item)
+            if isinstance(item, Quiet | Chunk):
+                self._known_ns[speaker] = max(self._known_ns[speaker], item.ts_ns)
+                self._tell_quiet()
+
+    def _tell_quiet(self) -> None:
+        quiet_ns = min(self._known_ns.values())
+        if quiet_ns > self._quiet_ns:
+            self._quiet_ns = quiet_ns
+            self._inbox.put(Quiet(quiet_ns, self.link))
+
+    def _end(self, ended: Ended, speaker: Direction) -> None:
+        self._listening.discard(speaker)
+        if ended.error is not None and self._error is None:
+            self._error = LinkError(f"link {self._link} needs both its ports: {ended.error}")
+            self._tell_to_end()
+        if not self._listening:
+            self._inbox.put(Ended(self.link, self._error))
+
+    def _tell_to_end(self) -> None:
+        for tap in self._taps.values():
+            tap.tell_to_end()
+
+
+class _Tap:
+    """Where one of the two puts what it hears."""
+
+    def __init__(self, source: TwoTapsSource, speaker: Direction) -> None:
+        self._source = source
+        self._speaker = speaker
+
+    def put(self, item: Item) -> None:
+        self._source.put(item, self._speaker)

@@ -1,0 +1,134 @@
+"""Shows what there is to open here: serial ports, interfaces, and what is in their way."""
+
+# A table of each kind, and below the ports' each port's LINK and troubles. What is there to be
+# copied, a LINK or a command, is never broken into lines: a terminal that is too narrow wraps it,
+# and still copies it whole.
+#
+# Names come out of adapters, so nothing in them is obeyed: no markup, no control characters.
+
+from __future__ import annotations
+
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+from rich.text import Text
+
+from mbtool.views.transaction_table import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from mbtool.core.here import InterfaceHere, SerialPortHere, Trouble
+
+_UNKNOWN = "-"
+_INDENT = "  "
+_NARROWEST = 20
+
+
+def print_ports(console: Console, ports: Sequence[SerialPortHere]) -> None:
+    """A table of the ports, then how to call each and what is wrong with it."""
+    table = _table("port", "what it is", "driver", "timing", "low latency", "held by")
+    for port in ports:
+        table.add_row(
+            _text(port.name),
+            _text(_what(port)),
+            _text(port.driver or _UNKNOWN),
+            _text(_timing(port)),
+            _text(_low_latency(port)),
+            _text(_held_by(port)),
+        )
+    console.print(table)
+    for port in ports:
+        console.print()
+        _print_whole(console, port.link, "bold")
+        for trouble in port.troubles:
+            _print_trouble(console, trouble)
+
+
+def print_interfaces(console: Console, interfaces: Sequence[InterfaceHere]) -> None:
+    """A table of the interfaces, then what keeps captures from starting, each once."""
+    table = _table("interface", "what it is", "state", "capture")
+    for one in interfaces:
+        table.add_row(
+            _text(one.link),
+            _text(one.description or _UNKNOWN),
+            _text(_state(one)),
+            _text("permitted" if one.may_capture else "no"),
+        )
+    console.print(table)
+    about: dict[Trouble, list[str]] = {}
+    for one in interfaces:
+        for trouble in one.troubles:
+            about.setdefault(trouble, []).append(one.name)
+    for trouble, names in about.items():
+        is_everywhere = len(names) == len(interfaces)
+        _print_trouble(console, trouble, "" if is_everywhere else f"{', '.join(names)}: ")
+
+
+def _print_trouble(console: Console, trouble: Trouble, where: str = "") -> None:
+    for line in wrap(
+        f"! {where}{trouble.problem}",
+        max(console.width, _NARROWEST),
+        initial_indent=_INDENT,
+        subsequent_indent=2 * _INDENT,
+    ):
+        _print_whole(console, line, "yellow")
+    if trouble.mend:
+        _print_whole(console, f"{2 * _INDENT}{trouble.mend}")
+
+
+def _print_whole(console: Console, line: str, style: str = "") -> None:
+    console.print(Text(printable(line), style=style), soft_wrap=True)
+
+
+def _what(port: SerialPortHere) -> str:
+    usb = f"({port.usb_id})" if port.usb_id else ""
+    return f"{port.description} {usb}".strip() or _UNKNOWN
+
+
+def _timing(port: SerialPortHere) -> str:
+    if port.latency_timer_ms is not None:
+        return f"timer {port.latency_timer_ms} ms"
+    if port.fifo_bytes is not None:
+        return f"FIFO {port.fifo_bytes} byte{'' if port.fifo_bytes == 1 else 's'}"
+    return _UNKNOWN
+
+
+def _low_latency(port: SerialPortHere) -> str:
+    if port.low_latency:
+        return "on"
+    match port.low_latency_support:
+        case None:
+            return _UNKNOWN
+        case True:
+            return "when opened"
+        case False:
+            return "no"
+
+
+def _held_by(port: SerialPortHere) -> str:
+    if port.holders:
+        return ", ".join(map(str, port.holders))
+    return "nobody seen" if port.unseen_processes else _UNKNOWN
+
+
+def _state(one: InterfaceHere) -> str:
+    if one.is_up is None:
+        return _UNKNOWN
+    if not one.is_up:
+        return "down"
+    return "up, no cable" if one.has_carrier is False else "up"
+
+
+def _text(text: str) -> Text:
+    return Text(printable(text))
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for heading in headings:
+        table.add_column(heading, overflow="fold")
+    return table

@@ -1,0 +1,45 @@
+"""What --link says of a file."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import LineSettings, SerialFormat, SerialLink, UsageError, parse_line
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("rtu@19200-8E1", LineSettings(SerialFormat())),
+        ("rtu@9600", LineSettings(SerialFormat(9600))),
+        ("rtu", LineSettings(SerialFormat())),
+        ("ascii@9600-7E1", LineSettings(SerialFormat(9600, 7), ascii=True)),
+        ("ascii@9600-8N1", LineSettings(SerialFormat(9600, 8, "N"), ascii=True)),
+        ("ascii", LineSettings(SerialFormat(9600, 7), ascii=True)),
+    ],
+)
+def test_reads_the_settings_of_a_line(text: str, line: LineSettings) -> None:
+    assert parse_line(text) == line
+    assert parse_line(str(line)) == line
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "rtu@19200-8E1 or ascii@9600-7E1"),
+        ("tcp@502", "rtu@19200-8E1 or ascii@9600-7E1"),
+        ("rtu:/dev/ttyUSB0@19200-8E1", "of the line of a file without a port: rtu@19200-8E1"),
+        ("rtu@fast", "write baud, data bits, parity and stop bits"),
+        ("rtu@9600-7E1", "RTU needs 8 data bits, for example rtu@19200-8E1"),
+    ],
+)
+def test_refuses_what_is_no_line(text: str, problem: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_line(text)
+    assert problem in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_link_is_made_of_them() -> None:
+    line = LineSettings(SerialFormat(9600, 7), ascii=True)
+    assert line.on("bench") == SerialLink("bench", SerialFormat(9600, 7), ascii=True)

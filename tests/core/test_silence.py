@@ -1,0 +1,34 @@
+"""Silences as a user or a manual says them."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import Silence, UsageError
+
+
+@pytest.mark.parametrize(
+    ("text", "written", "ns"),
+    [
+        ("28bits", "28bits", 2_916_666),
+        ("28 Bits", "28bits", 2_916_666),
+        ("3.5chars", "3.5chars", 4_010_416),
+        ("5ms", "5ms", 5_000_000),
+        ("5.0ms", "5ms", 5_000_000),
+        ("750us", "750us", 750_000),
+        ("100ms", "100ms", 100_000_000),
+    ],
+)
+def test_reads_a_silence(text: str, written: str, ns: int) -> None:
+    silence = Silence.parse(text)
+    assert silence.ns(9600, 11) == ns
+    assert str(silence) == written
+    assert Silence.parse(written) == silence
+
+
+@pytest.mark.parametrize(
+    "text", ["", "5", "ms", "-5ms", "5s", "0bits", "1e3ms", "٥ms", "9" * 5000 + "ms", "1.2345ms"]
+)
+def test_a_silence_that_cannot_be_is_the_users_mistake(text: str) -> None:
+    with pytest.raises(UsageError, match="for example 28bits or 5ms"):
+        Silence.parse(text)

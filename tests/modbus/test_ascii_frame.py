@@ -1,0 +1,88 @@
+"""One frame of an ASCII line, and what is unusual or wrong about it."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.modbus import Checksum
+from mbtool.modbus.ascii_frame import AsciiFrame, read_frame, why_unreadable
+from tests.modbus.reading import with_parity
+
+FRAME = b":02010064000198\r\n"  # CHINO LT830, INE-350, 6.5.1: unit 2 reads digital parameter 101.
+BODY = bytes.fromhex("02 01 0064 0001")
+
+
+def read(raw: bytes, *, eight_bits: bool = True) -> AsciiFrame:
+    frame = read_frame(raw, eight_bits=eight_bits)
+    assert frame is not None
+    return frame
+
+
+def test_frame_has_digits_an_end_a_body_and_a_checksum() -> None:
+    assert read(FRAME) == AsciiFrame(b"02010064000198", b"\r\n", BODY, Checksum(0x98, 0x98), False)
+
+
+@pytest.mark.parametrize("end", [b"\r\n", b"\r", b"\n", b"\r.", b"\r\x00", b"\r\r", b"\r0"])
+def test_frame_may_end_in_many_ways(end: bytes) -> None:
+    frame = read(b":02010064000198" + end)
+    assert (frame.body, frame.end, frame.checksum.ok) == (BODY, end, True)
+
+
+@pytest.mark.parametrize("end", [b"", b"\n\n", b"\r\n\n", b"\r:", b"\n\r", b"."])
+def test_frame_does_not_end_in_every_way(end: bytes) -> None:
+    assert read_frame(b":02010064000198" + end) is None
+
+
+def test_digits_may_be_lower_case() -> None:
+    frame = read(b":02010100fc\r\n")
+    assert (frame.is_lower_case, frame.checksum.ok) == (True, True)
+    assert not read(b":02010100FC\r\n").is_lower_case
+    assert not read(FRAME).is_lower_case
+
+
+@pytest.mark.parametrize("parity", ["even", "odd", "mark"])
+def test_parity_in_bit_7_is_looked_through_where_the_port_has_8_bits(parity: str) -> None:
+    heard = with_parity(FRAME, parity)
+    frame = read(heard)
+    assert (frame.body, frame.end, frame.checksum.ok) == (BODY, b"\r\n", True)
+    assert frame.parity_in_data
+    assert read_frame(heard, eight_bits=False) is None
+
+
+def test_bit_7_that_is_no_parity_is_damage() -> None:
+    damaged = bytearray(with_parity(FRAME, "even"))
+    damaged[5] ^= 0x80
+    assert read_frame(bytes(damaged)) is None
+    damaged = bytearray(FRAME)
+    damaged[5] |= 0x80
+    assert read_frame(bytes(damaged)) is None
+    assert not read(FRAME).parity_in_data
+
+
+def test_delimiter_of_8_bits_is_no_parity() -> None:
+    assert not read(b":02010064000198\r\xff").parity_in_data
+
+
+@pytest.mark.parametrize(
+    ("raw", "reason"),
+    [
+        (b":020G0064000198\r\n", "'G' (47H) as its character 5, where a hexadecimal digit"),
+        (b":02 10064000198\r\n", "20H as its character 4, where a hexadecimal digit"),
+        (b":02\xb110064000198\r\n", "B1H as its character 4, where"),
+        (b":0201\r0064000198\r\n", "0DH as its character 6, where"),
+        (b":0201006400019\r\n", "13 hexadecimal digits, where two make a byte"),
+        (b":0201006400019\n", "13 hexadecimal digits, where two make a byte"),
+        (b":0201006400019\r.", "13 hexadecimal digits, where two make a byte"),
+        (b":0201\r\n", "2 bytes, where unit, function and LRC are 3 at least"),
+        (b":\n", "0 bytes, where unit, function and LRC are 3 at least"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(raw: bytes, reason: str) -> None:
+    assert read_frame(raw) is None
+    assert why_unreadable(raw).startswith(f"a frame with {reason}")
+
+
+def test_what_is_wrong_behind_parity_is_named_without_it() -> None:
+    heard = with_parity(b":020G0064000198\r\n", "even")
+    assert why_unreadable(heard).startswith("a frame with 'G' (47H) as its character 5, ")
+    assert why_unreadable(heard, eight_bits=False).startswith("a frame with B2H as its character 3")

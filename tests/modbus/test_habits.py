@@ -1,0 +1,92 @@
+"""What a line does often."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.modbus.habits import Habit, Latency
+
+MS = 1_000_000
+
+
+def test_habit_costs_at_first_what_it_is_supposed_to() -> None:
+    assert Habit(2.0, (0.2, 5.0)).bits == 2.0
+    assert Habit(0.0, (0.2, 5.0)).bits == 0.0
+
+
+def test_what_is_seen_costs_less_and_what_is_not_costs_more() -> None:
+    habit = Habit(2.0, (0.2, 5.0))
+    habit.learn(seen=True)
+    cheaper = habit.bits
+    assert cheaper < 2.0
+    habit.learn(seen=False)
+    assert habit.bits > cheaper
+
+
+@pytest.mark.parametrize(("seen", "bits"), [(True, 0.2), (False, 5.0)])
+def test_habit_stays_within_its_limits(seen: bool, bits: float) -> None:
+    habit = Habit(2.0, (0.2, 5.0))
+    for _ in range(10_000):
+        habit.learn(seen=seen)
+        assert 0.2 <= habit.bits <= 5.0
+    assert habit.bits == bits
+
+
+def test_few_dozen_frames_teach_a_habit() -> None:
+    habit = Habit(2.0, (0.2, 5.0))
+    for number in range(64):
+        habit.learn(seen=number % 2 == 0)
+    assert habit.bits == pytest.approx(1.0, abs=0.3)
+
+
+def test_line_that_changes_is_learned_anew() -> None:
+    habit = Habit(8.0, (3.0, 10.0))
+    for _ in range(1000):
+        habit.learn(seen=False)
+    for _ in range(100):
+        habit.learn(seen=True)
+    assert habit.bits == 3.0
+
+
+def test_latency_is_supposed_to_be_long_while_little_was_heard() -> None:
+    latency = Latency()
+    for _ in range(Latency.FEW - 1):
+        latency.learn(5 * MS)
+        assert latency.octaves_late(Latency.FIRST_NS) == 0
+    latency.learn(5 * MS)
+    assert latency.octaves_late(Latency.LEAST_NS) == 0
+
+
+def test_silence_is_late_by_its_doublings_of_the_longest_latency() -> None:
+    latency = Latency()
+    for each in (20, 40, 30) * Latency.FEW:
+        latency.learn(each * MS)
+    longest_ns = 40 * MS
+    assert latency.octaves_late(longest_ns) == pytest.approx(0, abs=0.01)
+    assert latency.octaves_late(4 * longest_ns) == pytest.approx(2, abs=0.01)
+    assert latency.octaves_late(longest_ns // 2) == pytest.approx(-1, abs=0.01)
+
+
+def test_longest_latency_is_forgotten_slowly() -> None:
+    latency = Latency()
+    for _ in range(Latency.FEW):
+        latency.learn(15 * MS)
+    latency.learn(400 * MS)
+    for _ in range(100):
+        latency.learn(15 * MS)
+    assert latency.octaves_late(300 * MS) < 0
+    for _ in range(3000):
+        latency.learn(15 * MS)
+    assert latency.octaves_late(300 * MS) > 3
+
+
+@pytest.mark.parametrize("silence_ns", [-(10**9), 0, 1])
+def test_silence_of_nothing_is_no_error(silence_ns: int) -> None:
+    assert Latency().octaves_late(silence_ns) < 0
+
+
+def test_latency_that_a_clock_got_wrong_is_no_error() -> None:
+    latency = Latency()
+    for _ in range(Latency.FEW):
+        latency.learn(-(10**9))
+    assert latency.octaves_late(Latency.LEAST_NS) == 0

@@ -1,0 +1,63 @@
+"""The weights, each with its reason, and what they have to be to each other."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from mbtool.modbus import weights
+from mbtool.modbus.tiling import DOUBT
+from mbtool.modbus.turns import SURE, likelihood
+
+TOLD_BY_ANOTHER = {"SKIP_LIMITS", "GLUED_LIMITS", "TORN_LIMITS", "MOST_FOR_LATENESS"}
+
+
+def test_every_weight_has_its_reason() -> None:
+    body = ast.parse(Path(weights.__file__).read_text()).body
+    reasons = {
+        one.targets[0].id: isinstance(after, ast.Expr)
+        for one, after in zip(body, [*body[1:], None], strict=True)
+        if isinstance(one, ast.Assign) and isinstance(one.targets[0], ast.Name)
+    }
+    assert {name for name, has_one in reasons.items() if not has_one} == TOLD_BY_ANOTHER
+
+
+def test_limits_hold_what_is_learned_between_them() -> None:
+    for bits, (least, most) in (
+        (weights.SKIP, weights.SKIP_LIMITS),
+        (weights.GLUED, weights.GLUED_LIMITS),
+        (weights.TORN, weights.TORN_LIMITS),
+    ):
+        assert 0 < least <= bits <= most
+
+
+def test_answer_that_is_asked_for_is_the_cheapest_of_answers() -> None:
+    answers = (
+        weights.ANSWER,
+        weights.LATE_ANSWER,
+        weights.ANSWER_WHEN_LOST,
+        weights.ANSWER_AT_START,
+        weights.WRONG_ANSWER,
+        weights.STRAY_ANSWER,
+    )
+    assert list(answers) == sorted(answers)
+
+
+def test_retry_is_likelier_than_an_answer_that_never_came() -> None:
+    assert weights.REPEATED < weights.UNANSWERED
+
+
+def test_lateness_can_make_an_echo_a_retry() -> None:
+    retry = weights.REQUEST + weights.REPEATED
+    assert retry < weights.ANSWER + weights.MOST_FOR_LATENESS
+    assert retry + weights.EARLY_REPEAT > weights.ANSWER + weights.LATE
+
+
+def test_crc_that_is_right_outweighs_noise() -> None:
+    found = weights.REQUEST + weights.NEW_REQUEST + weights.GLUED_LIMITS[1]
+    assert found < weights.COINCIDENCE
+
+
+def test_doubt_is_wider_than_what_is_called_ambiguous() -> None:
+    assert likelihood(DOUBT) > SURE
+    assert DOUBT < weights.MARGIN

@@ -1,0 +1,144 @@
+"""Byte times of a logic analyser, as CSV."""
+
+from __future__ import annotations
+
+import io
+from itertools import pairwise
+
+import pytest
+
+from mbtool.core import Chunk, CutError, InputError, LineSettings, SerialFormat, WireEvent
+from mbtool.sources.byte_times import LOOKED_AT, MAX_ROW, is_byte_times, read_byte_times
+
+HEADER = "t_start_s,t_end_s,line,byte_hex\n"
+FRAME = bytes.fromhex("01 03 0063 0001 7414")  # unit 1, read holding register 99, CRC
+
+
+def _rows(
+    data: bytes, baud: int, bits: int = 11, width_bits: float = 8, start_s: float = 0.5
+) -> str:
+    """Bytes back to back; an analyser's decoder gives the width of the data bits."""
+    return "".join(
+        f"{start_s + at * bits / baud:.7f},{start_s + (at * bits + width_bits) / baud:.7f},"
+        f"rx,{byte:02x}\n"
+        for at, byte in enumerate(data)
+    )
+
+
+def _read(text: str, line: LineSettings | None = None) -> tuple[SerialFormat, list[Chunk]]:
+    settings, pieces = read_byte_times(io.BytesIO(text.encode()), "a.csv", "a", line)
+    chunks = [piece for piece in pieces if isinstance(piece, Chunk)]
+    return settings.format, chunks
+
+
+def test_each_byte_has_the_time_when_its_last_bit_arrived() -> None:
+    _, chunks = _read(HEADER + _rows(FRAME, 19200))
+    assert b"".join(chunk.data for chunk in chunks) == FRAME
+    character_ns = SerialFormat(19200).character_ns
+    for number, chunk in enumerate(chunks, 1):
+        assert chunk.link == "a"
+        assert chunk.ts_ns == pytest.approx(500_000_000 + number * character_ns, abs=200)
+
+
+@pytest.mark.parametrize("baud", [1200, 9600, 19200, 38400, 115200])
+@pytest.mark.parametrize(
+    ("bits", "width_bits", "settings"),
+    [(11, 8, "8E1"), (10, 8, "8N1"), (11, 11, "8E1"), (10, 10, "8N1"), (11.4, 8, "8E1")],
+)
+def test_the_bytes_show_the_baud_rate_and_the_length_of_a_character(
+    baud: int, bits: int, width_bits: float, settings: str
+) -> None:
+    found, _ = _read(HEADER + _rows(FRAME, baud, bits, width_bits))
+    assert str(found) == f"{baud}-{settings}"
+
+
+@pytest.mark.parametrize("rows", ["", "0.1,0.1,rx,01\n", "0.1,0.2,rx,01\n"])
+def test_without_a_usual_baud_rate_it_is_the_standards(rows: str) -> None:
+    assert _read(HEADER + rows)[0] == SerialFormat()
+
+
+def test_what_the_user_says_of_the_line_counts() -> None:
+    line = LineSettings(SerialFormat(9600, 7), ascii=True)
+    settings, _ = read_byte_times(
+        io.BytesIO((HEADER + _rows(FRAME, 19200)).encode()), "a.csv", "a", line
+    )
+    assert settings is line
+
+
+def test_columns_stand_in_any_order_and_others_are_left_alone() -> None:
+    text = "byte_hex,note,t_end_s,t_start_s\r\n0x2a,hm,1700000000.000000250,1.7e9\r\n\r\n"
+    _, (chunk,) = _read(text)
+    assert chunk.data == b"*"
+    assert chunk.ts_ns == 1_700_000_000_000_000_000 + SerialFormat().character_ns
+
+
+def test_more_rows_than_are_looked_at_come_out_in_order() -> None:
+    data = bytes(number % 251 for number in range(3 * LOOKED_AT))
+    _, chunks = _read(HEADER + _rows(data, 9600))
+    assert b"".join(chunk.data for chunk in chunks) == data
+    assert all(one.ts_ns < other.ts_ns for one, other in pairwise(chunks))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("t_start_s,t_end_s,line,byte\n", "row 1: there is no column byte_hex"),
+        ("t_start_s,byte_hex\n0,01\n", "row 1: there is no column t_end_s"),
+        (HEADER + "0.1,0.2,rx,01\n0.3,0.4,rx\n0.5", "row 3: 3 columns, where row 1 has 4"),
+        (HEADER + "0.1,soon,rx,01\n", "row 2: t_end_s is 'soon'; a number of seconds"),
+        (HEADER + "-1,0,rx,01\n", "row 2: t_start_s is '-1'; a number of seconds"),
+        (HEADER + "nan,0,rx,01\n", "row 2: t_start_s is 'nan'; a number of seconds"),
+        (HEADER + "1e999999999,0,rx,01\n", "row 2: t_start_s is '1e999999999'; a number"),
+        (HEADER + "0.2,0.1,rx,01\n", "row 2: t_end_s is before t_start_s"),
+        (HEADER + "0.1,0.2,rx,1ff\n", "row 2: byte_hex is '1ff'; 00 to ff would be right"),
+        (HEADER + "0.1,0.2,rx,\n", "row 2: byte_hex is ''; 00 to ff would be right"),
+        (HEADER + "0" * (MAX_ROW + 1), f"row 2: more than {MAX_ROW} characters"),
+    ],
+)
+def test_a_wrong_row_is_one_line_with_its_number(text: str, problem: str) -> None:
+    with pytest.raises(InputError) as caught:
+        _read(text)
+    assert str(caught.value).startswith(f"a.csv: {problem}")
+    assert "\n" not in str(caught.value)
+    assert not isinstance(caught.value, CutError)
+
+
+@pytest.mark.parametrize("wrong", [3, LOOKED_AT + 3])
+def test_what_comes_before_a_wrong_row_is_given(wrong: int) -> None:
+    rows = _rows(bytes(wrong), 9600)
+    pieces: list[Chunk | WireEvent] = []
+    with pytest.raises(InputError, match=rf"^a\.csv: row {wrong + 2}: "):
+        pieces.extend(
+            read_byte_times(io.BytesIO(f"{HEADER}{rows}?\n".encode()), "a.csv", "a", None).pieces
+        )
+    assert len(pieces) == wrong
+
+
+def test_every_beginning_of_a_file_gives_its_whole_rows_and_is_cut() -> None:
+    whole = HEADER + _rows(FRAME, 9600)
+    for end in range(len(HEADER), len(whole)):
+        last = whole[:end].rpartition("\n")[2]
+        pieces: list[Chunk | WireEvent] = []
+        given = read_byte_times(io.BytesIO(whole[:end].encode()), "a.csv", "a", None).pieces
+        if not last or last.endswith(f"rx,{FRAME[whole[:end].count(chr(10)) - 1]:02x}"):
+            pieces.extend(given)
+        else:
+            with pytest.raises(CutError, match=r"^a\.csv: ends in the middle of row \d+$"):
+                pieces.extend(given)
+        chunks = [piece for piece in pieces if isinstance(piece, Chunk)]
+        assert b"".join(chunk.data for chunk in chunks) == FRAME[: len(chunks)]
+        assert len(chunks) >= whole[:end].count("\n") - 1
+
+
+@pytest.mark.parametrize(
+    ("head", "is_of_this_kind"),
+    [
+        (HEADER.encode(), True),
+        (b"byte_hex,t_start_s,t_end_s\r\n", True),
+        (b"t_start_s,t_end_s,line,byte_he", True),
+        (b"time,t_end\nt_start_s,", False),
+        (b"\x01\x03", False),
+    ],
+)
+def test_the_header_shows_the_kind(head: bytes, is_of_this_kind: bool) -> None:
+    assert is_byte_times(head) is is_of_this_kind
