@@ -30,7 +30,7 @@ from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
 from mbtool.modbus.turns import ROLES, Turn, Turns, is_counted, likelihood
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
 
 BEAM = 4
@@ -76,9 +76,9 @@ class Window:
     """Bytes of a line, with when each arrived."""
 
     data: bytes
-    times: Sequence[int]
+    times: list[int]
     character_ns: int
-    silences: Sequence[bool]
+    silences: list[bool]
     """Whether a silence of t3.5 stands before each byte; of the first, and behind the last."""
     is_behind_noise: bool
     """Whether what was given out last belongs to no frame."""
