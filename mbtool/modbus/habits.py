@@ -47,7 +47,12 @@ class Latency:
         self._heard += 1
         self._longest_ns = max(latency_ns, self._longest_ns * 0.998, self.LEAST_NS)
 
+    @property
+    def is_known(self) -> bool:
+        """Whether enough responses were heard to say."""
+        return self._heard >= self.FEW
+
     def octaves_late(self, silence_ns: int) -> float:
         """How many doublings a silence is above the longest latency; below 0 for a shorter one."""
-        longest_ns = max(self._longest_ns, self.FIRST_NS if self._heard < self.FEW else 0)
+        longest_ns = max(self._longest_ns, 0 if self.is_known else self.FIRST_NS)
         return log2(max(silence_ns, 1) / longest_ns)

@@ -47,6 +47,8 @@ HOLD_NS = 300_000_000
 MAX_TEARS = 16
 """Silences in what is held, after which it is decided: a frame in 32-byte pieces has 8."""
 
+_RARELY = 0.8
+"""Bits: from so rarely glued frames on, the silences between them tell who speaks."""
 _LIKELY = weights.REQUEST + weights.NEW_REQUEST
 """What a frame may cost to be taken without a search."""
 
@@ -184,8 +186,8 @@ class RtuSplitter:
         cost = self._turns.weigh(turn, unit, pdu, judgement.direction, start_ns)
         if cost > _LIKELY:
             return None
-        if len(roles) > 1 and not (self._timed and judgement.confidence >= SURE):
-            # Without times the same frame twice may be a request and its echo, or one that was
+        if len(roles) > 1 and not (self._turns.trusts_silences and judgement.confidence >= SURE):
+            # Without silences the same frame twice may be a request and its echo, or one that was
             # repeated. What comes behind them tells.
             return None
         return found, judgement
@@ -284,6 +286,7 @@ class RtuSplitter:
         if self._timed:
             if before_ns is not None and not was_skipped:
                 self._habits.glue.learn(seen=before_ns < self._t3_5_ns)
+                self._turns.trusts_silences = self._habits.glue.bits >= _RARELY
             self._habits.tear.learn(seen=longest_ns >= self._t3_5_ns)
 
     def _verdicts(

@@ -236,7 +236,7 @@ class Tiling:
         size = self._end - place
         cost += row.cost + starts
         if self._frames(place) or is_unknown:
-            cost += weights.OPEN_OVER_FRAME
+            cost += weights.OPEN_OVER_FRAME_DUE if expected else weights.OPEN_OVER_FRAME
         is_zero = size == 1 and self._data[place] == 0  # Noise, or the end of what was laid before.
         if (row.is_anchored or self._window.silences[place]) and not is_zero:
             cost += weights.WAIT + self._inside(place, size, known=expected)
@@ -312,7 +312,7 @@ class Tiling:
                 odd = weights.MALFORMED if frame_size(head, role) else 0.0
                 cost = weights.UNKNOWN_BETWEEN_SILENCES + odd
                 yield _Frame(burst, role, self._roles, cost)
-        unsized = [role for role in self._roles if frame_size(head, role) == 0]
+        unsized = [role for role in self._roles if head[1] and frame_size(head, role) == 0]
         if head[1:4] == _QUERY_DATA:
             unsized = list(self._roles)
         if not unsized:
@@ -370,20 +370,21 @@ class Tiling:
         if not self._window.may_go_on or rest >= MAX_RTU_ADU:
             return False, None
         head = self._data[place:]
-        begun = weights.OPEN + rest * weights.OPEN_MORE
         if rest < 2:
-            return False, begun
+            return False, weights.OPEN
         least: tuple[bool, float | None] = False, None
         for role in self._roles:
             size = frame_size(head, role)
             if size is None or rest < size <= MAX_RTU_ADU:
                 expected, cost = self._expected(head, size or 0, role, turn)
-                cost += begun + (0.0 if expected else weights.OPEN_UNEXPECTED)
             elif size == 0 or head[1:4] == _QUERY_DATA[: rest - 1]:
-                expected, cost = False, begun + weights.OPEN_UNEXPECTED
-                cost += weights.UNKNOWN_BETWEEN_SILENCES
+                expected, cost = False, weights.UNKNOWN_BETWEEN_SILENCES
             else:
                 continue
+            if expected:
+                cost += weights.OPEN + rest * weights.OPEN_MORE_DUE
+            else:
+                cost += weights.OPEN + weights.OPEN_UNEXPECTED + rest * weights.OPEN_MORE
             if least[1] is None or cost < least[1]:
                 least = expected, cost
         return least

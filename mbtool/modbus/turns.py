@@ -19,7 +19,7 @@ from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.expectation import Expectation
-from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.habits import Latency
 from mbtool.modbus.packing import bit_bytes
 from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
@@ -106,7 +106,8 @@ class Turns:
     def __init__(self, turn_ns: int = DEFAULT_TURN_NS, *, timed: bool = True) -> None:
         """`timed` says whether the bytes' times are known."""
         self._turn_ns = turn_ns
-        self._timed = timed
+        self.trusts_silences = timed
+        """Whether silences here tell who speaks: not without times, nor where frames are glued."""
         self.turn = Turn()
         self._known: dict[tuple[int, bytes], None] = {}
         self._latency = Latency()
@@ -182,7 +183,7 @@ class Turns:
         role = judgement.direction
         if role is Direction.REQUEST:
             self._remember(unit, pdu)
-        elif self._timed and judgement.confidence >= SURE:
+        elif self.trusts_silences and judgement.confidence >= SURE:
             waiting = self.turn.waiting
             if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
                 self._latency.learn(start_ns - waiting.since_ns)
@@ -220,7 +221,7 @@ class Turns:
         if waiting is not None and waiting.unit != unit:
             return Turn(waiting=waiting, owed=turn.owed, sure=sure, last_ns=end_ns)
         owed = turn.owed if waiting else None
-        return Turn(owed=owed, answered=waiting, sure=sure, last_ns=end_ns)
+        return Turn(owed=owed, answered=waiting or turn.owed, sure=sure, last_ns=end_ns)
 
     def _cost(
         self, turn: Turn, unit: int, pdu: bytes, role: Direction, at_ns: int
@@ -231,11 +232,15 @@ class Turns:
         if role is Direction.REQUEST:
             cost, by_time = self._request_cost(waiting, unit, pdu, at_ns)
             answered = turn.answered
-            if not self._timed and answered and (answered.unit, answered.pdu) == (unit, pdu):
+            if (
+                not self.trusts_silences
+                and answered
+                and (answered.unit, answered.pdu) == (unit, pdu)
+            ):
                 cost += weights.ASKED_AGAIN
         else:
             cost, by_time = self._response_cost(turn, waiting, unit, pdu, at_ns)
-        return cost + odd, by_time if self._timed else 0.0
+        return cost + odd, by_time if self.trusts_silences else 0.0
 
     def _request_cost(
         self, waiting: Waiting | None, unit: int, pdu: bytes, at_ns: int
@@ -249,7 +254,8 @@ class Turns:
             return cost, 0.0
         same = (waiting.unit, waiting.pdu) == (unit, pdu)
         cost += weights.REPEATED if same else weights.UNANSWERED
-        is_early = self._latency.octaves_late(at_ns - waiting.since_ns) < 0
+        latency = self._latency
+        is_early = latency.is_known and latency.octaves_late(at_ns - waiting.since_ns) < 0
         return cost, weights.EARLY_REPEAT if is_early else 0.0
 
     def _response_cost(
@@ -280,6 +286,8 @@ class Turns:
             return weights.ECHO_OF_A_READ, by_time
         if pdu[0] in READ_BITS and not is_padded(waiting.pdu, pdu):
             return weights.MALFORMED, by_time
+        if pdu == waiting.pdu and pdu[0] not in FUNCTIONS:
+            return weights.ECHO_OF_UNKNOWN, by_time
         before_ns = waiting.before_ns
         if pdu == waiting.pdu and not sure and before_ns and silence_ns > 2 * before_ns:
             by_time += weights.BACKWARDS

@@ -33,6 +33,8 @@ ANSWER_AT_START = 6.0
 """The same as the first frame of a capture."""
 ECHO_OF_A_READ = 16.0
 """A response of bits whose bytes are its very request: 24 bits would have to agree."""
+ECHO_OF_UNKNOWN = 4.0
+"""A response that repeats its request, of a function that no table says to do so."""
 MALFORMED = 6.0
 """The CRC is right and the form is not: a tester, or a device with ways of its own."""
 ODD_REQUEST = 3.0
@@ -77,8 +79,12 @@ WAIT = -4.0
 """Less for one behind a silence or another frame: to wait for what is likely loses nothing."""
 OPEN_OVER_FRAME = 10.0
 """More where a whole frame begins there: the byte that is to come would have to be 00."""
+OPEN_OVER_FRAME_DUE = 7.0
+"""The same where a longer frame is due."""
 OPEN_MORE = 0.1
 """Each of its bytes: what is long in coming may not come."""
+OPEN_MORE_DUE = 0.02
+"""The same of one that is due."""
 OPEN_UNEXPECTED = 1.5
 """More where the turn does not expect it."""
 GLUED = 2.0

@@ -667,13 +667,10 @@ def test_capture_that_begins_with_the_echo_of_a_write(repeats: int) -> None:
         assert adu.direction is direction or not is_sure
 
 
-out_of_step = pytest.mark.xfail(reason="each write is called a wrong answer by timing with 0.8")
-
-
 @pytest.mark.parametrize(
     ("start", "timed"),
     [
-        pytest.param("at an echo, or a write that nobody answers", True, marks=out_of_step),
+        ("at an echo, or a write that nobody answers", True),
         ("at an echo, or a write that nobody answers", False),
         ("at a write", True),
         ("at a write", False),
@@ -708,18 +705,7 @@ def test_retry_glued_to_its_echo_is_right_or_ambiguous() -> None:
         assert adu.direction is direction or not is_sure
 
 
-@pytest.mark.parametrize(
-    "timed",
-    [
-        pytest.param(
-            True,
-            marks=pytest.mark.xfail(
-                reason="the repetition is surely called an answer, and the answer a request"
-            ),
-        ),
-        False,
-    ],
-)
+@pytest.mark.parametrize("timed", [True, False])
 def test_unknown_request_that_is_repeated_is_right_or_ambiguous(timed: bool) -> None:
     request = rtu_adu(0x63, bytes.fromhex("6D 5A5C 29CA"))
     response = rtu_adu(0x63, bytes.fromhex("6D 269A 2CC9 E2E1"))

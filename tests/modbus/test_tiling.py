@@ -361,12 +361,7 @@ def test_two_equal_pairs_without_times_are_ambiguous_where_they_meet() -> None:
     assert {3, 4} <= set(ambiguous(events)) <= {3, 4, 5}
 
 
-odd_pairs = pytest.mark.xfail(reason="called q q r r q r with 0.94: a late second answer is cheap")
-
-
-@pytest.mark.parametrize(
-    "pairs", [1, 2, pytest.param(3, marks=odd_pairs), 4, pytest.param(5, marks=odd_pairs), 10]
-)
+@pytest.mark.parametrize("pairs", [1, 2, 3, 4, 5, 10])
 def test_many_equal_pairs_without_times_are_right_or_ambiguous(pairs: int) -> None:
     """A master that writes the same again and again."""
     events = heard(glued(*NEIGHBOURS, *(WRITE,) * 2 * pairs, *NEIGHBOURS), timed=False)
