@@ -205,6 +205,7 @@ def _answers(draw: st.DrawFn, request: Message) -> tuple[bytes, list[int] | None
         case 0x05 | 0x06 | 0x16:
             return request.pdu, None
         case 0x08:
+            assume(request.fields["sub_function"] != 4)  # Nobody answers "force listen only".
             words = request.fields["values"]
             assert isinstance(words, tuple)
             return request.pdu, [word for word in words if isinstance(word, int)]

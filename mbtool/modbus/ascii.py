@@ -30,10 +30,7 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
 CHARACTER_TIMEOUT_NS = 1_000_000_000
-"""The longest silence inside a frame (Serial Line V1.02, 2.5.2.1).
-
-The same section allows a user to set more, and names 4 to 5 s for wide area networks.
-"""
+"""The longest silence inside a frame (Serial Line V1.02, 2.5.2.1)."""
 
 _COLON = 0x3A
 _STOP = re.compile(rb"[:\r\n]")
@@ -50,7 +47,6 @@ class AsciiSplitter:
         *,
         speaker: Direction | None = None,
         timed: bool = True,
-        character_timeout_ns: int = CHARACTER_TIMEOUT_NS,
     ) -> None:
         """`speaker` is who alone speaks where this tap hears, where that is known.
 
@@ -58,16 +54,14 @@ class AsciiSplitter:
         """
         self._character_ns = line.character_ns
         self._eight_bits = line.data_bits == 8
-        self._turns = turns or Turns()
+        self._turns = turns or Turns(timed=timed)
         self._speaker = speaker
         self._timed = timed
-        self._timeout_ns = character_timeout_ns
         self._delimiter = LF
         self._asked_delimiter = LF
         self._frame = bytearray()
         self._cr = -1
         """Where the first CR of the frame stands."""
-        self._split = False
         self._resynchronised = False
         self._first_ns = 0
         self._last_ns = 0
@@ -106,9 +100,8 @@ class AsciiSplitter:
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
         """Learn that the line was silent from the last character until now."""
         events: list[Adu | Skipped] = []
-        if self._timed and now_ns - self._last_ns > self._timeout_ns:
-            silence = f"{self._timeout_ns / 1e9:g} s"
-            self._end(events, f"a frame that ends in more than {silence} of silence")
+        if self._timed and now_ns - self._last_ns > CHARACTER_TIMEOUT_NS:
+            self._end(events, "a frame that ends in more than 1 s of silence")
             self._noise.end(events)
             self._resynchronised = False
         return events
@@ -176,13 +169,9 @@ class AsciiSplitter:
         self._first_ns = self._last_ns = self._time(colon)
         self._frame.append(data[colon])
         self._cr = -1
-        self._split = False
 
     def _add(self, data: bytes, place: int, end: int) -> None:
         self._frame += data[place:end]
-        if place == 0 and self._timed:  # A read holds no silence.
-            silence_ns = self._time(0) - self._character_ns - self._last_ns
-            self._split |= silence_ns > CHARACTER_TIMEOUT_NS
         self._last_ns = self._time(end - 1)
 
     def _is_whole(self, delimiter: int | None) -> bool:
@@ -246,8 +235,9 @@ class AsciiSplitter:
     def _judge(self, unit: int, pdu: bytes) -> Judgement:
         if self._speaker is not None:
             return Judgement(self._speaker, DirectionBy.PORT, 1.0)
-        judgement = self._turns.judge(unit, pdu, self._first_ns)
-        self._turns.spoke(judgement, unit, pdu, self._last_ns)
+        start_ns = self._first_ns - self._character_ns
+        judgement = self._turns.judge(unit, pdu, start_ns)
+        self._turns.hear(judgement, unit, pdu, start_ns, self._last_ns)
         return judgement
 
     def _verdicts(self, frame: AsciiFrame, judgement: Judgement) -> tuple[Verdict, ...]:
@@ -261,8 +251,6 @@ class AsciiSplitter:
             verdicts.append(Verdict.RESYNCHRONISED)
         if self._is_glued():
             verdicts.append(Verdict.GLUED)
-        if self._split:
-            verdicts.append(Verdict.SPLIT)
         if frame.parity_in_data:
             verdicts.append(Verdict.PARITY_IN_DATA)
         if frame.is_lower_case:

@@ -103,10 +103,12 @@ class RtuSplitter:
             return events
         step_ns = self._character_ns
         first_ns = ts_ns - (len(data) - 1) * step_ns
-        if self._data:
+        if self._given is not None and ts_ns < self._given[0]:
+            events += self._begin_anew()
+        elif self._data:
             last_ns = self._times[-1]
             if ts_ns < last_ns:
-                events += self.close()
+                events += self._begin_anew()
             elif first_ns - step_ns - last_ns >= self._t3_5_ns:
                 events += self.advance(first_ns - step_ns)
         while data:
@@ -140,6 +142,13 @@ class RtuSplitter:
         events: list[Adu | Skipped] = []
         if self._data:
             self._end_burst(events, may_go_on=False)
+        return events
+
+    def _begin_anew(self) -> list[Adu | Skipped]:
+        """The clock was set back: what was held comes out, and no time before counts any more."""
+        events = self.close()
+        self._given = None
+        self._turns.begin_anew()
         return events
 
     def _end_burst(self, events: list[Adu | Skipped], *, may_go_on: bool) -> None:
@@ -208,15 +217,16 @@ class RtuSplitter:
         )
         pieces = Tiling(window, self._turns, self._habits, self._roles).pieces()
         for piece in pieces:
-            if piece.kind is Kind.OPEN or (keep and piece.place + piece.size > end - keep):
-                if keep and piece.kind is not Kind.FRAME and piece.place < end - keep:
-                    self._skip(end - keep - piece.place, events)
+            size, decided = piece.size, end - keep - piece.place
+            if piece.kind is Kind.SKIPPED:
+                size = min(size, decided)
+            if piece.kind is Kind.OPEN or not 0 < size <= decided:
                 break
             if piece.kind is Kind.FRAME:
-                self._give(piece.size, self._judged(piece), events)
+                self._give(size, self._judged(piece), events)
             else:
-                self._skip(piece.size, events)
-                if piece.kind is Kind.DAMAGED or piece.size >= LONG_SKIP:
+                self._skip(size, events)
+                if piece.kind is Kind.DAMAGED or size >= LONG_SKIP:
                     self._turns.heard_damage()
 
     def _silences(self, keep: int) -> list[bool]:
@@ -244,7 +254,7 @@ class RtuSplitter:
         raw = bytes(self._data[:size])
         times = self._times
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
-        before_ns = None if self._given is None else start_ns - self._given[0]
+        before_ns = None if self._given is None else max(start_ns - self._given[0], 0)
         longest_ns = self._longest_ns(size)
         verdicts = self._verdicts(size, before_ns, longest_ns, judgement)
         unit, pdu = raw[0], raw[1:-2]

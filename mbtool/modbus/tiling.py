@@ -10,8 +10,9 @@
 #
 # At each place the BEAM cheapest rows are kept, and none that is weights.MARGIN bits above one that
 # has come further; so the search goes from frame to frame where all is well, and looks at every
-# byte only where it is not. Its work is bounded by the window: at most BEAM rows a place, and for
-# each at most a dozen pieces.
+# byte only where it is not. Its work is bounded by the window: at most BEAM rows a place, a dozen
+# pieces for each, and 256 bytes to look through for each piece. The worst found, random bytes with
+# a silence after each, is 17,000 bytes/s on a slow core; a line at 115200 baud brings 11,520.
 
 from __future__ import annotations
 
@@ -192,7 +193,7 @@ class Tiling:
         starts = 0.0 if silent else self._habits.glue.bits
         for row in rows:
             turn = row.turn
-            if row.skipped >= LONG_SKIP and not turn.lost:
+            if row.skipped >= LONG_SKIP and not turn.lost and not self._is_known:
                 turn = turn.behind_damage()
             for frame in frames:
                 self._lay_frame(place, row, turn, frame, starts)
@@ -248,7 +249,7 @@ class Tiling:
         for size, cost in self._damaged(place, turn):
             cost += starts + size * weights.SKIP_MORE
             piece = Piece(Kind.DAMAGED, place, size)
-            lost = turn.behind_damage()
+            lost = turn if self._is_known else turn.behind_damage()
             self._add(place + size, _Row(row.cost + cost, lost, row, piece, 0, row.runs))
 
     def _lay_skip(self, place: int, row: _Row, is_frame: bool, is_unknown: bool) -> None:

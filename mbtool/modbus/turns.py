@@ -27,13 +27,13 @@ from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-DEFAULT_TURN_NS = 1_000_000_000
+TURN_NS = 1_000_000_000
 """How long a request waits for its answer before the turn goes back to the master.
 
 Serial Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout.
 """
 MAX_KNOWN = 1024
-"""Requests remembered; beyond that the longest unheard is forgotten."""
+"""Requests remembered; beyond that the one unheard longest is forgotten."""
 SURE = 0.8
 """A confidence below which a frame is called ambiguous."""
 
@@ -103,13 +103,14 @@ class Turn:
 class Turns:
     """Judges each frame of a line by the turn, and keeps the turn."""
 
-    def __init__(self, turn_ns: int = DEFAULT_TURN_NS, *, timed: bool = True) -> None:
+    def __init__(self, *, timed: bool = True) -> None:
         """`timed` says whether the bytes' times are known."""
-        self._turn_ns = turn_ns
         self.trusts_silences = timed
         """Whether silences here tell who speaks: not without times, nor where frames are glued."""
         self.turn = Turn()
         self._known: dict[tuple[int, bytes], None] = {}
+        self._asked: set[tuple[int, int]] = set()
+        """Units with the functions that they were asked."""
         self._latency = Latency()
         self._doubted: tuple[int, bytes] | None = None
         """The last frame, if it was ambiguous: its echo is no surer than `_doubt`."""
@@ -159,7 +160,7 @@ class Turns:
             if waiting is None or not waiting.is_named_by(unit, code):
                 return False
             return not size or code != waiting.expected.code or waiting.expected.size in (0, size)
-        return turn.waiting is None and (unit, bytes((code,))) in self._known
+        return turn.waiting is None and (unit, code) in self._asked
 
     def foresees(self, turn: Turn, unit: int, code: int, size: int) -> bool:
         """Whether just a response of this size of its PDU is due now."""
@@ -174,10 +175,6 @@ class Turns:
         """Whether a request was heard before."""
         return (unit, pdu) in self._known
 
-    def spoke(self, judgement: Judgement, unit: int, pdu: bytes, end_ns: int) -> None:
-        """Note a frame that was given out. `end_ns` is the time of its last byte."""
-        self.hear(judgement, unit, pdu, end_ns, end_ns)
-
     def hear(self, judgement: Judgement, unit: int, pdu: bytes, start_ns: int, end_ns: int) -> None:
         """Note a frame that was given out, and learn from it."""
         role = judgement.direction
@@ -188,9 +185,14 @@ class Turns:
             if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
                 self._latency.learn(start_ns - waiting.since_ns)
         sure = judgement.by in CERTAIN
-        is_doubtful = judgement.confidence < SURE
+        is_doubtful = judgement.confidence < SURE and self._doubted != (unit, pdu)
         self._doubted, self._doubt = ((unit, pdu) if is_doubtful else None), judgement.confidence
         self.turn = self.follow(self.turn, unit, pdu, role, start_ns, end_ns, sure=sure)
+
+    def begin_anew(self) -> None:
+        """Forget whose turn it was: the clock was set back."""
+        self.turn = Turn()
+        self._doubted = None
 
     def heard_damage(self) -> None:
         """Note bytes that could not be read."""
@@ -268,7 +270,8 @@ class Turns:
         odd = weights.MALFORMED if is_odd_response(pdu) else 0.0
         if waiting is not None and waiting.is_named_by(unit, pdu[0]):
             return weights.WRONG_ANSWER + odd, 0.0
-        if turn.owed is not None and turn.owed.fits(unit, pdu):
+        owed = turn.owed
+        if owed is not None and at_ns - owed.since_ns <= TURN_NS and owed.fits(unit, pdu):
             return weights.LATE_ANSWER, 0.0
         if waiting is None and (turn.lost or turn.last_ns is None):
             return (weights.ANSWER_WHEN_LOST if turn.lost else weights.ANSWER_AT_START) + odd, 0.0
@@ -295,15 +298,15 @@ class Turns:
 
     def _waiting(self, turn: Turn, at_ns: int) -> Waiting | None:
         waiting = turn.waiting
-        if waiting is None or at_ns - waiting.since_ns > self._turn_ns:
+        if waiting is None or at_ns - waiting.since_ns > TURN_NS:
             return None
         return waiting
 
     def _remember(self, unit: int, pdu: bytes) -> None:
-        for key in ((unit, pdu), (unit, pdu[:1])):
-            self._known.pop(key, None)
-            self._known[key] = None
-        while len(self._known) > MAX_KNOWN:
+        self._asked.add((unit, pdu[0]))
+        self._known.pop((unit, pdu), None)
+        self._known[unit, pdu] = None
+        if len(self._known) > MAX_KNOWN:
             del self._known[next(iter(self._known))]
 
 

@@ -136,17 +136,6 @@ def test_silence_of_less_than_a_second_does_not() -> None:
     assert verdicts(feed_all(splitter(), sent.reads())) == [()]
 
 
-def test_longer_silence_may_be_allowed_and_is_told() -> None:
-    patient = AsciiSplitter(FORMAT, character_timeout_ns=5_000_000_000)
-    sent = line().send(REQUEST[:9]).frame(REQUEST[9:], before_ns=5_000_000_000)
-    sent.frame(RESPONSE, before_ns=5_000_000_000)
-    events = feed_all(patient, sent.reads())
-    assert verdicts(events) == [(Verdict.SPLIT,), ()]
-    impatient = AsciiSplitter(FORMAT, character_timeout_ns=100_000_000)
-    reasons = [one.reason for one in skipped(feed_all(impatient, sent.reads()))]
-    assert reasons[0] == "a frame that ends in more than 0.1 s of silence"
-
-
 def test_without_times_no_silence_ends_a_frame() -> None:
     fed = AsciiSplitter(FORMAT, timed=False)
     reads: list[Read] = [(REQUEST[:9], START_NS), (REQUEST[9:], START_NS + 3_600_000_000_000)]

@@ -735,6 +735,25 @@ def test_clock_that_was_set_back_ends_what_was_held() -> None:
     assert adu.end_ns == START_NS - hour
 
 
+def test_clock_that_was_set_back_leaves_no_time_that_is_still_to_come() -> None:
+    fed = splitter()
+    write = rtu_adu(5, bytes.fromhex("06 0001 0003"))
+    hour = 3_600_000_000_000
+    fed.feed(write, START_NS)
+    fed.advance(START_NS + HOLD_NS)
+    events = fed.feed(write, START_NS - hour) + fed.advance(START_NS - hour + T3_5)
+    (adu,) = adus(events)
+    assert (adu.direction, adu.silence_before_ns, adu.verdicts) == (REQUEST, None, ())
+
+
+def test_noise_across_a_full_window_puts_the_turn_in_doubt() -> None:
+    noise = random.Random(5).randbytes(2000)
+    fed = splitter()
+    fed.feed(rtu_adu(5, bytes.fromhex("06 0001 0003")), START_NS)
+    fed.feed(noise, START_NS + 3000 * CHARACTER)
+    assert fed._turns.turn.lost
+
+
 def test_reads_that_seem_to_overlap_belong_together() -> None:
     fed = splitter()
     fed.feed(READ_HOLDING_RESPONSE[:6], START_NS)

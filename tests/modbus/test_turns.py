@@ -8,9 +8,9 @@ from mbtool.core import Direction
 from mbtool.modbus import DirectionBy, parse_pdu
 from mbtool.modbus.habits import Latency
 from mbtool.modbus.turns import (
-    DEFAULT_TURN_NS,
     MAX_KNOWN,
     SURE,
+    TURN_NS,
     Judgement,
     Turns,
     answers,
@@ -37,7 +37,7 @@ class Spoken:
     def hear(self, unit: int, pdu: bytes, after_ns: int = MS) -> Judgement:
         self.now_ns += after_ns
         judgement = self.turns.judge(unit, pdu, self.now_ns)
-        self.turns.spoke(judgement, unit, pdu, self.now_ns)
+        self.turns.hear(judgement, unit, pdu, self.now_ns, self.now_ns)
         return judgement
 
     def learn_latency(self, latency_ns: int = 5 * MS) -> Spoken:
@@ -69,7 +69,7 @@ def test_form_that_fits_both_is_decided_by_the_turn() -> None:
 def test_turn_goes_back_to_the_master_after_a_while() -> None:
     spoken = Spoken()
     spoken.hear(1, WRITE)
-    assert spoken.hear(1, WRITE, after_ns=DEFAULT_TURN_NS + 1).direction is REQUEST
+    assert spoken.hear(1, WRITE, after_ns=TURN_NS + 1).direction is REQUEST
     assert spoken.hear(1, WRITE).direction is RESPONSE
 
 
@@ -309,3 +309,15 @@ def test_function_code_above_127_is_answered_by_itself_only() -> None:
     assert answers(0x83, 0x83)
     assert not answers(0x83, 0x03)
     assert answers(0x03, 0x83)
+
+
+def test_doubt_ends_with_the_echo_of_what_was_doubted() -> None:
+    """A master that writes the same for ever, and repeats it once."""
+    spoken = Spoken().learn_latency(5 * MS)
+    for _ in range(4):
+        spoken.hear(1, WRITE, 30 * MS)
+        spoken.hear(1, WRITE, 5 * MS)
+    spoken.hear(1, WRITE, 30 * MS)
+    spoken.hear(1, WRITE, 300 * MS)
+    heard = [spoken.hear(1, WRITE, after_ns) for after_ns in (5 * MS, 30 * MS) * 20]
+    assert [one.confidence >= SURE for one in heard[4:]] == [True] * 36

@@ -28,6 +28,7 @@ from tests.strategies import SIZES, Exchange, exchanges
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 FORMAT = SerialFormat(19200)
 MS = 1_000_000
+SECOND = 1_000_000_000
 READ = bytes.fromhex("03 006B 0001")  # read holding registers, address 107, quantity 1
 ANSWER = bytes.fromhex("03 02 022B")
 OTHER_READ = bytes.fromhex("04 0000 0002")
@@ -213,6 +214,56 @@ def test_a_side_that_says_nothing_holds_the_other_up_for_a_second() -> None:
         decoded += taps.feed(*wires.reads[-1])
     held_ns = wires.now_ns - adus(decoded)[-1].end_ns
     assert held_ns <= LATE_NS + LOOK_NS + 200 * MS
+
+
+def stepped(wires: Wires, at: int, by_ns: int = 3600 * SECOND) -> list[Read]:
+    """The reads, as a clock says that is set back before one of them."""
+    return [
+        (speaker, data, ts_ns if place < at else ts_ns - by_ns)
+        for place, (speaker, data, ts_ns) in enumerate(wires.reads)
+    ]
+
+
+@pytest.mark.parametrize("ascii_line", [False, True])
+def test_a_clock_that_is_set_back_costs_no_transaction(ascii_line: bool) -> None:
+    make = ascii_adu if ascii_line else rtu_adu
+    wires = Wires()
+    for value in range(20):
+        wires.say(REQUEST, make(5, READ)).say(RESPONSE, make(5, bytes([3, 2, 0, value])))
+    reads = stepped(wires, 20)
+    # The slaves' port is read first.
+    pairs = zip(reads[0::2], reads[1::2], strict=True)
+    reads = [read for request, response in pairs for read in (response, request)]
+    done = transactions(feed(TwoTaps("a+b", FORMAT, ascii=ascii_line), reads))
+    assert [one.outcome for one in done] == ["ok"] * 20
+    assert [one.response_values for one in done] == [[value] for value in range(20)]
+
+
+def test_a_clock_that_is_set_back_before_a_response_leaves_it_its_request() -> None:
+    wires = Wires()
+    for value in range(6):
+        wires.ask().answer(bytes([3, 2, 0, value]))
+    done = transactions(feed(TwoTaps("a+b", FORMAT), stepped(wires, 5)))
+    assert [one.response_values for one in done] == [[value] for value in range(6)]
+
+
+def test_behind_a_clock_that_is_set_back_each_side_still_waits_for_the_other() -> None:
+    wires = Wires().ask().answer().ask().answer()
+    reads = stepped(wires, 2)
+    taps = TwoTaps("a+b", FORMAT)
+    for read in reads[:2]:
+        taps.feed(*read)
+    assert len(transactions(taps.feed(*reads[3]))) == 1  # What came before it waits no more.
+    assert taps.feed(*reads[2]) == []
+    assert [one.outcome for one in transactions(taps.close())] == ["ok"]
+
+
+def test_silence_that_a_clock_set_back_tells_gives_out_what_waits() -> None:
+    wires = Wires().ask().answer()
+    taps = TwoTaps("a+b", FORMAT)
+    for read in wires.reads:
+        assert taps.feed(*read) == []
+    assert len(transactions(taps.advance(wires.now_ns - 3600 * SECOND))) == 1
 
 
 def test_memory_is_bounded_whatever_the_times_say() -> None:

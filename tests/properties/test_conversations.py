@@ -16,7 +16,7 @@ from mbtool.modbus import (
     mbap_adu,
     rtu_adu,
 )
-from mbtool.modbus.turns import DEFAULT_TURN_NS
+from mbtool.modbus.turns import TURN_NS
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import transactions, wire_events
 from tests.strategies import SIZES, Exchange, exchanges
@@ -34,7 +34,7 @@ def test_bus_gives_the_transactions_that_were_on_it(
     line = Line(FORMAT)
     for exchange in script:
         # A master that got no answer waits longer than any answer takes.
-        line.frame(framed(exchange.unit, exchange.request), before_ns=2 * DEFAULT_TURN_NS)
+        line.frame(framed(exchange.unit, exchange.request), before_ns=2 * TURN_NS)
         if exchange.response is not None:
             line.frame(framed(exchange.unit, exchange.response), before_ns=LATENCY_NS)
     decoded = feed_all(Bus("rs485", FORMAT, ascii=ascii_line), line.reads(sizes))

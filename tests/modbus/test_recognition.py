@@ -1,0 +1,236 @@
+"""Modbus told from other protocols by what a connection says."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Connection, Direction, Endpoint, EventKind, WireEvent
+from mbtool.modbus import Decoded, Recognition, State, mbap_adu, rtu_adu
+from mbtool.modbus.recognition import ENOUGH, ENOUGH_BYTES, GAP_COUNTS
+from tests.modbus.reading import adus, transactions, wire_events
+
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+CONNECTION = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 1502), 1)
+
+READ = bytes.fromhex("03 0000 0002")  # read holding registers, address 0, quantity 2
+VALUES = bytes.fromhex("03 04 1234 5678")  # four bytes, two registers
+LONG_READ = bytes.fromhex("03 0000 0002 00")  # a byte more than the function has
+OWN_FUNCTION = bytes.fromhex("41 01")  # a function that no table knows
+
+TLS = bytes.fromhex("16 0301 0200 01 0001fc 0303")  # a record, version 3.1, with a ClientHello
+LDAP_BIND = bytes.fromhex(
+    "30 84 0000000f"  # a SEQUENCE of 15 bytes: protocol id 0 and length 15 to Modbus
+    "02 01 01"  # message 1: unit 2, function 01
+    "60 84 00000006"  # a bind request
+    "02 01 03 04 00 80"
+)
+LDAP_ANSWER = bytes.fromhex("30 84 0000000f 02 01 01 61 84 00000006 0a 01 00 04 00 80")
+
+Piece = tuple[Direction, bytes]
+TCP_PAIR: list[Piece] = [(REQUEST, mbap_adu(1, 1, READ)), (RESPONSE, mbap_adu(1, 1, VALUES))]
+RTU_PAIR: list[Piece] = [(REQUEST, rtu_adu(1, READ)), (RESPONSE, rtu_adu(1, VALUES))]
+
+
+def expected(*, joined: bool = False) -> Recognition:
+    """A connection to a port that the user named."""
+    return Recognition(CONNECTION, joined=joined)
+
+
+def anywhere(*, joined: bool = False) -> Recognition:
+    """A connection to any port."""
+    return Recognition(CONNECTION, joined=joined, expected=False, rtu=True)
+
+
+def fed(recognition: Recognition, pieces: list[Piece]) -> list[Decoded]:
+    return [
+        one
+        for place, (direction, data) in enumerate(pieces)
+        for one in recognition.feed(direction, data, place)
+    ]
+
+
+def is_one_event(decoded: list[Decoded]) -> bool:
+    return [one.kind for one in decoded if isinstance(one, WireEvent)] == [EventKind.FOREIGN] and (
+        len(decoded) == 1
+    )
+
+
+def test_an_expected_connection_is_modbus_with_its_first_adu() -> None:
+    recognition = expected()
+    assert len(adus(fed(recognition, TCP_PAIR[:1]))) == 1
+    assert recognition.state is State.MODBUS
+
+
+def test_an_expected_function_that_no_table_knows_is_modbus() -> None:
+    assert len(adus(fed(expected(), [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))]))) == 1
+
+
+@pytest.mark.parametrize("pair", [TCP_PAIR, RTU_PAIR], ids=["tcp", "rtu"])
+def test_elsewhere_a_request_waits_for_its_answer_and_nothing_is_lost(pair: list[Piece]) -> None:
+    recognition = anywhere()
+    assert fed(recognition, pair[:1]) == []
+    decoded = fed(recognition, pair[1:])
+    assert len(adus(decoded)) == 2
+    (one,) = transactions(decoded)
+    assert one.response_values == [0x1234, 0x5678]
+    assert len(transactions(fed(recognition, pair))) == 1
+
+
+@pytest.mark.parametrize("kind", [mbap_adu(1, 1, READ), rtu_adu(1, READ)], ids=["tcp", "rtu"])
+def test_elsewhere_enough_requests_in_a_row_are_modbus(kind: bytes) -> None:
+    recognition = anywhere()
+    assert fed(recognition, [(REQUEST, kind)] * (ENOUGH - 1)) == []
+    assert len(adus(fed(recognition, [(REQUEST, kind)]))) == ENOUGH
+
+
+def test_elsewhere_functions_that_no_table_knows_prove_nothing() -> None:
+    recognition = anywhere()
+    assert fed(recognition, [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))] * 9) == []
+    assert recognition.close() != []
+    assert recognition.state is State.FOREIGN
+
+
+@pytest.mark.parametrize(
+    ("pieces", "name"),
+    [
+        ([(REQUEST, TLS), (RESPONSE, TLS)], "TLS"),
+        ([(REQUEST, b"GET / HTTP/1.1\r\n"), (RESPONSE, b"HTTP/1.1 200 OK\r\n")], "HTTP"),
+        ([(RESPONSE, b"SSH-2.0-OpenSSH\r\n"), (REQUEST, b"SSH-2.0-scan\r\n")], "SSH"),
+        ([(REQUEST, LDAP_BIND), (RESPONSE, LDAP_ANSWER)], "LDAP"),
+        ([(REQUEST, b"\x03\x00\x00\x13\x0e\xe0" + bytes(13)), (RESPONSE, b"\xff" * 9)], "TPKT"),
+    ],
+)
+@pytest.mark.parametrize("port", [expected, anywhere])
+def test_another_protocol_is_one_event_that_names_it(
+    pieces: list[Piece],
+    name: str,
+    port: type[Recognition],
+) -> None:
+    recognition = port()
+    decoded = [*fed(recognition, pieces), *fed(recognition, pieces * 9), *recognition.close()]
+    assert is_one_event(decoded)
+    assert name in wire_events(decoded)[0].message
+
+
+def test_another_protocol_that_was_joined_is_one_event_too() -> None:
+    recognition = expected(joined=True)
+    decoded = [*fed(recognition, [(REQUEST, TLS)] * 200), *recognition.close()]
+    assert is_one_event(decoded)
+
+
+def test_a_client_that_nobody_answers_is_one_event_when_it_ends() -> None:
+    recognition = expected()
+    assert fed(recognition, [(REQUEST, TLS)]) == []
+    assert is_one_event(recognition.close())
+
+
+def test_where_it_is_expected_one_side_alone_may_speak_modbus() -> None:
+    noise: Piece = (REQUEST, b"\x00\x01\x00\x00\x88\x04\x05\x07")
+    decoded = fed(expected(), [noise, TCP_PAIR[1]])
+    assert [one.pdu for one in adus(decoded)] == [VALUES]
+
+
+def test_where_it_is_expected_adus_of_a_wrong_length_are_told_when_it_ends_at_the_latest() -> None:
+    long: Piece = (REQUEST, mbap_adu(1, 1, LONG_READ))
+    recognition = expected()
+    assert fed(recognition, [long]) == []
+    assert len(adus(recognition.close())) == 1
+    assert len(adus(fed(expected(), [long] * 3))) == 3
+
+
+def test_where_it_is_expected_missing_bytes_speak_for_nothing_else() -> None:
+    recognition = expected()
+    (gap,) = recognition.gap(REQUEST, 12, 0)
+    assert isinstance(gap, WireEvent)
+    assert (gap.kind, recognition.state) == (EventKind.GAP, State.MODBUS)
+
+
+def test_rtu_at_a_port_of_modbus_tcp_is_told_with_the_option_that_reads_it() -> None:
+    # Unit 1, function 03, address 300H: no protocol id.
+    request, response = bytes.fromhex("03 0300 0001"), bytes.fromhex("03 02 0007")
+    decoded = fed(expected(), [(REQUEST, rtu_adu(1, request)), (RESPONSE, rtu_adu(1, response))])
+    assert is_one_event(decoded)
+    assert "--rtu-port" in wire_events(decoded)[0].message
+
+
+def test_a_frame_that_is_also_an_adu_is_a_frame_because_of_its_crc() -> None:
+    # 01 03 00 00 00 02 C4 0B: transaction 0103H, length 2, unit C4H, function 0BH.
+    assert rtu_adu(1, READ)[4:6] == b"\x00\x02"
+    recognition = Recognition(CONNECTION, rtu=True)
+    (adu,) = adus(fed(recognition, RTU_PAIR[:1]))
+    assert adu.pdu == READ
+
+
+def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
+    recognition = anywhere(joined=True)
+    recognition.hold(
+        WireEvent(
+            ts_ns=0,
+            link=CONNECTION.link,
+            kind=EventKind.OPENED,
+            message="connection joined",
+            source=str(CONNECTION.master),
+            destination=str(CONNECTION.slave),
+        )
+    )
+    exchanged = [(RESPONSE, TCP_PAIR[0][1]), (REQUEST, TCP_PAIR[1][1])]
+    decoded = fed(recognition, exchanged)
+    (one,) = transactions(decoded)
+    assert (one.source, one.destination) == ("10.0.0.9:1502", "10.0.0.1:50211")
+    (opened,) = wire_events(decoded)
+    assert (opened.source, opened.destination) == (one.source, one.destination)
+    assert len(transactions(fed(recognition, exchanged))) == 1
+
+
+@given(st.lists(st.tuples(st.sampled_from([REQUEST, RESPONSE]), st.binary(max_size=300))))
+def test_what_is_held_is_bounded(pieces: list[Piece]) -> None:
+    recognition = anywhere(joined=True)
+    given_out = fed(recognition, pieces)
+    size = sum(len(data) for _, data in pieces)
+    if recognition.state is State.UNDECIDED:
+        assert not given_out
+        assert size < ENOUGH_BYTES
+
+
+def test_gaps_without_end_are_bounded() -> None:
+    recognition = anywhere()
+    gaps = [recognition.gap(REQUEST, 1, place) for place in range(ENOUGH_BYTES // GAP_COUNTS)]
+    assert not any(gaps[:-1])
+    assert is_one_event(gaps[-1])
+
+
+PIECES: list[Piece] = [
+    *TCP_PAIR,
+    *RTU_PAIR,
+    (REQUEST, TLS),
+    (REQUEST, LDAP_BIND),
+    (RESPONSE, LDAP_ANSWER),
+    (REQUEST, mbap_adu(2, 1, LONG_READ)),
+    (REQUEST, mbap_adu(3, 1, OWN_FUNCTION)),
+    (RESPONSE, bytes(40)),
+    (REQUEST, b"\xff" * 500),
+]
+
+
+@given(
+    pieces=st.lists(st.sampled_from(PIECES), max_size=12),
+    size=st.integers(1, 40),
+    kind=st.sampled_from([expected, anywhere]),
+    joined=st.booleans(),
+)
+def test_where_segments_end_does_not_matter(
+    pieces: list[Piece], size: int, kind: type[Recognition], joined: bool
+) -> None:
+    whole, cut = kind(joined=joined), kind(joined=joined)
+    wanted = [one for way, data in pieces for one in whole.feed(way, data, 0)] + whole.close()
+    found = [
+        one
+        for way, data in pieces
+        for start in range(0, len(data), size)
+        for one in cut.feed(way, data[start : start + size], 0)
+    ] + cut.close()
+    assert cut.state is whole.state
+    assert adus(found) == adus(wanted)
+    assert transactions(found) == transactions(wanted)
