@@ -2,7 +2,7 @@
 
 from mbtool.slave.image import RegisterImage
 from mbtool.slave.image_file import load_image
-from mbtool.slave.opening import open_shell
+from mbtool.slave.opening import open_shell, slave_link
 from mbtool.slave.responder import DeviceResponder
 from mbtool.slave.serial_shell import SerialSlave, open_port
 from mbtool.slave.shell import OnExchange, Shell
@@ -21,5 +21,6 @@ __all__ = [
     "load_image",
     "open_port",
     "open_shell",
+    "slave_link",
     "units_on",
 ]

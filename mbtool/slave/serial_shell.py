@@ -159,6 +159,11 @@ def _open_with(link: SerialLink, timeout_s: float, data_bits: int, parity: str) 
         )
     except ValueError as error:  # A baud rate that the driver does not know.
         raise serial.SerialException(str(error)) from error
+    except Exception as error:
+        # pyserial lets the errors of termios pass, which are no OSError, and are not on Windows.
+        if type(error).__module__ != "termios":
+            raise
+        raise serial.SerialException(*error.args) from error
 
 
 def _is_pseudo_terminal(port: str) -> bool:

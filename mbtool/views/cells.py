@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
 from mbtool.devices import describe, describe_points, finding_text
-from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus import FUNCTIONS, Outcome, Verdict
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
@@ -116,6 +116,8 @@ def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> 
         text = f"sub-function {transaction.sub_function:02X}"
     if transaction.retries:
         text = f"{text} (retry {transaction.retries})"
+    if Verdict.AMBIGUOUS in transaction.verdicts:
+        text = f"{text} (ambiguous)"
     for code in transaction.findings:
         text = f"{text}  ! {code} {finding_text(code, profile)}"
     return text.strip()

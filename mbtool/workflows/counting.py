@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.modbus import Outcome
+from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:
     from mbtool.workflows.decoding import Record
@@ -31,12 +31,14 @@ class Tally:
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     events: Counter[EventKind] = field(default_factory=Counter)
+    ambiguous: int = 0
 
     def add(self, record: Record) -> None:
         if isinstance(record, WireEvent):
             self.events[record.kind] += 1
         else:
             self.outcomes[record.outcome] += 1
+            self.ambiguous += Verdict.AMBIGUOUS in record.verdicts
 
     @property
     def transactions(self) -> int:
@@ -50,6 +52,8 @@ class Tally:
         ]
         if parts:
             text += ": " + ", ".join(parts)
+        if self.ambiguous:
+            text += f" ({self.ambiguous} ambiguous)"
         troubles = {
             kind: count for kind, count in self.events.items() if kind not in CONNECTION_EVENTS
         }

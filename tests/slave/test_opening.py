@@ -31,5 +31,5 @@ def test_a_link_with_two_ports_is_none_for_a_slave() -> None:
 
 @pytest.mark.parametrize("link", ["net:eth0", "tap:127.0.0.1:1502=10.0.0.9:502"])
 def test_a_link_to_listen_on_is_none_for_a_slave(link: str) -> None:
-    with pytest.raises(UsageError, match=f"link '{link}': a slave is on rtu:PORT"):
+    with pytest.raises(UsageError, match=f"link {link}: a slave needs rtu:PORT"):
         open_shell(parse_link(link), Scripted(echo))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 import subprocess
 import sys
+import termios
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import serial
@@ -173,6 +175,28 @@ def test_opens_a_pseudo_terminal_with_any_format(
     line: VirtualLine, master: serial.Serial, format_: str
 ) -> None:
     with SerialSlave(_link(line, SerialFormat.parse(format_)), _only_unit_1()):
+        _ask(master)
+
+
+def test_opens_the_same_pseudo_terminal_again(line: VirtualLine, master: serial.Serial) -> None:
+    for _ in range(3):
+        with SerialSlave(_link(line, SerialFormat.parse("19200-8E1")), _only_unit_1()):
+            _ask(master)
+
+
+def test_what_termios_refuses_on_a_pseudo_terminal_is_asked_without_parity(
+    line: VirtualLine, master: serial.Serial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some C libraries report EINVAL where a terminal keeps no parity; pyserial lets it pass."""
+    set_up = termios.tcsetattr
+
+    def refusing(fd: int, when: int, attributes: list[Any]) -> None:
+        if attributes[2] & termios.PARENB:
+            raise termios.error(errno.EINVAL, "Invalid argument")
+        set_up(fd, when, attributes)
+
+    monkeypatch.setattr(termios, "tcsetattr", refusing)
+    with SerialSlave(_link(line, SerialFormat.parse("19200-8E1")), _only_unit_1()):
         _ask(master)
 
 

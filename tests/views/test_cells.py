@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue, load_profile
-from mbtool.modbus import FUNCTIONS, Outcome, function_name
+from mbtool.modbus import FUNCTIONS, Outcome, Verdict, function_name
 from mbtool.views.cells import (
     HEADINGS,
     clock_time,
@@ -127,6 +127,7 @@ def test_says_that_it_does_not_know_a_function() -> None:
         ({"function": 8, "sub_function": 4, "reference": None}, "sub-function 04"),
         ({"reference": "HR400001", "retries": 2}, "HR400001 (retry 2)"),
         ({"function": 17, "reference": None, "retries": 1}, "(retry 1)"),
+        ({"reference": "HR400001", "verdicts": [Verdict.AMBIGUOUS]}, "HR400001 (ambiguous)"),
     ],
 )
 def test_says_what_is_addressed_and_written(fields: dict[str, Any], what: str) -> None:

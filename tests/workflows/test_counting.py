@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.modbus import Outcome
+from mbtool.modbus import Outcome, Verdict
 from mbtool.workflows.counting import Tally
 from tests.logs.samples import transaction
 
@@ -44,3 +44,10 @@ def test_says_what_went_through(
         tally.add(_event(kind))
     assert tally.sentence() == sentence
     assert tally.transactions == len(outcomes)
+
+
+def test_says_how_many_are_ambiguous() -> None:
+    tally = Tally()
+    for verdicts in ([], [Verdict.AMBIGUOUS], [Verdict.GLUED, Verdict.AMBIGUOUS]):
+        tally.add(transaction(verdicts=verdicts))
+    assert tally.sentence() == "3 transactions: 3 ok (2 ambiguous)"
