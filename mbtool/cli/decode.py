@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import stat
 import sys
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -77,7 +79,7 @@ def decode(
     events: EventsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
-    from mbtool.cli.options import assignments, condition, file_line, silence
+    from mbtool.cli.options import assignments, condition, file_line, silence, tcp_ports
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError, UsageError
@@ -92,10 +94,12 @@ def decode(
             )
     devices = assignments(device)
     wanted = condition(where)
+    ports, any_port = tcp_ports(port)
     options = ReadingOptions(
         assignments=devices,
-        ports=port or (),
+        ports=ports,
         rtu_ports=rtu_port or (),
+        any_port=any_port,
         line=file_line(link),
         t1_5=silence("--t1-5", t1_5),
         t3_5=silence("--t3-5", t3_5),
@@ -107,6 +111,7 @@ def decode(
         return reading.assignments.profile_for(one)
 
     with (
+        _with_remarks(reading),
         open_output(
             output, format_, events, profile_for, wanted, limit, reading.demand_files
         ) as out,
@@ -121,8 +126,8 @@ def decode(
             records = followed(files[0], options, wait)
         else:
             records = interrupt.breakable(reading.records())
-        # Whoever pipes a live capture in and looks at the terminal wants each line at once.
-        is_watched = out.on_terminal and STANDARD_INPUT in files
+        # A pipe may bring a live capture: each line is wanted at once, by a program, too.
+        is_watched = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
         for record in records if follow or out.on_terminal else _with_progress(reading, records):
             out.add(record)
             if is_watched:
@@ -137,6 +142,26 @@ def decode(
         raise InputError(reading.why_unread)
     if reading.why_empty is not None:
         say(reading.why_empty)
+
+
+@contextmanager
+def _with_remarks(reading: Reading) -> Iterator[None]:
+    """Say at the end, however it comes, what there is to know of the files."""
+    from mbtool.cli.talk import say
+
+    try:
+        yield
+    finally:
+        for remark in reading.remarks:
+            say(remark)
+
+
+def _is_piped() -> bool:
+    """Whether standard input is no file."""
+    try:
+        return not stat.S_ISREG(os.fstat(0).st_mode)
+    except OSError:  # It is closed, which opening it tells.
+        return False
 
 
 def _is_same(file: str, output: str) -> bool:

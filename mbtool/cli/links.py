@@ -33,10 +33,9 @@ def links(
     the command against it. Nothing is opened, and nothing is changed.
     """
     from mbtool.cli.talk import say
-    from mbtool.sources.interfaces_here import interfaces_here
-    from mbtool.sources.ports_here import ports_here
+    from mbtool.workflows.listing import links_here
 
-    ports, interfaces = ports_here(), interfaces_here()
+    ports, interfaces = links_here()
     if format_ is LinksFormat.JSONL:
         _print_json_lines(ports, interfaces)
     else:

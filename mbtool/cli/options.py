@@ -59,13 +59,12 @@ WhereOption = Annotated[
     ),
 ]
 PortOption = Annotated[
-    list[int] | None,
+    list[str] | None,
     typer.Option(
         "--port",
-        metavar="PORT",
-        min=1,
-        max=65535,
-        help="A TCP port of slaves. Repeatable. [default: 502]",
+        metavar="PORT|any",
+        help="A TCP port of slaves, or any: find Modbus/TCP and RTU over TCP at all ports by what "
+        "is said there. Repeatable. [default: 502]",
     ),
 ]
 RtuPortOption = Annotated[
@@ -112,6 +111,23 @@ RemoteOption = Annotated[
         help="Listen also where other machines can connect; without it, on loopback only.",
     ),
 ]
+
+
+def tcp_ports(texts: Sequence[str] | None) -> tuple[list[int], bool]:
+    """The ports that --port names, and whether it names any. Raises UsageError."""
+    from mbtool.core import UsageError
+
+    ports, is_any = [], False
+    for text in texts or ():
+        if text == "any":
+            is_any = True
+        elif text.isascii() and text.isdecimal() and len(text) <= 5 and 0 < int(text) < 1 << 16:
+            ports.append(int(text))
+        else:
+            raise UsageError(
+                f"Invalid value for '--port': {text!r}; write a number from 1 to 65535, or any"
+            )
+    return ports, is_any
 
 
 def assignments(devices: Sequence[str] | None) -> Assignments:

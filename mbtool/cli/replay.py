@@ -66,15 +66,15 @@ def replay(
 
     A request gets its next recorded answer; when there is no further one, the last one again.
     """
-    from mbtool.cli.options import condition, file_line
+    from mbtool.cli.options import condition, file_line, tcp_ports
     from mbtool.cli.serve import serve
     from mbtool.cli.talk import say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.replay import OnMiss
+    from mbtool.slave import slave_link
     from mbtool.workflows.reading import ReadingOptions
     from mbtool.workflows.replaying import read_recording, recorded_slave
-    from mbtool.workflows.serving import slave_link
 
     if not as_slave:
         raise UsageError("say which side to play: --as-slave")
@@ -85,10 +85,11 @@ def replay(
     def on_cut(error: InputError) -> None:
         say(f"mbtool: {error}; playing what is there")
 
+    ports, any_port = tcp_ports(port)
     options = ReadingOptions(
-        ports=port or (), rtu_ports=rtu_port or (), line=file_line(link), raw=raw
+        ports=ports, rtu_ports=rtu_port or (), any_port=any_port, line=file_line(link), raw=raw
     )
-    recording = read_recording(file, options, wanted, on_cut)
+    recording = read_recording(file, options, wanted, on_cut, say)
     shell = recorded_slave(
         recording,
         where_to_answer,

@@ -25,7 +25,7 @@ def sniff(
             metavar="LINK",
             help="rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE or tap:LISTEN=TARGET. "
             "Several are heard at once. rtu:PORT,PORT@... is one line with two taps: the master's "
-            "side, the slaves' side.",
+            "side, the slaves' side. rtutap:PORT@...=PORT relays between the ends of a cut line.",
         ),
     ],
     write: Annotated[
@@ -62,12 +62,13 @@ def sniff(
 ) -> None:
     """Listen on links, show each transaction as it ends, and log it.
 
-    Sniffing never writes to the line. --where chooses what is shown; the log gets everything.
+    Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
+    shown; the log gets everything.
     """
     from functools import partial
     from math import inf
 
-    from mbtool.cli.options import assignments, condition, silence
+    from mbtool.cli.options import assignments, condition, silence, tcp_ports
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError, parse_link
@@ -78,7 +79,7 @@ def sniff(
     from mbtool.workflows.decoding import Decoder
     from mbtool.workflows.line_timing import LineTiming
     from mbtool.workflows.reading import DEFAULT_PORT
-    from mbtool.workflows.recording import begin_log
+    from mbtool.workflows.recording import begin_log, demand_log
     from mbtool.workflows.settling import settled
     from mbtool.workflows.sniffing import Sniffer, serial_lines
 
@@ -86,8 +87,14 @@ def sniff(
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
     specs = [parse_link(link, HEARD) for link in links]
     devices, wanted = assignments(device), condition(where)
-    ports, rtu_ports = port or [DEFAULT_PORT], rtu_port or []
+    ports, any_port = tcp_ports(port)
+    ports, rtu_ports = ports or [DEFAULT_PORT], rtu_port or []
     timing = LineTiming(devices, silence("--t1-5", t1_5), silence("--t3-5", t3_5))
+    rotation = None if rotate is None else Rotation.parse(rotate)
+    # To find settings may take minutes: what cannot be done is said before.
+    serial_lines(specs)
+    if write is not None:
+        demand_log(write, overwrite=overwrite)
     specs = timing.given(settled(specs, say))
     sniffer = Sniffer(
         specs,
@@ -97,6 +104,7 @@ def sniff(
             timing=timing,
             ports=ports,
             rtu_ports=rtu_ports,
+            any_port=any_port,
         ),
         begin_log=None
         if write is None
@@ -107,11 +115,13 @@ def sniff(
             devices,
             ports=ports,
             rtu_ports=rtu_ports,
-            rotation=None if rotate is None else Rotation.parse(rotate),
+            any_port=any_port,
+            rotation=rotation,
             overwrite=overwrite,
         ),
-        ports=[*ports, *rtu_ports],
+        ports=[] if any_port else [*ports, *rtu_ports],
         on_lost=lambda error: say(f"mbtool: {error}"),
+        on_discarded=lambda event: say(f"mbtool: {event.link}: {event.message}"),
         on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),
     )
     with (

@@ -11,7 +11,7 @@ from mbtool.core.errors import UsageError
 from mbtool.core.link_spec import SerialLink
 from mbtool.core.serial_format import SerialFormat
 
-_DEFAULTS = {"rtu": SerialFormat(), "ascii": SerialFormat(9600, 7, "E", 1)}
+_MODES = ("rtu", "ascii")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +32,13 @@ class LineSettings:
 def parse_line(text: str) -> LineSettings:
     """Read `rtu@19200-8E1` or `ascii@9600-7E1`. Raises UsageError."""
     mode, at, settings = text.partition("@")
-    if mode not in _DEFAULTS:
+    if mode not in _MODES:
         port = " without a port" if ":" in mode else ""
         raise UsageError(
             f"--link {text!r}: say of the line of a file{port}: rtu@19200-8E1 or ascii@9600-7E1"
         )
-    format_ = SerialFormat.parse(settings) if at else _DEFAULTS[mode]
-    if mode == "rtu" and format_.data_bits != 8:  # Serial Line V1.02, 2.5.1.
-        raise UsageError(f"--link {text!r}: RTU needs 8 data bits, for example rtu@19200-8E1")
-    return LineSettings(format_, ascii=mode == "ascii")
+    is_ascii = mode == "ascii"
+    format_ = SerialFormat.parse(settings) if at else SerialFormat.usual(is_ascii=is_ascii)
+    if not is_ascii:
+        format_.demand_rtu(f"--link {text!r}", "rtu@19200-8E1")
+    return LineSettings(format_, is_ascii)

@@ -3,6 +3,7 @@
 #     rtu:/dev/ttyUSB0@19200-8E1         serial RTU
 #     rtu:/dev/ttyUSB0,/dev/ttyUSB1@...  two taps on one line: the master's side, the slaves' side
 #     ascii:/dev/ttyUSB0@9600-7E1        serial ASCII
+#     rtutap:/dev/A@19200-8E1=/dev/B     a relay in a cut line: the master's end, the slaves' end
 #     rtu:/dev/ttyUSB0@auto              settings and mode to be found by listening
 #     net:eth0                           a network interface
 #     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where to listen, whom to call
@@ -14,7 +15,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 
 from mbtool.core.errors import UsageError
@@ -24,13 +25,16 @@ from mbtool.core.serial_format import SerialFormat
 MODBUS_PORT = 502
 AUTO = "auto"
 
-HEARD = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE or tap:LISTEN=TARGET"
+HEARD = (
+    "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE "
+    "or tap:LISTEN=TARGET"
+)
 """What sniff takes, for a message."""
 ANSWERED = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
 """What slave and replay take."""
 _ALL = (
-    "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, net:INTERFACE, tap:LISTEN=TARGET, tcp:HOST:PORT "
-    "or rtu+tcp:HOST:PORT"
+    "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE, "
+    "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
 )
 
 _HOST = re.compile(r"[^\s/@\[\]]+")
@@ -44,8 +48,6 @@ _OWN_ADDRESSES = {
 }
 """Under which other names one reaches what listens at an address."""
 
-_ASCII_FORMAT = SerialFormat(9600, 7, "E", 1)
-
 
 @dataclass(frozen=True, slots=True)
 class SerialLink:
@@ -57,10 +59,16 @@ class SerialLink:
     ascii: bool = False
     slave_port: str | None = None
     """The port that hears the slaves, where each side has a tap of its own."""
+    is_relay: bool = field(default=False, kw_only=True)
+    """Whether the two ports are the ends of a cut line, and what one hears the other says."""
+
+    def __post_init__(self) -> None:
+        if self.is_relay and self.slave_port is None:
+            raise ValueError("a relay joins two ports")
 
     @property
     def scheme(self) -> str:
-        return "ascii" if self.ascii else "rtu"
+        return f"{'ascii' if self.ascii else 'rtu'}{'tap' if self.is_relay else ''}"
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -75,10 +83,12 @@ class SerialLink:
         if self.slave_port is not None:
             raise UsageError(
                 f"link {self}: two ports can only listen; to answer, name one, "
-                f"for example {self.scheme}:{self.port}@{self.format}"
+                f"for example {'ascii' if self.ascii else 'rtu'}:{self.port}@{self.format}"
             )
 
     def __str__(self) -> str:
+        if self.is_relay:
+            return f"{self.scheme}:{self.port}@{self.format}={self.slave_port}"
         return f"{self.scheme}:{','.join(self.ports)}@{self.format}"
 
 
@@ -160,6 +170,8 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
     match scheme:
         case "rtu" | "ascii":
             return _parse_serial(text, scheme, rest)
+        case "rtutap" | "asciitap":
+            return _parse_relay(text, scheme, rest)
         case "net":
             return InterfaceLink(rest)
         case "tap":
@@ -178,15 +190,17 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
             raise UsageError(f"link {text!r}: write {offer}")
 
 
-def _parse_serial(text: str, scheme: str, rest: str) -> SerialLink | AutoLink:
+def _parse_serial(
+    text: str, scheme: str, rest: str, example: str | None = None
+) -> SerialLink | AutoLink:
+    """The line of an RTU or an ASCII link; `example` is for links that hold one."""
     port, at, settings = rest.rpartition("@")
     if not at:
         port = rest
     port, *others = port.split(",")
     if not all(PurePath(each).name for each in (port, *others)):
-        raise UsageError(
-            f"link {text!r}: no port is named, for example {scheme}:/dev/ttyUSB0@19200-8E1"
-        )
+        example = example or f"{scheme}:/dev/ttyUSB0@19200-8E1"
+        raise UsageError(f"link {text!r}: no port is named, for example {example}")
     if len(others) > 1 or port in others:
         raise UsageError(
             f"link {text!r}: a line has one tap, or two different ones, the first on the master's "
@@ -194,13 +208,38 @@ def _parse_serial(text: str, scheme: str, rest: str) -> SerialLink | AutoLink:
         )
     if settings.lower() == AUTO and at:
         return AutoLink((port, *others), only_ascii=scheme == "ascii")
-    if at:
-        format_ = SerialFormat.parse(settings)
-    else:
-        format_ = _ASCII_FORMAT if scheme == "ascii" else SerialFormat()
-    if scheme == "rtu" and format_.data_bits != 8:  # Serial Line V1.02, 2.5.1.
-        raise UsageError(f"link {text!r}: RTU needs 8 data bits, for example {port}@19200-8E1")
-    return SerialLink(port, format_, scheme == "ascii", *others)
+    is_ascii = scheme == "ascii"
+    format_ = SerialFormat.parse(settings) if at else SerialFormat.usual(is_ascii=is_ascii)
+    if not is_ascii:
+        ports = ",".join((port, *others))
+        format_.demand_rtu(f"link {text!r}", example or f"{scheme}:{ports}@19200-8E1")
+    return SerialLink(port, format_, is_ascii, *others)
+
+
+def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
+    """Two ports and the settings of both, which stand behind the first."""
+    master_side, equals, slave_port = rest.rpartition("=")
+    is_ascii = scheme == "asciitap"
+    example = f"{scheme}:/dev/ttyUSB0@{SerialFormat.usual(is_ascii=is_ascii)}=/dev/ttyUSB1"
+    if not equals or not PurePath(slave_port).name:
+        raise UsageError(
+            f"link {text!r}: a tap needs the port on the master's side and the port on the "
+            f"slaves' side, for example {example}"
+        )
+    if "@" in slave_port:
+        raise UsageError(
+            f"link {text!r}: the settings are those of both ports and stand behind the first, "
+            f"for example {example}"
+        )
+    line = _parse_serial(text, "ascii" if is_ascii else "rtu", master_side, example)
+    if isinstance(line, AutoLink):
+        raise UsageError(
+            f"link {text!r}: a cut line says nothing until it is relayed, so its settings cannot "
+            f"be found; give them, for example {example}"
+        )
+    if slave_port in line.ports or line.slave_port is not None:
+        raise UsageError(f"link {text!r}: a tap joins two different ports, for example {example}")
+    return replace(line, slave_port=slave_port, is_relay=True)
 
 
 def _parse_endpoint(text: str, part: str) -> Endpoint:

@@ -138,6 +138,16 @@ class SerialFormat:
             return _FIXED_T3_5_NS
         return self.character_bits * 3_500_000_000 // self.baud
 
+    @classmethod
+    def usual(cls, *, is_ascii: bool) -> Self:
+        """What an RTU or an ASCII line has where nothing is said of it."""
+        return cls(9600, 7) if is_ascii else cls()
+
+    def demand_rtu(self, said: str, example: str) -> None:
+        """See that RTU can be spoken so. Raises UsageError; `said` names what the user wrote."""
+        if self.data_bits != 8:  # Serial Line V1.02, 2.5.1.
+            raise UsageError(f"{said}: RTU needs 8 data bits, for example {example}")
+
     def _ns(self, silence: Silence) -> int:
         return silence.ns(self.baud, self.character_bits)
 

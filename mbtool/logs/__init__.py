@@ -1,5 +1,6 @@
 """The log: an MCAP file of evidence and what was decoded from it; and exports of it."""
 
+from mbtool.logs.creating import demand_place
 from mbtool.logs.exports import (
     CSV_COLUMNS,
     CsvWriter,
@@ -24,6 +25,7 @@ __all__ = [
     "RotatingLog",
     "Rotation",
     "csv_row",
+    "demand_place",
     "event_to_jsonl",
     "follow",
     "json_schema",

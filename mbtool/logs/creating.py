@@ -28,8 +28,8 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
     Raises UsageError for what cannot be created or may not be replaced, OutputError where another
     recorder has the file.
     """
+    demand_place(path, replace=replace)
     try:
-        _demand_place(path, replace=replace)
         place = Path(os.path.realpath(path))
         flags = os.O_WRONLY | os.O_CREAT | (0 if replace else os.O_EXCL)
         descriptor = os.open(place, flags | getattr(os, "O_BINARY", 0), 0o666)
@@ -52,12 +52,16 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
     return file
 
 
-def _demand_place(path: Path, *, replace: bool) -> None:
-    """See that a log may stand there. Raises UsageError, and OSError where nobody can tell."""
+def demand_place(path: Path, *, replace: bool = False) -> None:
+    """See that a log may stand there, and create nothing. Raises UsageError."""
     try:
         mode = path.stat().st_mode
-    except FileNotFoundError:
+    except FileNotFoundError as error:
+        if not Path(os.path.realpath(path)).parent.is_dir():
+            raise _uncreated(path, error) from error
         return
+    except (OSError, ValueError) as error:
+        raise _uncreated(path, error) from error
     if stat.S_ISDIR(mode):
         raise UsageError(f"{path}: a directory; name a file in it, for example {path / 'x.mcap'}")
     if not stat.S_ISREG(mode):

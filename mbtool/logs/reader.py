@@ -92,6 +92,11 @@ class LogReader:
             stream.close()
             raise
 
+    @property
+    def end_ns(self) -> int:
+        """The log time of the last item so far, 0 before the first."""
+        return self._now_ns
+
     def items(self) -> Iterator[LogItem]:
         """Everything that was written, in its order. One pass: a second call gives nothing."""
         return self._read(_ITEMS)

@@ -9,6 +9,7 @@ from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, fu
 from mbtool.modbus.mbap import MbapSplitter
 from mbtool.modbus.pdu import Pdu, encode_pdu, exception_pdu, parse_pdu, pdu_length, pdu_of
 from mbtool.modbus.reach import REACHING, Reach, reach_of, response_to, values_after
+from mbtool.modbus.recognition import Recognition, State
 from mbtool.modbus.rtu import RtuSplitter
 from mbtool.modbus.rtu_stream import RtuStreamSplitter
 from mbtool.modbus.tables import Table
@@ -31,10 +32,12 @@ __all__ = [
     "Outcome",
     "Pdu",
     "Reach",
+    "Recognition",
     "Responder",
     "RtuSplitter",
     "RtuStreamSplitter",
     "Skipped",
+    "State",
     "Table",
     "Transaction",
     "Transport",

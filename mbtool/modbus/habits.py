@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import log2
 
 _PACE = 1 / 32
@@ -25,6 +26,15 @@ class Habit:
         self.bits = (
             min(max(-log2(self._often), self._least), self._most) if self._often else self._most
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """What a line does often at its frames."""
+
+    skip: Habit
+    glue: Habit
+    tear: Habit
 
 
 class Latency:

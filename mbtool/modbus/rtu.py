@@ -33,9 +33,10 @@ from mbtool.modbus.adu import (
     Verdict,
 )
 from mbtool.modbus.framing import crc
-from mbtool.modbus.habits import Habit
+from mbtool.modbus.habits import Habit, Habits
+from mbtool.modbus.rows import Kind, Piece
 from mbtool.modbus.rtu_structure import MIN_FRAME, frame_size, why_skipped
-from mbtool.modbus.tiling import LONG_SKIP, Habits, Kind, Piece, Tiling, Window
+from mbtool.modbus.tiling import LONG_SKIP, Tiling, Window
 from mbtool.modbus.turns import ROLES, SURE, Judgement, Turns
 
 if TYPE_CHECKING:
@@ -130,18 +131,15 @@ class RtuSplitter:
         if not self._data:
             return events
         silence_ns = now_ns - self._times[-1]
-        if silence_ns >= self._t3_5_ns and len(self._data) > self._decided:
-            self._tears += 1
-            self._end_burst(events, may_go_on=self._tears < MAX_TEARS)
-        if self._data and silence_ns >= max(HOLD_NS, self._t3_5_ns):
-            self._end_burst(events, may_go_on=False)
+        if silence_ns >= self._t3_5_ns:
+            self._hear_silence(events, is_long=silence_ns >= HOLD_NS)
         return events
 
     def close(self) -> list[Adu | Skipped]:
         """The capture ends; what is held comes out."""
         events: list[Adu | Skipped] = []
         if self._data:
-            self._end_burst(events, may_go_on=False)
+            self._hear_silence(events, is_long=True)
         return events
 
     def _begin_anew(self) -> list[Adu | Skipped]:
@@ -150,6 +148,14 @@ class RtuSplitter:
         self._given = None
         self._turns.begin_anew()
         return events
+
+    def _hear_silence(self, events: list[Adu | Skipped], *, is_long: bool) -> None:
+        """Decide what a silence ends; a long one ends what is held, too."""
+        if len(self._data) > self._decided:
+            self._tears += 1
+            self._end_burst(events, may_go_on=self._tears < MAX_TEARS)
+        if is_long and self._data:
+            self._end_burst(events, may_go_on=False)
 
     def _end_burst(self, events: list[Adu | Skipped], *, may_go_on: bool) -> None:
         self._take_front(events, burst_over=True)

@@ -16,27 +16,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import Enum
-from itertools import takewhile
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
-from mbtool.modbus.habits import Habit
 from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.rows import DOUBT, Kind, Piece, Row, agreed_on, merged, with_doubts
 from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
-from mbtool.modbus.turns import ROLES, Turn, Turns, is_counted, likelihood
+from mbtool.modbus.turns import ROLES, Turn, Turns, is_counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.modbus.habits import Habits
+
 
 BEAM = 4
-DOUBT = 6.0
-"""Bits: what is so much dearer raises no doubt."""
 MOST_UNKNOWN_ENDS = 3
 """Ends that are tried of a frame whose function no table knows."""
 LOST_BYTES = (1, 2)
@@ -47,29 +45,6 @@ LONG_SKIP = 4
 _NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 _QUERY_DATA = b"\x08\x00\x00"
 """Sub-function 0 of 08 may be longer than usual, and nothing tells how long (V1.1b3, 6.8.1)."""
-
-
-class Kind(Enum):
-    """What a piece is."""
-
-    FRAME = "frame"
-    DAMAGED = "damaged"
-    SKIPPED = "skipped"
-    OPEN = "open"
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """A part of the window."""
-
-    kind: Kind
-    place: int
-    size: int
-    role: Direction = Direction.UNKNOWN
-    roles: tuple[Direction, ...] = ()
-    """Those whose form a frame has."""
-    confidence: float = 1.0
-    """How sure it is that no other row of pieces explains these bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,33 +63,6 @@ class Window:
 
     def start_ns(self, place: int) -> int:
         return self.times[place] - self.character_ns
-
-
-@dataclass(frozen=True, slots=True)
-class Habits:
-    """What the line does often."""
-
-    skip: Habit
-    glue: Habit
-    tear: Habit
-
-
-@dataclass(slots=True, eq=False)
-class _Row:
-    """Pieces from the first byte to a place, the last of them first."""
-
-    cost: float
-    turn: Turn
-    before: _Row | None
-    piece: Piece | None
-    skipped: int = 0
-    """How many bytes were skipped up to here."""
-    runs: int = 0
-    """How often bytes were skipped before: each time makes the next likelier."""
-    is_anchored: bool = False
-    """Whether a frame ends here, so that another is likely to begin."""
-    rivals: tuple[_Row, ...] = ()
-    """Rows that lead to the same turn and are nearly as cheap."""
 
 
 @dataclass(slots=True)
@@ -139,8 +87,10 @@ class Tiling:
         self._roles = roles
         self._is_known = len(roles) == 1
         """Whether it is known who speaks, so that no turn matters."""
-        self._rows: list[list[_Row]] = [[] for _ in range(self._end + 1)]
+        self._rows: list[list[Row]] = [[] for _ in range(self._end + 1)]
         self._lowest = [float("inf")] * (self._end + 1)
+        self._open_row: Row | None = None
+        """The cheapest that ends in a frame which is still to be completed."""
         self._reach = float("inf")
         """What a row may cost at most beside one that has come further."""
         self._found: dict[int, list[_Frame]] = {}
@@ -151,20 +101,25 @@ class Tiling:
     def pieces(self) -> list[Piece]:
         """The cheapest explanation, in order, without a hole."""
         skipped = int(self._window.is_behind_noise)
-        self._rows[0] = [_Row(0.0, self._turns.turn, None, None, skipped, 0, not skipped)]
+        self._rows[0] = [Row(0.0, self._turns.turn, None, None, skipped, 0, not skipped)]
         for place in range(self._end):
             rows = self._rows[place]
             if rows:
                 ahead = min(self._lowest[place + 1 : place + MAX_RTU_ADU + 1])
                 self._reach = ahead + weights.MARGIN
+                if self._open_row is not None:
+                    self._reach = min(self._reach, self._open_row.cost + weights.OPEN_MARGIN)
                 rows = [row for row in rows if row.cost <= self._reach]
                 if rows:
                     self._go_on(place, rows)
                 self._rows[place] = []
         ends = sorted(self._rows[self._end], key=lambda row: row.cost)
-        return list(_merged(_with_doubts(ends)))
+        pieces = list(with_doubts(ends)) if ends else []
+        if self._open_row is not None and (not ends or self._open_row.cost <= ends[0].cost):
+            pieces = agreed_on(pieces, self._open_row, self._end)
+        return list(merged(pieces))
 
-    def _add(self, place: int, row: _Row) -> None:
+    def _add(self, place: int, row: Row) -> None:
         """Keep a row, if none that leads to the same turn is cheaper."""
         if row.cost > self._reach:
             return
@@ -184,7 +139,7 @@ class Tiling:
             self._lowest[place] = row.cost
             self._reach = min(self._reach, row.cost + weights.MARGIN)
 
-    def _go_on(self, place: int, rows: list[_Row]) -> None:
+    def _go_on(self, place: int, rows: list[Row]) -> None:
         """Lay every piece that may begin at a place."""
         frames = self._frames(place)
         silent = self._window.silences[place]
@@ -205,7 +160,7 @@ class Tiling:
             self._lay_open(place, row, turn, starts, is_unknown=bool(unknown))
             self._lay_skip(place, row, bool(frames), bool(unknown))
 
-    def _is_due(self, row: _Row, place: int) -> bool:
+    def _is_due(self, row: Row, place: int) -> bool:
         """Whether a row leads to a request whose response may begin at a place."""
         waiting = row.turn.waiting
         return (
@@ -214,7 +169,7 @@ class Tiling:
             and waiting.is_named_by(self._data[place], self._data[place + 1])
         )
 
-    def _lay_frame(self, place: int, row: _Row, turn: Turn, frame: _Frame, starts: float) -> None:
+    def _lay_frame(self, place: int, row: Row, turn: Turn, frame: _Frame, starts: float) -> None:
         raw = self._data[place : place + frame.size]
         unit, pdu = raw[0], raw[1:-2]
         start_ns = self._window.start_ns(place)
@@ -226,10 +181,10 @@ class Tiling:
             follows = self._turns.follow(turn, unit, pdu, frame.role, start_ns, end_ns)
         piece = Piece(Kind.FRAME, place, frame.size, frame.role, frame.roles)
         total = row.cost + cost
-        self._add(place + frame.size, _Row(total, follows, row, piece, 0, row.runs, True))
+        self._add(place + frame.size, Row(total, follows, row, piece, 0, row.runs, True))
 
     def _lay_open(
-        self, place: int, row: _Row, turn: Turn, starts: float, *, is_unknown: bool
+        self, place: int, row: Row, turn: Turn, starts: float, *, is_unknown: bool
     ) -> None:
         expected, cost = self._open(place, turn)
         if cost is None:
@@ -243,16 +198,20 @@ class Tiling:
             cost += weights.WAIT + self._inside(place, size, known=expected)
         else:
             cost += self._tears(place, size) + size * weights.SKIP_MORE
-        self._add(self._end, _Row(cost, turn, row, Piece(Kind.OPEN, place, size)))
+        opened = Row(cost, turn, row, Piece(Kind.OPEN, place, size))
+        if not self._window.silences[self._end]:  # A full window is decided but for its end.
+            self._add(self._end, opened)
+        elif self._open_row is None or cost < self._open_row.cost:
+            self._open_row = opened
 
-    def _lay_damaged(self, place: int, row: _Row, turn: Turn, starts: float) -> None:
+    def _lay_damaged(self, place: int, row: Row, turn: Turn, starts: float) -> None:
         for size, cost in self._damaged(place, turn):
             cost += starts + size * weights.SKIP_MORE
             piece = Piece(Kind.DAMAGED, place, size)
             lost = turn if self._is_known else turn.behind_damage()
-            self._add(place + size, _Row(row.cost + cost, lost, row, piece, 0, row.runs))
+            self._add(place + size, Row(row.cost + cost, lost, row, piece, 0, row.runs))
 
-    def _lay_skip(self, place: int, row: _Row, is_frame: bool, is_unknown: bool) -> None:
+    def _lay_skip(self, place: int, row: Row, is_frame: bool, is_unknown: bool) -> None:
         if row.skipped:
             cost = weights.SKIP_MORE
         else:
@@ -265,24 +224,28 @@ class Tiling:
             cost += weights.UNKNOWN_COINCIDENCE
         piece = Piece(Kind.SKIPPED, place, 1)
         runs = row.runs + (not row.skipped)
-        self._add(place + 1, _Row(row.cost + cost, row.turn, row, piece, row.skipped + 1, runs))
+        self._add(place + 1, Row(row.cost + cost, row.turn, row, piece, row.skipped + 1, runs))
 
     def _tears(self, place: int, size: int) -> float:
         torn = self._torn[place + size] - self._torn[place + 1]
         return self._habits.tear.bits + (torn - 1) * weights.TORN_MORE if torn else 0.0
 
     def _inside(self, place: int, size: int, *, known: bool) -> float:
-        """What it costs that silences stand inside a piece, and that frames begin there.
+        """What it costs that silences stand inside a piece, and that frames begin there."""
+        return self._tears(place, size) + self._swallowed(place, size, known=known)
+
+    def _swallowed(self, place: int, size: int, *, known: bool) -> float:
+        """What it costs that frames begin inside a piece.
 
         Registers may hold what looks like a frame, but not behind a silence, and hardly twice
-        where the piece is not `known` to be due.
+        where the piece is not `known` by more than its length.
         """
         silences = self._window.silences
         inner = range(place + 1, place + size - MIN_FRAME + 1)
         begins = sum(silences[at] and bool(self._frames(at)) for at in inner)
         if not known:
             begins = max(begins, sum(bool(self._frames(at)) for at in inner) - 1)
-        return self._tears(place, size) + weights.COINCIDENCE * begins
+        return weights.COINCIDENCE * begins
 
     def _frames(self, place: int) -> list[_Frame]:
         """Frames of known form with a correct CRC."""
@@ -321,9 +284,11 @@ class Tiling:
         for size in crc_ends(head, MOST_UNKNOWN_ENDS):
             if size == burst:
                 continue
-            zero = weights.ENDS_IN_ZERO if head[size - 1] == 0 else 0.0
+            cost = weights.UNKNOWN + self._swallowed(place, size, known=False)
+            if head[size - 1] == 0:
+                cost += weights.ENDS_IN_ZERO
             for role in unsized:
-                yield _Frame(size, role, self._roles, weights.UNKNOWN + zero)
+                yield _Frame(size, role, self._roles, cost)
 
     def _burst(self, place: int) -> int:
         """How many bytes there are up to the next silence; 0 where none stands near."""
@@ -351,6 +316,10 @@ class Tiling:
                     if MIN_FRAME <= size - lost <= len(head):
                         more = weights.DAMAGED_SIZE + self._inside(place, size - lost, known=True)
                         yield size - lost, weights.DAMAGED + cost + more
+        burst = self._burst(place) if self._window.silences[place] else 0
+        if burst > 2 * MIN_FRAME and self._habits.glue.bits > weights.NEVER:
+            # Damaged where it begins. What it holds is no frame either, as none is glued here.
+            yield burst, weights.DAMAGED + weights.DAMAGED_SIZE + weights.UNEXPECTED
 
     def _expected(self, head: bytes, size: int, role: Direction, turn: Turn) -> tuple[bool, float]:
         """Whether a frame that begins so is due, and what speaks for it beside that."""
@@ -389,63 +358,3 @@ class Tiling:
             if least[1] is None or cost < least[1]:
                 least = expected, cost
         return least
-
-
-def _with_doubts(ends: list[_Row]) -> Iterator[Piece]:
-    """The pieces of the cheapest row; those that a row nearly as cheap has not are less sure."""
-    best = list(_back(ends[0]))
-    doubts: dict[int, float] = {}
-    for row in best:
-        for rival in row.rivals if row is not ends[0] else (*row.rivals, *ends[1:]):
-            more = rival.cost - row.cost
-            if more < DOUBT and not _waits(rival, row):
-                for place in _differences(best, row, rival):
-                    doubts[place] = min(doubts.get(place, 1.0), likelihood(more))
-    for row in reversed(best):
-        piece = row.piece
-        if piece is not None:
-            doubt = doubts.get(piece.place) if piece.kind is Kind.FRAME else None
-            yield piece if doubt is None else replace(piece, confidence=doubt)
-
-
-def _back(end: _Row) -> Iterator[_Row]:
-    """A row and those it continues, down to the empty one."""
-    row: _Row | None = end
-    while row is not None:
-        yield row
-        row = row.before
-
-
-def _waits(rival: _Row, row: _Row) -> bool:
-    """Whether a rival only waits for more: that is no other explanation."""
-    return rival.piece is not None and rival.piece.kind is Kind.OPEN and rival.piece != row.piece
-
-
-def _differences(best: list[_Row], row: _Row, rival: _Row) -> list[int]:
-    """Where pieces begin that lead to a row and that its rival has not."""
-    known = {id(one) for one in best}
-    others = set()
-    for other in _back(rival):
-        if id(other) in known:
-            common = other
-            break
-        others.add(other.piece)
-    differing = takewhile(lambda one: one is not common, _back(row))
-    return [one.piece.place for one in differing if one.piece and one.piece not in others]
-
-
-def _merged(pieces: Iterator[Piece]) -> Iterator[Piece]:
-    """Join skipped bytes that stand side by side."""
-    skipped: Piece | None = None
-    for piece in pieces:
-        if piece.kind is Kind.SKIPPED and skipped is not None:
-            skipped = Piece(Kind.SKIPPED, skipped.place, skipped.size + piece.size)
-        elif piece.kind is Kind.SKIPPED:
-            skipped = piece
-        else:
-            if skipped is not None:
-                yield skipped
-                skipped = None
-            yield piece
-    if skipped is not None:
-        yield skipped

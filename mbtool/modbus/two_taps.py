@@ -11,6 +11,9 @@
 # the bytes were cut into reads nor on which side was read first. A read is fed at most LATE_NS
 # after one of the other side with the same time, so silence need not be told: a log has none.
 #
+# A time that lies more than LATE_NS before what is known says that the clock was set back. What
+# was held comes out, and both sides begin anew, as at the start of a capture.
+#
 # Ports that are exchanged are told: SURE frames that can only be the other side's, and none that
 # can only be its own.
 #
@@ -78,30 +81,46 @@ class TwoTaps:
         What is not said to be the slaves' is the master's.
         """
         speaker = Direction.RESPONSE if direction is Direction.RESPONSE else Direction.REQUEST
+        decoded = self._begin_anew() if ts_ns < self._sides[speaker].until_ns - LATE_NS else []
         for side in self._sides.values():
             if side.speaker is speaker:
                 side.feed(data, ts_ns)
             else:
                 side.advance(ts_ns - LATE_NS)
-        return self._decide()
+        return decoded + self._decide()
 
     def advance(self, now_ns: int) -> list[Decoded]:
         """Learn that all that either side has said until now was fed."""
+        known_ns = min(side.until_ns for side in self._sides.values())
+        decoded = self._begin_anew() if now_ns < known_ns - LATE_NS else []
         for side in self._sides.values():
             side.advance(now_ns)
-        decoded = self._decide()
+        decoded += self._decide()
         if not any(side.is_busy for side in self._sides.values()):
             decoded += self._pairing.advance(now_ns)
         return decoded
 
     def close(self) -> list[Decoded]:
         """The capture ends."""
+        return [*self._give_all(), *self._pairing.close()]
+
+    def _begin_anew(self) -> list[Decoded]:
+        """The clock was set back: what is held comes out, and no time is known any more."""
+        decoded = self._give_all()
+        for side in self._sides.values():
+            side.until_ns = 0
+        self._waiting = self._answered_ns = None
+        self._has_asked = False
+        self._ahead_ns = 0
+        return decoded
+
+    def _give_all(self) -> list[Decoded]:
         for side in self._sides.values():
             side.close()
         decoded: list[Decoded] = []
         while self._held:
             self._give_next(decoded)
-        return [*decoded, *self._pairing.close()]
+        return decoded
 
     def _decide(self) -> list[Decoded]:
         """Give out what nothing that is still to come can come before."""
@@ -209,14 +228,15 @@ class _Side:
         splitter = AsciiSplitter if ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(line, speaker=speaker)
         self._character_ns = line.character_ns
-        self._until_ns = 0
+        self.until_ns = 0
+        """Until when all that it says was fed."""
         self._held: deque[_Read] = deque()
         """The reads of which the splitter still holds bytes."""
 
     @property
     def known_ns(self) -> int:
         """No event that is still to come begins before this."""
-        return self._held[0].start_ns if self._held else self._until_ns
+        return self._held[0].start_ns if self._held else self.until_ns
 
     @property
     def is_busy(self) -> bool:
@@ -225,11 +245,11 @@ class _Side:
     def feed(self, data: bytes, ts_ns: int) -> None:
         if data:
             self._held.append(_Read(len(data), ts_ns, self._character_ns))
-            self._until_ns = max(self._until_ns, ts_ns)
+            self.until_ns = max(self.until_ns, ts_ns)
             self._take(self._splitter.feed(data, ts_ns))
 
     def advance(self, now_ns: int) -> None:
-        self._until_ns = max(self._until_ns, now_ns)
+        self.until_ns = max(self.until_ns, now_ns)
         self._take(self._splitter.advance(now_ns))
 
     def close(self) -> None:

@@ -90,6 +90,8 @@ OPEN_UNEXPECTED = 1.5
 GLUED = 2.0
 """A frame without a silence before it. Learned, from 0.2 to 8."""
 GLUED_LIMITS = (0.2, 8.0)
+NEVER = 5.0
+"""Learned bits from which on frames are never glued here."""
 TORN = 2.0
 """A silence of t3.5 inside a frame. Learned, from 0.2 to 5."""
 TORN_LIMITS = (0.2, 5.0)
@@ -104,3 +106,5 @@ ENDS_IN_ZERO = 5.0
 
 MARGIN = 12.0
 """Explanations that are so much worse than another are given up."""
+OPEN_MARGIN = 24.0
+"""The same beside one that waits for more: what is so much dearer need not be known meanwhile."""

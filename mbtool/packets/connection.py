@@ -14,6 +14,12 @@
 #
 # An acknowledgement alone moves nothing: only later bytes make a gap, so a false one loses none.
 #
+# Bytes whose hole was given up and that come after all are an event: their gap stands.
+#
+# Keep-alive probes, as the alive check of the FA3 modules sends them, repeat the byte before the
+# next expected, or no byte at its place (RFC 1122, 4.2.3.6). They are counted. A single byte at the
+# beginning of a stream that is joined, with nothing behind it in time, is one too.
+#
 # Times. Bytes were complete when they and all before them had been captured: a piece that waited
 # for an earlier one has the earlier one's time where that was captured later.
 #
@@ -24,7 +30,7 @@ from __future__ import annotations
 
 from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, WireEvent
 from mbtool.packets.segment import ACK, FIN, RST, SYN, Segment
-from mbtool.packets.stream import Piece, Stream
+from mbtool.packets.stream import LEAD, Piece, Stream
 from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,
@@ -51,6 +57,7 @@ class TcpConnection:
         "_responses",
         "closed",
         "identity",
+        "keep_alives",
         "last_ns",
     )
 
@@ -67,6 +74,7 @@ class TcpConnection:
         self.closed = False
         self.last_ns = ts_ns
         """The time of the last segment."""
+        self.keep_alives = 0
         self._master_is_lower = master_is_lower
         self._arrivals = 0
         self._now_ns = ts_ns
@@ -85,7 +93,7 @@ class TcpConnection:
         sender = self._requests if from_lower == self._master_is_lower else self._responses
         if segment.flags & SYN:
             known = sender.first is not None
-            same = sender.first == segment.sequence + 1 & 0xFFFFFFFF
+            same = sender.begins_at(segment.sequence + 1 & 0xFFFFFFFF)
             return (known and not same) or (self.closed and not segment.flags & ACK)
         if not self.closed or segment.flags & RST or not (segment.payload or segment.missing):
             return False
@@ -116,16 +124,24 @@ class TcpConnection:
         if flags & ACK and other.first is not None:
             after = self._acknowledge(other, segment.acknowledgement)
         if flags & RST:
-            refused = not from_master and sender.first is None and other.position == 0
+            unasked = other.position == 0 and not other.held
+            refused = not from_master and sender.first is None and unasked
             self.close(ts_ns, CloseReason.REFUSED if refused else CloseReason.RESET)
             return
         sequence = segment.sequence
         if flags & SYN:
             sequence = sequence + 1 & 0xFFFFFFFF
         data, missing = segment.payload, segment.missing
-        if sender.first is None and (flags & SYN or data or missing):
-            sender.first = sequence
+        if flags & SYN:
+            if sender.beginning is None:
+                sender.begin(sequence)
+        elif sender.first is None and (data or missing):
+            sender.join(sequence, self._arrivals, ts_ns)
         if data or missing:
+            if flags & ACK and other.first is None and not flags & SYN:
+                # What it answers may come behind it.
+                other.join(segment.acknowledgement, self._arrivals, ts_ns)
+                after = LEAD
             start = sender.place(sequence)
             if not -WINDOW <= start - sender.position <= WINDOW:
                 start = self._leap(sender, sequence)
@@ -135,6 +151,12 @@ class TcpConnection:
             if missing:
                 cut = Piece(end, end + missing, b"", after, ts_ns, self._arrivals)
                 self._take(sender, other, cut)
+        elif (
+            flags == ACK
+            and sender.first is not None
+            and not (sequence + 1 - sender.first - sender.position) & 0xFFFFFFFF
+        ):
+            self.keep_alives += 1
         if flags & FIN and sender.first is not None:
             finish = sender.place(sequence) + len(data) + missing
             if abs(finish - sender.position) <= WINDOW:
@@ -148,6 +170,8 @@ class TcpConnection:
         """Let time pass: what has waited for too long is given up."""
         self._now_ns = now_ns
         self._settle()
+        if not self.closed and self._is_finished():
+            self.close(now_ns, CloseReason.FINISHED)
 
     def flush(self) -> None:
         """Deliver what is held, its holes as gaps."""
@@ -158,7 +182,7 @@ class TcpConnection:
         if not self.closed:
             self.flush()
             self.closed = True
-            self._out.append(StreamClosed(ts_ns, self.identity, reason))
+            self._out.append(StreamClosed(ts_ns, self.identity, reason, self.keep_alives))
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
         """Note an acknowledgement of a stream. Gives the position to wait for, 0 for none."""
@@ -172,7 +196,8 @@ class TcpConnection:
 
     def _leap(self, stream: Stream, sequence: int) -> int:
         self._settle(force=True)
-        self._out.append(StreamGap(self._now_ns, self.identity, stream.direction, missing=0))
+        if not stream.joining:
+            self._out.append(StreamGap(self._now_ns, self.identity, stream.direction, missing=0))
         stream.rebase(sequence)
         return stream.position
 
@@ -181,6 +206,12 @@ class TcpConnection:
         differs = False
         behind = sender.position - piece.start
         if behind > 0:
+            if behind == 1 and len(piece.data) == 1:
+                self.keep_alives += 1
+            late = sender.take_late(piece)
+            if late:
+                message = "bytes that came after their gap was told"
+                self._tell(sender, EventKind.DISCARDED, message, piece.ts_ns, late)
             differs = sender.differs_from_delivered(piece.start, piece.data)
         if piece.end > sender.position:
             fresh = piece if behind <= 0 else piece.part(sender.position, piece.end)
@@ -189,17 +220,21 @@ class TcpConnection:
             else:
                 differs |= sender.hold(fresh)
         if differs:
-            self._out.append(
-                WireEvent(
-                    ts_ns=piece.ts_ns,
-                    link=self.identity.link,
-                    kind=EventKind.OVERLAP,
-                    message="a segment sent again differs from its first copy, which is kept",
-                    source=str(sender.source),
-                    destination=str(sender.destination),
-                    raw=piece.data,
-                )
+            message = "a segment sent again differs from its first copy, which is kept"
+            self._tell(sender, EventKind.OVERLAP, message, piece.ts_ns, piece.data)
+
+    def _tell(self, sender: Stream, kind: EventKind, text: str, ts_ns: int, raw: bytes) -> None:
+        self._out.append(
+            WireEvent(
+                ts_ns=ts_ns,
+                link=self.identity.link,
+                kind=kind,
+                message=text,
+                source=str(sender.source),
+                destination=str(sender.destination),
+                raw=raw,
             )
+        )
 
     def _follows(self, piece: Piece, other: Stream) -> bool:
         """What a piece acknowledges has been delivered, or is no longer waited for."""
@@ -226,7 +261,9 @@ class TcpConnection:
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                moved = any(self._give_up(stream, force) for stream, _ in streams)
+                # Where a stream begins is settled first: what is forced would go before it.
+                waiting = sorted(streams, key=lambda both: not both[0].joining)
+                moved = any(self._give_up(stream, force) for stream, _ in waiting)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
         """Pass over what the first held piece waits for, where the bounds or `force` say so."""
@@ -242,9 +279,17 @@ class TcpConnection:
             or (hole and front.start <= stream.acknowledged and self._is_overdue(stream))
         ):
             return False
-        if hole:
-            self._out.append(StreamGap(front.ts_ns, self.identity, stream.direction, hole))
-            stream.advance(b"", hole)
+        if stream.joining and hole and _is_probe(stream):
+            age, age_ns = self._arrivals - front.arrival, self._now_ns - front.ts_ns
+            if not force and age < PATIENCE and age_ns < PATIENCE_NS:
+                return False
+            stream.release()
+            stream.pass_over(hole + 1)
+            self.keep_alives += 1
+        elif hole:
+            if not stream.joining:
+                self._out.append(StreamGap(front.ts_ns, self.identity, stream.direction, hole))
+            stream.pass_over(hole)
         else:
             self._deliver(stream, stream.release())
         return True
@@ -272,6 +317,14 @@ class TcpConnection:
 
     def _is_finished(self) -> bool:
         return all(
-            stream.finish is not None and stream.position >= stream.finish and not stream.held
+            stream.finish is not None
+            and not stream.held
+            and (stream.joining or stream.position >= stream.finish)
             for stream in (self._requests, self._responses)
         )
+
+
+def _is_probe(stream: Stream) -> bool:
+    """One byte is held before all others, and none that follows it."""
+    front, *behind = stream.held
+    return len(front.data) == 1 and not (behind and behind[0].start == front.end)

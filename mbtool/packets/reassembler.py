@@ -12,17 +12,26 @@
 # wait first gives up its holes. State is dropped after IDLE_NS of capture time, which RFC 1122,
 # 4.2.3.6, names as the least before a living connection sends a keep-alive probe.
 #
-# Fragments of IP packets are not put together: the first of a train is one event.
+# Packets in fragments are put together first (fragments.py). One that cannot be is an event where
+# its ports are wanted; where they are not known, one event for each interface.
 
 from __future__ import annotations
 
 import ipaddress
+import struct
 from collections import OrderedDict
 
 from mbtool.core import Connection, Endpoint, EventKind, Packet, WireEvent
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
+from mbtool.packets.fragments import (
+    Datagram,
+    Ending,
+    Fragments,
+    find_fragment,
+    fragment_events,
+)
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
-from mbtool.packets.segment import ACK, RST, SYN, Segment, TcpPlace, find_tcp, read_segment
+from mbtool.packets.segment import ACK, RST, SYN, Segment, find_tcp, read_segment
 from mbtool.packets.stream_events import CloseReason, StreamItem
 
 MODBUS_PORTS = frozenset((502,))
@@ -45,6 +54,7 @@ class TcpReassembler:
         self._connections: OrderedDict[_Key, TcpConnection] = OrderedDict()
         self._waiting: dict[_Key, TcpConnection] = {}
         self._opened = 0
+        self._fragments = Fragments()
         self._checked_ns = 0
         self._told: set[tuple[str, str]] = set()
         self._out: list[StreamItem] = []
@@ -54,34 +64,28 @@ class TcpReassembler:
         finder = IP_FINDERS.get(packet.link_type)
         if finder is None:
             message = f"link type {packet.link_type} cannot be looked into"
-            return self._tell(packet, EventKind.UNREADABLE, message)
+            self._tell(packet.ts_ns, packet.link, EventKind.UNREADABLE, message)
+            return self._take_out()
         data = packet.data
         at = finder(data)
         if at == NOT_IP:
             return []
-        place = find_tcp(data, at, packet.original_length)
-        if place is None:
-            return []
-        start = place.start
-        if len(data) < start + _TCP_HEADER_SEEN:
-            if packet.original_length == len(data):
-                return []
-            message = "packets are cut before the end of their headers; capture longer ones"
-            return self._tell(packet, EventKind.CUT, message)
-        source_port = data[start] << 8 | data[start + 1]
-        destination_port = data[start + 2] << 8 | data[start + 3]
-        ports = self._ports
-        if source_port in ports or destination_port in ports:
-            self._follow(packet, at, place)
+        length = packet.original_length
+        if not self._feed_ip(data, at, length, packet.ts_ns, packet.link):
+            fragment = find_fragment(data, at, length)
+            if fragment is not None:
+                self._end(self._fragments.feed(fragment, packet.ts_ns, packet.link), packet.ts_ns)
         return self._take_out()
 
     def advance(self, now_ns: int) -> list[StreamItem]:
         """Let capture time pass: what waited for too long is given up, the idle are closed."""
+        self._end(self._fragments.advance(now_ns), now_ns)
         self._advance(now_ns)
         return self._take_out()
 
     def close(self, ts_ns: int) -> list[StreamItem]:
         """End all connections, as the capture ends."""
+        self._end(self._fragments.close(), ts_ns)
         for connection in self._connections.values():
             connection.close(ts_ns, CloseReason.CAPTURE_END)
         self._connections.clear()
@@ -95,16 +99,44 @@ class TcpReassembler:
         self._out.clear()
         return items
 
-    def _follow(self, packet: Packet, at: int, place: TcpPlace) -> None:
-        segment = read_segment(packet.data, at, place, packet.original_length)
-        if segment is None:
-            return
-        ts_ns = packet.ts_ns
+    def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
+        """Take an IP packet. False where it is none of TCP, or a fragment of one."""
+        place = find_tcp(data, at, length)
+        if place is None:
+            return False
+        start = place.start
+        if len(data) < start + _TCP_HEADER_SEEN:
+            if length > len(data):
+                message = "packets are cut before the end of their headers; capture longer ones"
+                self._tell(ts_ns, link, EventKind.CUT, message)
+            return True
+        source_port = data[start] << 8 | data[start + 1]
+        destination_port = data[start + 2] << 8 | data[start + 3]
+        ports = self._ports
+        if source_port in ports or destination_port in ports:
+            segment = read_segment(data, at, place, length)
+            if segment is not None:
+                self._follow(segment, ts_ns)
+        return True
+
+    def _end(self, datagrams: list[Datagram], ts_ns: int) -> None:
+        """Take packets whose fragments are done with."""
+        for datagram in datagrams:
+            data, length = datagram.packet()
+            place = find_tcp(data, 0, length)
+            if place is not None and len(data) >= place.start + 4:
+                source_port, destination_port = struct.unpack_from(">HH", data, place.start)
+                if source_port in self._ports or destination_port in self._ports:
+                    self._out += fragment_events(datagram, ts_ns, source_port, destination_port)
+            elif datagram.ending is not Ending.WHOLE:
+                message = "fragments of packets whose first one is not in the capture"
+                self._tell(ts_ns, datagram.link, EventKind.UNREADABLE, message)
+            if datagram.ending is Ending.WHOLE:
+                self._feed_ip(data, 0, length, ts_ns, datagram.link)
+
+    def _follow(self, segment: Segment, ts_ns: int) -> None:
         if not -PATIENCE_NS < ts_ns - self._checked_ns < PATIENCE_NS:
             self._advance(ts_ns)
-        if place.fragment:
-            self._out.append(_fragment(segment, packet))
-            return
         key, from_lower = _key(segment)
         connection = self._connections.get(key)
         if connection is None or connection.is_replaced_by(segment, from_lower=from_lower):
@@ -156,13 +188,12 @@ class TcpReassembler:
         self._waiting.pop(key, None)
         connection.close(ts_ns, reason)
 
-    def _tell(self, packet: Packet, kind: EventKind, message: str) -> list[StreamItem]:
+    def _tell(self, ts_ns: int, link: str, kind: EventKind, message: str) -> None:
         """Say once for each interface what its packets lack."""
-        told = (packet.link, message)
-        if told in self._told or len(self._told) >= _MAX_TOLD:
-            return []
-        self._told.add(told)
-        return [WireEvent(ts_ns=packet.ts_ns, link=packet.link, kind=kind, message=message)]
+        told = (link, message)
+        if told not in self._told and len(self._told) < _MAX_TOLD:
+            self._told.add(told)
+            self._out.append(WireEvent(ts_ns=ts_ns, link=link, kind=kind, message=message))
 
 
 def _key(segment: Segment) -> tuple[_Key, bool]:
@@ -185,15 +216,3 @@ def _is_from_master(segment: Segment, ports: frozenset[int]) -> bool:
 
 def _host(address: bytes) -> str:
     return str(ipaddress.ip_address(address))
-
-
-def _fragment(segment: Segment, packet: Packet) -> WireEvent:
-    return WireEvent(
-        ts_ns=packet.ts_ns,
-        link=packet.link,
-        kind=EventKind.UNREADABLE,
-        message="a packet in fragments, which are not put together",
-        source=str(Endpoint(_host(segment.source), segment.source_port)),
-        destination=str(Endpoint(_host(segment.destination), segment.destination_port)),
-        raw=segment.payload,
-    )

@@ -22,15 +22,15 @@ ACK = 0x10
 
 MAX_PAYLOAD = 1024 * 1024
 
-_TCP = 6
+TCP = 6
 _IPV4 = struct.Struct(">BxH2xHxB")
 _IPV6 = struct.Struct(">HB")
 _TCP_HEADER = struct.Struct(">HHIIBB")
 
 # Extension headers that stand before TCP (RFC 8200, section 4; RFC 6275; RFC 7401; RFC 5533).
-_IPV6_EXTENSIONS = frozenset((0, 43, 60, 135, 139, 140))
-_IPV6_FRAGMENT = 44
-_IPV6_AUTHENTICATION = 51
+IPV6_EXTENSIONS = frozenset((0, 43, 60, 135, 139, 140))
+IPV6_FRAGMENT = 44
+IPV6_AUTHENTICATION = 51
 
 
 class TcpPlace(NamedTuple):
@@ -39,8 +39,6 @@ class TcpPlace(NamedTuple):
     start: int
     end: int
     """Where the IP packet ends; more than len(data) where the capture cut it."""
-    fragment: bool
-    """The IP packet is the first of several fragments."""
 
 
 class Segment(NamedTuple):
@@ -61,7 +59,7 @@ class Segment(NamedTuple):
 def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
     """Find TCP in the IP packet at an offset; None where it holds something else.
 
-    Of a fragmented packet the first fragment is found, and the others are not.
+    A fragment is something else: fragments.py puts its packet together.
     """
     if len(data) < at + 20:
         return None
@@ -69,39 +67,38 @@ def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
     if version == 4:
         first, total, fragment, protocol = _IPV4.unpack_from(data, at)
         header = (first & 0x0F) * 4
-        if protocol != _TCP or header < 20 or fragment & 0x1FFF:
+        if protocol != TCP or header < 20 or fragment & 0x3FFF:
             return None
         end = at + total if total else original_length
         start = at + header
-        return TcpPlace(start, end, fragment & 0x2000 != 0) if start <= end else None
+        return TcpPlace(start, end) if start <= end else None
     if version == 6 and len(data) >= at + 40:
-        return _find_tcp_in_ipv6(data, at, original_length)
+        end, following, start = walk_ipv6(data, at, original_length)
+        return TcpPlace(start, end) if following == TCP and start <= end else None
     return None
 
 
-def _find_tcp_in_ipv6(data: bytes, at: int, original_length: int) -> TcpPlace | None:
+def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int]:
+    """Walk an IPv6 packet's extension headers, up to TCP, a fragment or what is neither.
+
+    Gives the end of the packet, the protocol that was met, and where it begins.
+    """
     length, following = _IPV6.unpack_from(data, at + 4)
     start = at + 40
     end = start + length if length else original_length
-    fragment = False
-    while following != _TCP:
-        if start + 8 > min(end, len(data)):
-            return None
-        if following in _IPV6_EXTENSIONS:
+    seen = min(end, len(data))
+    while following != TCP and start + 8 <= seen:
+        if following in IPV6_EXTENSIONS:
             size = (data[start + 1] + 1) * 8
-        elif following == _IPV6_AUTHENTICATION:
+        elif following == IPV6_AUTHENTICATION:
             size = (data[start + 1] + 2) * 4
-        elif following == _IPV6_FRAGMENT:
-            offset = data[start + 2] << 8 | data[start + 3]
-            if offset & 0xFFF8:
-                return None
-            fragment = offset & 1 != 0
-            size = 8
+        elif following == IPV6_FRAGMENT and not (data[start + 2] or data[start + 3] & 0xF9):
+            size = 8  # A packet that is its own only fragment (RFC 6946).
         else:
-            return None
+            break
         following = data[start]
         start += size
-    return TcpPlace(start, end, fragment) if start <= end else None
+    return end, following, start
 
 
 def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> Segment | None:

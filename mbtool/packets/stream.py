@@ -6,8 +6,13 @@
 # `held` is sorted and its pieces do not overlap: where segments overlap, the first copy wins.
 # A piece without data stands for bytes that the capture did not keep (snaplen).
 #
+# A stream that is joined in the middle begins at the first byte known, and the capture may have
+# swapped its first packets: so position 0 stands LEAD bytes before the first segment seen, what
+# comes is held, and where it begins is settled as a hole is, without a gap. A SYN settles it.
+#
 # Bounds: MAX_HELD_BYTES and MAX_HELD_PIECES held (beyond, whoever drives the stream gives up the
-# oldest hole), RECENT_BYTES of delivered bytes kept to compare retransmissions with.
+# oldest hole), RECENT_BYTES of delivered bytes kept to compare retransmissions with, and
+# the places of MAX_GAPS gaps, to know late bytes by, and MAX_ACKNOWLEDGEMENTS of bytes to come.
 
 from __future__ import annotations
 
@@ -19,6 +24,9 @@ if TYPE_CHECKING:
 MAX_HELD_BYTES = 64 * 1024
 MAX_HELD_PIECES = 64
 RECENT_BYTES = 1024
+MAX_GAPS = 8
+MAX_ACKNOWLEDGEMENTS = 8
+LEAD = 64 * 1024
 
 _MASK = 0xFFFFFFFF
 _HALF = 0x80000000
@@ -46,16 +54,18 @@ class Stream:
     """The bytes of one direction, in order."""
 
     __slots__ = (
-        "_doubted_arrival",
-        "_doubted_ns",
+        "_acknowledgements",
+        "_gaps",
         "_recent",
         "acknowledged",
+        "beginning",
         "destination",
         "direction",
         "finish",
         "first",
         "held",
         "held_bytes",
+        "joining",
         "latest",
         "position",
         "source",
@@ -67,6 +77,10 @@ class Stream:
         self.destination = destination
         self.first: int | None = None
         """The sequence number of position 0, once known."""
+        self.beginning: int | None = None
+        """The sequence number of the first byte that is delivered, once settled."""
+        self.joining = False
+        """Where the stream begins is not settled."""
         self.position = 0
         """The next byte to deliver."""
         self.finish: int | None = None
@@ -78,33 +92,61 @@ class Stream:
         self.latest = (0, 0)
         """Arrival and time of whichever delivered piece was captured last."""
         self._recent = b""
-        self._doubted_arrival = 0
-        self._doubted_ns = 0
+        self._gaps: list[tuple[int, int]] = []
+        self._acknowledgements: list[tuple[int, int, int]] = []
+        """Positions that the other end has received before they came, with arrival and time."""
 
     def place(self, sequence: int) -> int:
         """Turn a sequence number into a position. `first` is known."""
         distance = (sequence - (self.first or 0) - self.position) & _MASK
         return self.position + (distance if distance < _HALF else distance - _MASK - 1)
 
+    def begin(self, sequence: int) -> None:
+        """Take a sequence number as that of the first byte: a SYN says so."""
+        if self.first is None:
+            self.first = sequence
+        self.position = self.place(sequence)
+        self.beginning = sequence
+        self.joining = False
+
+    def join(self, sequence: int, arrival: int, ts_ns: int) -> None:
+        """Learn of a byte near the beginning of a stream without SYN."""
+        self.first = (sequence - LEAD) & _MASK
+        self.joining = True
+        # All before it was received long ago, so no more than a swap of packets is waited for.
+        self.acknowledge(LEAD, arrival, ts_ns)
+
+    def begins_at(self, sequence: int) -> bool:
+        """Tell whether a SYN before this sequence number is the one of this stream."""
+        if self.joining:
+            return 0 <= self.place(sequence) <= (self.held[0].start if self.held else LEAD)
+        return self.beginning == sequence
+
     def rebase(self, sequence: int) -> None:
         """Take a sequence number as that of the next byte, whatever was expected."""
         self.first = (sequence - self.position) & _MASK
+        self.joining = False
+        self._gaps.clear()
         self.finish = None
         self.acknowledged = self.position
+        self._acknowledgements.clear()
         self._recent = b""
 
     def acknowledge(self, position: int, arrival: int, ts_ns: int) -> None:
-        """Note that the other end has received all before a position."""
+        """Note that the other end has received all before a position, which has not come."""
         if position > self.acknowledged:
-            if self.acknowledged <= self.position < position:
-                self._doubted_arrival, self._doubted_ns = arrival, ts_ns
             self.acknowledged = position
+            known = [one for one in self._acknowledgements if one[0] > self.position]
+            if len(known) == MAX_ACKNOWLEDGEMENTS:
+                _, arrival, ts_ns = known.pop()
+            self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
     def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int) -> bool:
         """Bytes that the other end has received have not come within so many packets or ns."""
-        return self.acknowledged > self.position and (
-            arrival - self._doubted_arrival >= packets or ts_ns - self._doubted_ns >= wait_ns
-        )
+        for position, since, since_ns in self._acknowledgements:
+            if position > self.position:
+                return arrival - since >= packets or ts_ns - since_ns >= wait_ns
+        return False
 
     def is_overfull(self) -> bool:
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
@@ -118,6 +160,23 @@ class Stream:
             self._recent = data[-RECENT_BYTES:]
         else:
             self._recent = (self._recent + data)[-RECENT_BYTES:]
+
+    def pass_over(self, hole: int) -> None:
+        """Give up a hole. Where the stream begins with it, it begins behind it."""
+        if self.joining:
+            self.begin((self.first or 0) + self.position + hole & _MASK)
+            return
+        self._gaps = [*self._gaps[1 - MAX_GAPS :], (self.position, self.position + hole)]
+        self.advance(b"", hole)
+
+    def take_late(self, piece: Piece) -> bytes:
+        """The bytes of a piece whose hole was given up, told once."""
+        for gap in self._gaps:
+            start, end = max(gap[0], piece.start), min(gap[1], piece.end)
+            if start < end:
+                self._gaps.remove(gap)
+                return piece.part(start, end).data
+        return b""
 
     def differs_from_delivered(self, start: int, data: bytes) -> bool:
         """Compare a second copy with what was delivered, as far as that is kept."""

@@ -56,6 +56,8 @@ class StreamClosed:
     ts_ns: int
     connection: Connection
     reason: CloseReason
+    keep_alives: int = 0
+    """How many keep-alive probes both ends have sent."""
 
 
 StreamItem = Chunk | StreamOpened | StreamGap | StreamClosed | WireEvent

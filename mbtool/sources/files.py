@@ -185,12 +185,6 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
         raise
 
 
-def read_packets(path: str | Path) -> Iterator[Packet]:
-    """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
-    with open_capture(path) as capture:
-        yield from capture.packets()
-
-
 def _open(path: str | Path) -> io.BufferedIOBase:
     if str(path) != STANDARD_INPUT:
         return open(path, "rb")

@@ -6,9 +6,14 @@
 #
 # The time of a packet is the kernel's. scapy hands it on as a float, true to a quarter of a
 # microsecond. In the first moments of a capture it can be some 30 us late (seen on the loopback).
-# The kernel keeps packets until the thread here fetches them: 8 MiB where the process has the
-# privilege, else net.core.rmem_max. What does not fit the kernel counts, and an event says so
-# within a second.
+# The kernel keeps packets until the thread here fetches them: 32 MiB where the process has the
+# privilege, else net.core.rmem_max. What does not fit the kernel counts; the count is read every
+# second and at the end, and an event says it. What passed the filter between two readings is either
+# handed over or in that count, so the sum is exact.
+#
+# net:any is the same socket bound to no interface. What an interface is shows with each packet;
+# packets of kinds that cannot be read are left out, with one event for each kind. None of the
+# interfaces is made promiscuous.
 #
 # scapy takes a tenth of a second to import, so only a capture that starts imports it.
 
@@ -44,21 +49,25 @@ _LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 1
 
 _MAX_PACKET = 2**17
 """More than a segment that the kernel has not yet cut (65535 bytes and headers)."""
-_BUFFER = 8 * 2**20
+_BUFFER = 32 * 2**20
 _FETCH = 1000
 """Packets taken before the loop looks at the clock again, however many are waiting."""
 _LAST_FETCHES = 100
 """How often the last packets are asked for when the capture ends."""
 _TICK_S = 0.1
+ANY = "any"
 _SETTLE_NS = 1_000_000
 """A packet may be stamped this long before it can be fetched."""
 _STATISTICS_NS = 1_000_000_000
 
-# asm-generic/socket.h and linux/if_packet.h; Python's socket module lacks them.
+# asm-generic/socket.h and linux/if_packet.h, linux/if_ether.h; Python's socket module lacks them.
+_ETH_P_ALL = 3
 _SO_ATTACH_FILTER = 26
 _SO_RCVBUFFORCE = 33
+_SO_TIMESTAMPNS = 35
 _SOL_PACKET = 263
 _PACKET_STATISTICS = 6
+_PACKET_AUXDATA = 8
 
 
 class InterfaceSource:
@@ -71,7 +80,10 @@ class InterfaceSource:
         self._inbox = inbox
         self._ports = ports
         self._capture: Any = None
-        self._link_type = 0
+        self._link_type: int | None = None
+        """None where each packet has its own."""
+        self._told: set[int] = set()
+        """The hardware types that were said to be unreadable."""
         self._alarm: tuple[int, int] | None = None
         self._thread: Thread | None = None
 
@@ -86,12 +98,14 @@ class InterfaceSource:
     def __enter__(self) -> Self:
         self._capture = _open(self._link)
         try:
-            hardware = self._capture.ins.getsockname()[3]
-            unreadable = hardware_trouble(hardware)
-            if unreadable is not None:
-                raise LinkError(f"{self._link}: {unreadable}")
-            self._link_type = _LINK_TYPES[hardware]
-            is_loopback = hardware == _ARPHRD_LOOPBACK
+            is_loopback: bool | None = None
+            if self._link.interface != ANY:
+                hardware = self._capture.ins.getsockname()[3]
+                unreadable = hardware_trouble(hardware)
+                if unreadable is not None:
+                    raise LinkError(f"{self._link}: {unreadable}")
+                self._link_type = _LINK_TYPES[hardware]
+                is_loopback = hardware == _ARPHRD_LOOPBACK
             _prepare(self._capture.ins, port_filter(self._ports, is_loopback=is_loopback))
         except Exception:
             self._capture.close()
@@ -142,12 +156,19 @@ class InterfaceSource:
         """Take what waits; the answer is whether there may be more."""
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
-                _, data, seconds = self._capture.recv_raw(_MAX_PACKET)
+                # recv_raw, but with what kind of interface heard the packet.
+                data, heard_by, seconds = self._capture._recv_raw(self._capture.ins, _MAX_PACKET)
+                link_type = self._link_type
+                if link_type is None:
+                    link_type = _LINK_TYPES.get(heard_by[3])
+                    if link_type is None:
+                        self._tell_unreadable(heard_by[0], heard_by[3], round(seconds * 1e9))
+                        continue
                 self._inbox.put(
                     Packet(
                         ts_ns=round(seconds * 1e9),
                         link=self.link,
-                        link_type=self._link_type,
+                        link_type=link_type,
                         data=data,
                         original_length=len(data),
                     )
@@ -165,8 +186,22 @@ class InterfaceSource:
                     link=self.link,
                     kind=EventKind.DISCARDED,
                     message=f"capture fell behind: the kernel dropped {drops} packets",
+                    missing=drops,
                 )
             )
+
+    def _tell_unreadable(self, interface: str, hardware: int, ts_ns: int) -> None:
+        if hardware in self._told:
+            return
+        self._told.add(hardware)
+        self._inbox.put(
+            WireEvent(
+                ts_ns=ts_ns,
+                link=self.link,
+                kind=EventKind.UNREADABLE,
+                message=f"{interface}: {hardware_trouble(hardware)}",
+            )
+        )
 
 
 def capture_trouble() -> Trouble | None:
@@ -209,7 +244,8 @@ def hardware_trouble(hardware: int) -> Trouble | None:
 
 def _open(link: InterfaceLink) -> Any:
     interfaces = [name for _, name in socket.if_nameindex()]
-    if sys.platform == "linux" and link.interface not in interfaces:
+    is_any = link.interface == ANY
+    if sys.platform == "linux" and not is_any and link.interface not in interfaces:
         raise LinkError(f"{link}: no such interface; here are: {', '.join(interfaces)}")
     # Asked before scapy is there: it would take the time to import and say less.
     trouble = capture_trouble()
@@ -220,10 +256,24 @@ def _open(link: InterfaceLink) -> Any:
         warnings.simplefilter("ignore")
         from scapy.arch.linux import L2ListenSocket
     try:
-        return L2ListenSocket(iface=link.interface)
+        if not is_any:
+            return L2ListenSocket(iface=link.interface)
+        # scapy binds its socket to an interface; one that is bound to none hears all of them.
+        capture = L2ListenSocket(iface="lo" if "lo" in interfaces else interfaces[0], promisc=False)
+        capture.ins.close()
+        capture.ins = _hearing_all()
+        return capture
     except OSError as error:
         why = "is it up?" if error.errno == errno.ENETDOWN else error.strerror
         raise LinkError(f"{link}: cannot listen: {why}") from error
+
+
+def _hearing_all() -> socket.socket:
+    """A socket that hears all interfaces, set up as scapy does it for one."""
+    listener = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
+    listener.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 1)
+    listener.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    return listener
 
 
 def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:

@@ -52,7 +52,7 @@ def live_source(
     Raises UsageError for a link that cannot be listened to.
     """
     match link:
-        case SerialLink(slave_port=str()):
+        case SerialLink(slave_port=str(), is_relay=False):
             from mbtool.sources.two_taps import TwoTapsSource
 
             return TwoTapsSource(link, inbox)

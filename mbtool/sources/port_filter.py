@@ -10,6 +10,7 @@
 #   IPv6 with an extension header before TCP, or instead of it
 #   packets that still have a VLAN tag after the outer one is off (802.1ad)
 # On the loopback every packet is seen twice, going out and coming in: the first is dropped there.
+# A capture of all interfaces asks of each packet whether it is the loopback's.
 #
 # At most 100 ports: a jump reaches 255 instructions.
 
@@ -33,9 +34,10 @@ _LDX_IMMEDIATE, _LDX_HEADER_LENGTH = 0x01, 0xB1
 _JUMP, _JUMP_EQUAL, _JUMP_ANY_BIT = 0x05, 0x15, 0x45
 _RETURN = 0x06
 _NET = -0x100000
-_PROTOCOL, _PACKET_TYPE = -0x1000, -0x1000 + 4
+_PROTOCOL, _PACKET_TYPE, _HARDWARE = -0x1000, -0x1000 + 4, -0x1000 + 28
 
 _PACKET_OUTGOING = 4
+_ARPHRD_LOOPBACK = 772
 _ETHERTYPE_IPV4, _ETHERTYPE_IPV6, _ETHERTYPE_VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
 _TCP = 6
 _IPV6_EXTENSIONS = (0, 43, 44, 51, 60)
@@ -53,17 +55,26 @@ class Instruction:
     otherwise: str = ""
 
 
-def port_filter(ports: Sequence[int], *, is_loopback: bool) -> list[bytes]:
-    """Assemble the filter, as the kernel's struct sock_filter. Raises UsageError."""
+def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes]:
+    """Assemble the filter, as the kernel's struct sock_filter. Raises UsageError.
+
+    `is_loopback` is None where packets of all interfaces come.
+    """
     if len(ports) > MAX_PORTS:
         raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")
     lines: list[Instruction | str] = []
-    if is_loopback:
+    if is_loopback is None:
+        lines += [
+            Instruction(_LD_WORD, _HARDWARE),
+            Instruction(_JUMP_EQUAL, _ARPHRD_LOOPBACK, "", "wanted"),
+        ]
+    if is_loopback is not False:
         lines += [
             Instruction(_LD_WORD, _PACKET_TYPE),
             Instruction(_JUMP_EQUAL, _PACKET_OUTGOING, "drop"),
         ]
     lines += [
+        "wanted",
         Instruction(_LD_WORD, _PROTOCOL),
         *(Instruction(_JUMP_EQUAL, vlan, "keep") for vlan in _ETHERTYPE_VLANS),
         Instruction(_JUMP_EQUAL, _ETHERTYPE_IPV4, "ipv4"),

@@ -173,13 +173,16 @@ def _low_latency(
 
 def _permission(path: Path, name: str) -> list[Trouble]:
     try:
-        if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
-            return []
-        why = who_may(str(path))
-    except OSError:
+        os.stat(path)
+    except FileNotFoundError:
         return [
             Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
         ]
+    except OSError:
+        pass  # Then there is no access either.
+    if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
+        return []
+    why = who_may(str(path))
     return [Trouble(f"permission denied; {why.problem}", why.mend)]
 
 

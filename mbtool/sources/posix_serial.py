@@ -1,4 +1,4 @@
-"""A serial port of Linux or macOS, opened read-only."""
+"""A serial port of Linux or macOS, opened read-only; a tap's, which passes on, for both."""
 
 # pyserial knows how to set up a line on every system, odd baud rates included, but opens a port for
 # writing. So the descriptor is opened here, with O_RDONLY, and pyserial's setup is applied to it
@@ -51,9 +51,11 @@ _ERROR_COUNTERS = slice(6, 11)
 class PosixPort:
     """A port that can only be read. Opening raises OSError, ValueError, OverflowError."""
 
+    _access = os.O_RDONLY
+
     def __init__(self, port: str, format_: SerialFormat) -> None:
         self._name = port
-        self._fd = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        self._fd = os.open(port, self._access | os.O_NOCTTY | os.O_NONBLOCK)
         self.damaged: Sequence[int] = ()
         try:
             with _termios_errors_as_os_errors():
@@ -105,6 +107,24 @@ class PosixPort:
 
     def close(self) -> None:
         os.close(self._fd)
+
+
+class PassingPort(PosixPort):
+    """An end of a cut line: a port that a tap reads and writes. Opens as `PosixPort`."""
+
+    _access = os.O_RDWR
+
+    def fileno(self) -> int:
+        return self._fd
+
+    def write(self, data: bytes) -> int:
+        """Send what the driver has room for, and say how much. Raises LinkError."""
+        try:
+            return os.write(self._fd, data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise lost(self._name) from error
 
 
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:

@@ -6,7 +6,8 @@
 # KiB may exceed that).
 #
 # Each piece is one chunk. Its time is taken right after it was received, then it is passed on, then
-# recorded; an answer can only come later, so the record keeps the order of cause and effect.
+# recorded; an answer can only come later, so the record keeps the order of cause and effect. A
+# side that dies takes nothing out of the record: what came of it was recorded when it came.
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from mbtool.sources.clock import now_ns
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mbtool.sources.inbox import Inbox
+    from mbtool.sources.inbox import Sink
 
 CALL_S = 10.0
 """How long the target may take to accept."""
@@ -43,7 +44,7 @@ class Relay:
         link: str,
         target: Endpoint,
         number: int,
-        inbox: Inbox,
+        inbox: Sink,
         on_accept: Callable[[Relay, asyncio.Transport, Endpoint], bool],
         on_end: Callable[[Relay], None],
     ) -> None:

@@ -1,7 +1,8 @@
 """A serial port as a live source: chunks and silences, read by a process of its own."""
 
 # The reading process (serial_reader.py) takes the times; the thread here only carries its records
-# into the inbox, so it may lag behind without harm.
+# into the inbox, so it may lag behind without harm. Of a tap both ports are read by one process,
+# which also passes on (serial_relay.py).
 
 from __future__ import annotations
 
@@ -29,10 +30,10 @@ class SerialSource:
     def __init__(
         self, link: SerialLink, inbox: Sink, speaker: Direction = Direction.UNKNOWN
     ) -> None:
-        """Of a link with two ports `speaker` says which to listen to."""
+        """Of a link with two ports `speaker` says which to listen to; a tap's are both heard."""
         self._link = link
         self._inbox = inbox
-        self._speaker = speaker
+        self._speaker = Direction.REQUEST if link.is_relay else speaker
         self._port = link.ports[-1] if speaker is Direction.RESPONSE else link.port
         self._first_record = Event()
         self._is_open = False
@@ -50,7 +51,7 @@ class SerialSource:
         return str(self._link)
 
     def __enter__(self) -> Self:
-        child = start_child("mbtool.sources.serial_reader", self._port, str(self._link.format))
+        child = self._start()
         self._child = child
         self._thread = Thread(
             target=self._carry, args=(child,), name=f"read {self.link}", daemon=True
@@ -79,6 +80,12 @@ class SerialSource:
                 self._thread.join(_START_S)
             see_off(self._child)
 
+    def _start(self) -> subprocess.Popen[bytes]:
+        settings = str(self._link.format)
+        if self._link.is_relay:
+            return start_child("mbtool.sources.serial_relay", *self._link.ports, settings)
+        return start_child("mbtool.sources.serial_reader", self._port, settings)
+
     def _carry(self, child: subprocess.Popen[bytes]) -> None:
         assert child.stdout is not None
         reader = RecordReader()
@@ -97,14 +104,9 @@ class SerialSource:
     def _take(self, record: Record) -> None:
         match record.kind:
             case Kind.DATA:
-                self._inbox.put(
-                    Chunk(
-                        ts_ns=record.ts_ns,
-                        link=self.link,
-                        data=record.data,
-                        direction=self._speaker,
-                    )
-                )
+                self._hear(record, self._speaker)
+            case Kind.ANSWER:
+                self._hear(record, Direction.RESPONSE)
             case Kind.QUIET:
                 self._inbox.put(Quiet(record.ts_ns, self.link))
                 self._is_open = True
@@ -120,6 +122,11 @@ class SerialSource:
                 self._tell(record, EventKind.LINE_ERROR, text, record.lost)
             case Kind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))
+
+    def _hear(self, record: Record, speaker: Direction) -> None:
+        self._inbox.put(
+            Chunk(ts_ns=record.ts_ns, link=self.link, data=record.data, direction=speaker)
+        )
 
     def _tell(self, record: Record, kind: EventKind, text: str, missing: int = 0) -> None:
         self._inbox.put(

@@ -14,12 +14,12 @@ import serial
 from serial.tools import list_ports
 
 from mbtool.core import LinkError, SerialFormat
+from mbtool.core.here import Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.sources.line_errors import ErrorCounts
-from mbtool.core.here import Trouble
 
 IDLE_S = 0.05
 """The longest that a read waits."""
@@ -150,7 +150,10 @@ def who_may(port: str) -> Trouble:
         return Trouble("another program may hold it")
     import grp
 
-    group_id = os.stat(port).st_gid
+    try:
+        group_id = os.stat(port).st_gid
+    except OSError:
+        return Trouble("a folder on the way to it may not be entered", f"namei -l {port}")
     try:
         group = grp.getgrgid(group_id).gr_name
     except KeyError:

@@ -9,12 +9,14 @@
 #     ERROR    one line for the user, UTF-8; the last record
 #     DAMAGE   what the driver tells of damaged bytes, one line, UTF-8
 #     OVERRUN  the number of bytes, as 8 bytes, that the driver says it lost
+#     ANSWER   as DATA, of the slaves' side where a tap reads both; DATA is then the master's
 #
 # A record is never larger than PIPE_BUF, so that a write to the pipe succeeds whole or not at all.
-# The writer does not wait for the reader: what finds the pipe full is counted and told with the
-# next record that fits. A pipe holds 1 MiB where Linux allows it, which is more than 40 s of a busy
-# line at 19200 baud with a record for each character; elsewhere what the system gives. On Windows a
-# pipe cannot be written without waiting, and the driver's buffer is what holds.
+# The writer does not wait for the reader: bytes read that find the pipe full are counted and told
+# with the next record that fits. What else finds it full, QUIET, DAMAGE and OVERRUN, is dropped and
+# not counted. A pipe holds 1 MiB where Linux allows it, which is more than 40 s of a busy line at
+# 19200 baud with a record for each character; elsewhere what the system gives. On Windows a pipe
+# cannot be written without waiting, and the driver's buffer is what holds.
 
 from __future__ import annotations
 
@@ -43,6 +45,10 @@ class Kind(IntEnum):
     ERROR = 4
     DAMAGE = 5
     OVERRUN = 6
+    ANSWER = 7
+
+
+_READS = frozenset((Kind.DATA, Kind.ANSWER))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +84,7 @@ class RecordWriter:
         if self._lost and self._write(Kind.LOST, ts_ns, _COUNT.pack(self._lost)):
             self._lost = 0
         if self._lost or not self._write(kind, ts_ns, data):
-            self._lost += len(data) if kind is Kind.DATA else 0
+            self._lost += len(data) if kind in _READS else 0
 
     def put_count(self, kind: Kind, ts_ns: int, count: int) -> None:
         """Write a record whose data is a number."""

@@ -1,7 +1,8 @@
 """A relay in the line of a TCP connection that passes every byte on and records it."""
 
 # The tap listens at one endpoint, calls its target for each connection it accepts, and passes bytes
-# both ways, at once and unchanged (relay.py). It has a thread with an event loop of its own.
+# both ways, at once and unchanged (relay.py). It has a thread with an event loop of its own, and
+# hands over what it records when an answer may have passed (outbox.py).
 #
 # What it cannot do as a direct connection would: the master's connection is accepted before the
 # target has answered. If the target cannot be reached, the master's connection is reset, and a
@@ -18,6 +19,7 @@ import errno
 import os
 import socket
 from contextlib import suppress
+from functools import partial
 from threading import Event, Thread
 from typing import Self
 
@@ -25,6 +27,7 @@ from mbtool.core import Endpoint, EventKind, LinkError, Quiet, TapLink, WireEven
 from mbtool.packets import CloseReason
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.outbox import Outbox
 from mbtool.sources.relay import Relay, reset
 
 MAX_CONNECTIONS = 64
@@ -46,6 +49,7 @@ class TapSource:
     ) -> None:
         self._link = link
         self._inbox = inbox
+        self._outbox: Outbox | None = None
         self._max_connections = max_connections
         self._idle_s = idle_s
         self._endpoint = link.listen
@@ -95,40 +99,45 @@ class TapSource:
         try:
             asyncio.run(self._serve(listener))
         finally:
+            if self._outbox is not None:
+                self._outbox.flush()
             self._inbox.put(Ended(self.link))
             self._is_serving.set()
 
     async def _serve(self, listener: socket.socket) -> None:
         self._loop = asyncio.get_running_loop()
         self._told_to_end = asyncio.Event()
-        server = await self._loop.create_server(lambda: self._relay().master, sock=listener)
+        outbox = self._outbox = Outbox(self._inbox, self._loop)
+        server = await self._loop.create_server(lambda: self._relay(outbox).master, sock=listener)
         self._is_serving.set()
         while not self._told_to_end.is_set():
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._told_to_end.wait(), _TICK_S)
-            self._tick(self._loop.time())
+            self._tick(self._loop.time(), outbox)
         server.close()
         for relay in tuple(self._relays):
             relay.abort(CloseReason.CAPTURE_END)
         while self._relays:
             await asyncio.sleep(0)
 
-    def _relay(self) -> Relay:
+    def _relay(self, outbox: Outbox) -> Relay:
         self._accepted += 1
         return Relay(
             link=self.link,
             target=self._link.target,
             number=self._accepted,
-            inbox=self._inbox,
-            on_accept=self._admit,
+            inbox=outbox,
+            on_accept=partial(self._admit, outbox),
             on_end=self._relays.discard,
         )
 
-    def _admit(self, relay: Relay, transport: asyncio.Transport, master: Endpoint) -> bool:
+    def _admit(
+        self, outbox: Outbox, relay: Relay, transport: asyncio.Transport, master: Endpoint
+    ) -> bool:
         if len(self._relays) < self._max_connections:
             self._relays.add(relay)
             return True
-        self._inbox.put(
+        outbox.put(
             WireEvent(
                 ts_ns=now_ns(),
                 link=self.link,
@@ -141,11 +150,11 @@ class TapSource:
         reset(transport)
         return False
 
-    def _tick(self, now_s: float) -> None:
+    def _tick(self, now_s: float, outbox: Outbox) -> None:
         for relay in tuple(self._relays):
             if now_s - relay.active_s > self._idle_s:
                 relay.abort(CloseReason.IDLE)
-        self._inbox.put(Quiet(now_ns(), self.link))
+        outbox.put(Quiet(now_ns(), self.link))
 
 
 def _listen(link: TapLink) -> socket.socket:

@@ -2,8 +2,8 @@
 
 # Each port has a reading process and a thread of its own; their chunks say who speaks. A port's
 # silence says nothing of the other's: a Quiet goes on with the time until which all that either
-# port heard has been put. The two end together: when one is lost the other is told to end, and what
-# it had still heard comes before the one Ended.
+# port heard has been put. When the clock is set back, so is that time. The two end together: when
+# one is lost the other is told to end, and what it had still heard comes before the one Ended.
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Chunk, Direction, LinkError, Quiet, SerialLink
+from mbtool.modbus.two_taps import LATE_NS
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.serial_line import SerialSource
 
@@ -79,12 +80,12 @@ class TwoTapsSource:
             if not isinstance(item, Quiet):
                 self._inbox.put(item)
             if isinstance(item, Quiet | Chunk):
-                self._known_ns[speaker] = max(self._known_ns[speaker], item.ts_ns)
+                self._known_ns[speaker] = _known(self._known_ns[speaker], item.ts_ns)
                 self._tell_quiet()
 
     def _tell_quiet(self) -> None:
-        quiet_ns = min(self._known_ns.values())
-        if quiet_ns > self._quiet_ns:
+        quiet_ns = _known(self._quiet_ns, min(self._known_ns.values()))
+        if quiet_ns != self._quiet_ns:
             self._quiet_ns = quiet_ns
             self._inbox.put(Quiet(quiet_ns, self.link))
 
@@ -99,6 +100,11 @@ class TwoTapsSource:
     def _tell_to_end(self) -> None:
         for tap in self._taps.values():
             tap.tell_to_end()
+
+
+def _known(until_ns: int, ts_ns: int) -> int:
+    """Until when something is known, where it is now known until a time."""
+    return ts_ns if ts_ns < until_ns - LATE_NS else max(until_ns, ts_ns)
 
 
 class _Tap:

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import json
+import os
 import select
 import subprocess
 import sys
@@ -42,6 +43,13 @@ class VirtualLine:
             raise UsageError(
                 f"a virtual line of {self.ends} ends cannot have {len(self.link_names)} links"
             )
+        places = set()
+        for name in self.link_names:
+            parent, last = os.path.split(os.path.abspath(name))
+            place = os.path.join(os.path.realpath(parent), last)
+            if place in places:
+                raise UsageError(f"{name}: named twice; each end of a line has a name of its own")
+            places.add(place)
 
     @property
     def ports(self) -> list[str]:

@@ -4,8 +4,12 @@
 # not depend on how its bytes were cut, nor on whether they came live or from a file.
 #
 # Holds one Bus for each serial link, or one TwoTaps where its bytes say who speaks, and one
-# Conversation for each open connection, at most MAX_CONVERSATIONS; beyond, the one that was silent
+# Recognition for each open connection, at most MAX_CONVERSATIONS; beyond, the one that was silent
 # longest is closed.
+#
+# With `any_port` every TCP connection is followed, and those that are not Modbus stay out of sight:
+# their opening and end are not told, and that they are foreign once for each slave's endpoint, of
+# the first MAX_TOLD. A port that is named, and 502, is Modbus's all the same.
 
 from __future__ import annotations
 
@@ -25,8 +29,9 @@ from mbtool.core import (
     Stamp,
     WireEvent,
 )
+from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.devices import NamedTransaction, Namer
-from mbtool.modbus import Adu, Bus, Conversation, Decoded, Transaction, TwoTaps
+from mbtool.modbus import Adu, Bus, Decoded, Recognition, State, Transaction, TwoTaps
 from mbtool.packets import (
     SERIAL_LINK_TYPES,
     USER_LINK_TYPES,
@@ -44,6 +49,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 MAX_CONVERSATIONS = 4096
+MAX_TOLD = 4096
+
+EVERY_PORT = range(1 << 16)
 
 _LOST = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
 """Events behind which bytes of a serial line are missing."""
@@ -64,9 +72,11 @@ class Decoder:
         timing: LineTiming | None = None,
         ports: Iterable[int] = (),
         rtu_ports: Iterable[int] = (),
+        any_port: bool = False,
     ) -> None:
         """`lines` are the serial links by name, `ports` and `rtu_ports` those of packets.
 
+        With `any_port` the connections of all other ports are looked into, too.
         `line` is what every other serial link is like, `timing` which silences hold on them.
         """
         self._namer = namer
@@ -75,11 +85,15 @@ class Decoder:
         self._timing = timing or LineTiming()
         self._serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if line is not None else set())
         self._rtu_ports = frozenset(rtu_ports)
-        self._reassembler = TcpReassembler(frozenset(ports) | self._rtu_ports)
+        self._any_port = any_port
+        self._ports = frozenset((*ports, *self._rtu_ports, *((MODBUS_PORT,) if any_port else ())))
+        self._reassembler = TcpReassembler(frozenset(EVERY_PORT) if any_port else self._ports)
         self._buses: dict[str, Bus | TwoTaps] = {}
-        self._conversations: OrderedDict[Connection, Conversation] = OrderedDict()
+        self._conversations: OrderedDict[Connection, Recognition] = OrderedDict()
         self._interfaces: set[str] = set()
         """Links that have brought packets."""
+        self._told_foreign: set[str] = set()
+        """Slaves' endpoints, with `any_port`, that were said not to speak Modbus."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
@@ -113,7 +127,7 @@ class Decoder:
         for piece in self._reassembler.close(self._last_ns):
             records += self._piece(piece)
         for conversation in self._conversations.values():
-            records += self._named(conversation.close())
+            records += self._recognised(conversation, conversation.close())
         for bus in self._buses.values():
             records += self._named(bus.close())
         self._conversations.clear()
@@ -128,28 +142,51 @@ class Decoder:
         if isinstance(item, StreamGap):
             # A gap that is told behind the connection's end must not open it anew.
             known = self._conversations.get(item.connection)
-            conversation = known or self._new_conversation(item.connection)
+            conversation = known or self._new_conversation(item.connection, joined=True)
             gap = conversation.gap(item.direction, item.missing, item.ts_ns, item.kind)
-            return self._named(gap)
+            return self._recognised(conversation, gap)
         if isinstance(item, StreamOpened):
-            self._conversation(item.connection)
             text = "connection joined" if item.joined else "connection opened"
-            return [_told(item, EventKind.OPENED, text)]
+            told = _told(item, EventKind.OPENED, text)
+            conversation = self._conversation(item.connection, joined=item.joined)
+            if self._is_expected(item.connection):
+                return [conversation.seen_from_here(told)]
+            conversation.hold(told)
+            return []
         if isinstance(item, StreamClosed):
             ended = self._conversations.pop(item.connection, None)
+            records = [] if ended is None else self._recognised(ended, ended.close())
+            is_modbus = ended is not None and ended.state is State.MODBUS
+            if not is_modbus and not self._is_expected(item.connection):
+                return records
             discarded = item.reason is CloseReason.DISCARDED
             kind = EventKind.DISCARDED if discarded else EventKind.CLOSED
-            told = _told(item, kind, f"connection closed: {item.reason}")
-            return [*(self._named(ended.close()) if ended is not None else []), told]
+            probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
+            told = _told(item, kind, f"connection closed: {item.reason}{probes}")
+            return [*records, told if ended is None else ended.seen_from_here(told)]
+        if self._any_port and item.kind is EventKind.OVERLAP and not self._is_modbus(item.link):
+            return []
         return [*self._broken_off(item), item]
+
+    def _is_modbus(self, link: str) -> bool:
+        return any(
+            connection.link == link and conversation.state is State.MODBUS
+            for connection, conversation in self._conversations.items()
+        )
 
     def _broken_off(self, event: WireEvent) -> list[Record]:
         """What was held when bytes behind it were lost: it cannot be completed."""
         if event.kind is EventKind.GAP and not event.link:  # A hole in a log, in any link's bytes.
-            held = [*self._conversations.values(), *self._buses.values()]
+            conversations = [*self._conversations.values()]
+            buses = [*self._buses.values()]
             self._conversations.clear()
             self._buses.clear()
-            return [record for one in held for record in self._named(one.close())]
+            records: list[Record] = []
+            for conversation in conversations:
+                records += self._recognised(conversation, conversation.close())
+            for bus in buses:
+                records += self._named(bus.close())
+            return records
         return self.end_line(event.link) if event.kind in _LOST else []
 
     def _quiet(self, quiet: Quiet) -> list[Record]:
@@ -172,11 +209,13 @@ class Decoder:
             if isinstance(bus, TwoTaps):
                 return self._named(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
             return self._named(bus.feed(chunk.data, chunk.ts_ns))
-        conversation = self._conversation(chunk.connection)
-        records = self._named(conversation.feed(chunk.direction, chunk.data, chunk.ts_ns))
+        # Where the evidence does not tell of a beginning, it may be one of a log's next file.
+        conversation = self._conversation(chunk.connection, joined=True)
+        decoded = conversation.feed(chunk.direction, chunk.data, chunk.ts_ns)
+        records = self._recognised(conversation, decoded)
         if len(self._conversations) > MAX_CONVERSATIONS:
             _, oldest = self._conversations.popitem(last=False)
-            records += self._named(oldest.close())
+            records += self._recognised(oldest, oldest.close())
         return records
 
     def _bus(self, chunk: Chunk) -> Bus | TwoTaps:
@@ -193,16 +232,46 @@ class Decoder:
             self._buses[link] = bus
         return bus
 
-    def _conversation(self, connection: Connection) -> Conversation:
+    def _conversation(self, connection: Connection, *, joined: bool) -> Recognition:
         conversation = self._conversations.get(connection)
         if conversation is None:
-            conversation = self._conversations[connection] = self._new_conversation(connection)
+            conversation = self._new_conversation(connection, joined=joined)
+            self._conversations[connection] = conversation
         else:
             self._conversations.move_to_end(connection)
         return conversation
 
-    def _new_conversation(self, connection: Connection) -> Conversation:
-        return Conversation(connection, rtu=connection.slave.port in self._rtu_ports)
+    def _new_conversation(self, connection: Connection, *, joined: bool) -> Recognition:
+        # Who began the connection tells master from slave, but for the ports that are named.
+        ends = [connection.slave.port, connection.master.port]
+        turned = self._any_port and ends[1] in self._ports and ends[0] not in self._ports
+        is_rtu = ends[turned] in self._rtu_ports
+        return Recognition(
+            connection,
+            joined=joined,
+            expected=self._is_expected(connection),
+            tcp=not is_rtu,
+            rtu=is_rtu or self._any_port,
+            turned=turned,
+        )
+
+    def _is_expected(self, connection: Connection) -> bool:
+        """Whether Modbus is; without `any_port` only ports and taps are here that a user named."""
+        ports = self._ports
+        named = connection.slave.port in ports or connection.master.port in ports
+        return named or not self._any_port
+
+    def _recognised(self, conversation: Recognition, decoded: list[Decoded]) -> list[Record]:
+        """The same, but foreign connections that nobody named once for each endpoint."""
+        if not decoded or not self._any_port or conversation.state is not State.FOREIGN:
+            return self._named(decoded)
+        if self._is_expected(conversation.connection):
+            return self._named(decoded)
+        slave = str(conversation.connection.slave)
+        if slave in self._told_foreign or len(self._told_foreign) >= MAX_TOLD:
+            return []
+        self._told_foreign.add(slave)
+        return self._named(decoded)
 
     def _named(self, decoded: list[Decoded]) -> list[Record]:
         records: list[Record] = []

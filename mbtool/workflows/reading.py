@@ -3,8 +3,8 @@
 # A packet capture is decoded, and so are the bytes of a serial line in a file, which is a line of
 # its own. A log gives back what was decoded when it was made, or with `raw`
 # decodes its evidence afresh: by the line settings and profiles that it carries, unless the user
-# gives others. Several packet captures are parts of one, in the order in which they are named, so
-# a connection may begin in one and end in the next.
+# gives others. Files that are parts of one capture (parts.py), named in their order, are decoded as
+# one: a connection may begin in one and end in the next.
 #
 # Raises InputError for what cannot be read, CutError after all that came before a cut, and
 # DamageError after all of a log that is whole.
@@ -24,6 +24,7 @@ from mbtool.core import (
     InputError,
     LineSettings,
     Packet,
+    SerialFormat,
     SerialLink,
     Silence,
     UsageError,
@@ -33,16 +34,20 @@ from mbtool.core import (
 from mbtool.devices import Assignment, Assignments, Namer, parse_who, profile_from_json
 from mbtool.logs import LogReader, follow
 from mbtool.modbus import Transaction
+from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
+from mbtool.views.cells import clock_time, day
 from mbtool.workflows.decoding import Decoder
+from mbtool.workflows.heard_line import HeardLine
 from mbtool.workflows.line_timing import LineTiming
+from mbtool.workflows.parts import Part, Seam
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from mbtool.devices import NamedTransaction
     from mbtool.sources.files import CaptureFile
-    from mbtool.workflows.decoding import Record
+    from mbtool.workflows.decoding import Evidence, Record
 
 _UNREAD_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
@@ -50,6 +55,7 @@ DEFAULT_PORT = 502
 SPEC = "spec"
 PORTS = "ports"
 RTU_PORTS = "rtu_ports"
+ANY_PORT = "any"
 """What a log says of a link beside its name: the keys of its metadata."""
 
 
@@ -61,6 +67,8 @@ class ReadingOptions:
     ports: Sequence[int] = ()
     """TCP ports of slaves; none for the log's own, or 502."""
     rtu_ports: Sequence[int] = ()
+    any_port: bool = False
+    """Look for Modbus in the connections of all other ports, too."""
     line: LineSettings | None = None
     """The line that the serial bytes of a file were heard on."""
     t1_5: Silence | None = None
@@ -77,16 +85,24 @@ class Reading:
         self._paths = paths
         self._options = options
         self._current: CaptureFile | None = None
+        self._decoder: Decoder | None = None
+        """Of the capture that is being read, with what its parts so far have left open."""
+        self._part: Part | None = None
+        self._seam = Seam()
         self._done = 0
         self._evidence = 0
         self._found = False
         self._has_read = False
         self._unread: str | None = None
         """What was said first of what cannot be looked into."""
+        self._heard: list[HeardLine] = []
+        """Of each file whose serial bytes do not say how fast they were."""
+        self._not_closed: list[str] = []
         self._ports: tuple[Sequence[int], Sequence[int]] = (
             options.ports or (DEFAULT_PORT,),
             options.rtu_ports,
         )
+        self._any_port = options.any_port
         self.assignments = options.assignments
         """The profiles in use: those of the options, and those of the log that is being read."""
 
@@ -104,6 +120,8 @@ class Reading:
         names = ", ".join(self._paths)
         if not self._evidence:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
+        if self._any_port:
+            return f"{names}: no Modbus at any TCP port"
         ports = {port for some in self._ports for port in some}
         return (
             f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
@@ -117,6 +135,18 @@ class Reading:
             return None
         return f"{', '.join(self._paths)}: nothing in it could be read: {self._unread}"
 
+    @property
+    def remarks(self) -> list[str]:
+        """What a reader should know of the files beside what is in them, a line each."""
+        remarks = []
+        if self._heard and self._options.line is None:
+            first, *others = (heard.name for heard in self._heard)
+            names = f"{first} and {len(others)} more" if others else first
+            usual = SerialFormat()
+            remarks.append(f"{names}: taken as {usual}; name the line with --link rtu@{usual}")
+        remarks += [heard.doubt for heard in self._heard if heard.doubt is not None]
+        return remarks + self._not_closed
+
     def demand_files(self) -> None:
         """See that each file is there, named once, and of a kind that can be read.
 
@@ -126,7 +156,8 @@ class Reading:
         for path in self._paths:
             place, is_pipe = _place(path)
             if not is_pipe:
-                open_capture(path, self._options.line).close()
+                with open_capture(path, self._options.line) as capture:
+                    self._demand_line_is_open(capture)
             if place in known:
                 raise UsageError(f"{path}: named twice; what is in it would count twice")
             known.add(place)
@@ -142,44 +173,102 @@ class Reading:
             yield record
 
     def _records(self) -> Iterator[Record]:
+        try:
+            for path in self._paths:
+                with open_capture(path, self._options.line) as capture:
+                    self._current = capture
+                    if capture.kind is CaptureKind.MCAP:
+                        yield from self._log_records(capture)
+                    elif capture.kind in PACKET_KINDS:
+                        yield from self._decoded(
+                            self._heard_packets(capture), Part(), self._own_decoder
+                        )
+                    else:
+                        yield from self._serial_records(capture)
+                self._done += 1
+        except InputError:
+            yield from self._end_capture()
+            raise
+        yield from self._end_capture()
+
+    def _own_decoder(self) -> Decoder:
+        """For a file that says nothing of its links."""
         options = self._options
-        decoder = Decoder(
+        return Decoder(
             Namer(options.assignments),
             line=options.line,
             timing=LineTiming(options.assignments, options.t1_5, options.t3_5),
             ports=options.ports or (DEFAULT_PORT,),
             rtu_ports=options.rtu_ports,
+            any_port=options.any_port,
         )
-        try:
-            for path in self._paths:
-                with open_capture(path, options.line) as capture:
-                    self._current = capture
-                    if capture.kind is CaptureKind.MCAP:
-                        yield from self._log_records(capture)
-                    elif capture.kind in PACKET_KINDS:
-                        yield from self._capture_records(capture, decoder)
-                    else:
-                        yield from self._serial_records(capture, decoder)
-                self._done += 1
-        except InputError:
-            yield from decoder.close()
-            raise
-        yield from decoder.close()
 
-    def _capture_records(self, capture: CaptureFile, decoder: Decoder) -> Iterator[Record]:
-        for packet in capture.packets():
-            self._evidence += 1
-            yield from decoder.feed(packet)
-
-    def _serial_records(self, capture: CaptureFile, decoder: Decoder) -> Iterator[Record]:
+    def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
+        yield from self._end_capture()
         line, pieces = capture.serial(self._options.line)
+        decoder = self._decoder = self._own_decoder()
         decoder.begin_line(line.on(capture.link))
+        heard = self._hear(capture) if capture.kind is CaptureKind.MONITOR_TEXT else None
         for piece in pieces:
+            if heard is not None:
+                heard.note(piece)
             self._evidence += 1
             yield from decoder.feed(piece)
-        yield from decoder.end_line(capture.link)
+        yield from self._end_capture()
+
+    def _heard_packets(self, capture: CaptureFile) -> Iterator[Packet]:
+        """A capture's packets; those of a serial line are looked at as they pass."""
+        given = self._options.line is not None
+        serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if given else frozenset())
+        heard: HeardLine | None = None
+        for packet in capture.packets():
+            if packet.link_type in serial_types:
+                heard = heard or self._hear(capture)
+                for piece in serial_pieces(packet):
+                    heard.note(piece)
+            yield packet
+
+    def _hear(self, capture: CaptureFile) -> HeardLine:
+        line = self._options.line
+        heard = HeardLine(capture.name, SerialFormat() if line is None else line.format)
+        self._heard.append(heard)
+        return heard
+
+    def _demand_line_is_open(self, capture: CaptureFile) -> None:
+        if capture.kind is CaptureKind.MCAP and self._options.line is not None:
+            raise UsageError(
+                f"{capture.name}: a log knows its lines, so --link is not for it; "
+                "for other silences there is --t3-5 with --raw"
+            )
+
+    def _decoded(
+        self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
+    ) -> Iterator[Record]:
+        """Decode a file, on from the one before where it is that one's next part."""
+        if not part.follows(self._part):
+            yield from self._end_capture()
+        self._part = part
+        is_first = True
+        for item in evidence:
+            if is_first and not self._seam.is_continued_by(item):
+                yield from self._end_capture()
+                self._part = part
+            is_first = False
+            if self._decoder is None:
+                self._decoder = begin()
+            self._evidence += 1
+            self._seam.note(item)
+            yield from self._decoder.feed(item)
+
+    def _end_capture(self) -> Iterator[Record]:
+        """What comes next is another capture's; what this one has left open comes out."""
+        decoder, self._decoder = self._decoder, None
+        self._part, self._seam = None, Seam()
+        if decoder is not None:
+            yield from decoder.close()
 
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
+        self._demand_line_is_open(capture)
         log = LogReader(capture.stream, capture.name)
         if self._options.raw:
             self.assignments = _all_assignments(log, self._options.assignments)
@@ -190,9 +279,14 @@ class Reading:
                 "--t1-5 and --t3-5 go with --raw, which decodes it afresh"
             )
         else:
+            yield from self._end_capture()
             with suppress(UsageError):  # The log's transactions are named; only figures lack.
                 self.assignments = _all_assignments(log, self._options.assignments)
             yield from _renamed(log, self._options.assignments)
+        if not log.closed:
+            end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
+            end = end if log.end_ns else "holds nothing"
+            self._not_closed.append(f"{capture.name}: was not closed; it {end}")
 
     def _decoded_again(self, log: LogReader) -> Iterator[Record]:
         """Decode a log's evidence afresh."""
@@ -202,22 +296,21 @@ class Reading:
             options.rtu_ports or _ports(log, RTU_PORTS),
         )
         ports, rtu_ports = self._ports
-        decoder = Decoder(
-            Namer(self.assignments),
-            lines=_lines(log),
-            line=options.line,
-            timing=LineTiming(self.assignments, options.t1_5, options.t3_5),
-            ports=ports,
-            rtu_ports=rtu_ports,
-        )
-        try:
-            for evidence in log.evidence():
-                self._evidence += 1
-                yield from decoder.feed(evidence)
-        except InputError:
-            yield from decoder.close()
-            raise
-        yield from decoder.close()
+        # What the user names stands in place of what the log says.
+        self._any_port = options.any_port or (not options.ports and _names_any_port(log))
+        lines = _lines(log)
+
+        def begin() -> Decoder:
+            return Decoder(
+                Namer(self.assignments),
+                lines=lines,
+                timing=LineTiming(self.assignments, options.t1_5, options.t3_5),
+                ports=ports,
+                rtu_ports=rtu_ports,
+                any_port=self._any_port,
+            )
+
+        yield from self._decoded(log.evidence(), Part.of_log(log), begin)
 
 
 def _place(path: str) -> tuple[object, bool]:
@@ -276,6 +369,10 @@ def _all_assignments(log: LogReader, given: Assignments) -> Assignments:
 def _lines(log: LogReader) -> dict[str, SerialLink]:
     links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
     return {name: link for name, link in links if isinstance(link, SerialLink)}
+
+
+def _names_any_port(log: LogReader) -> bool:
+    return any(ANY_PORT in one.get(PORTS, "").split() for one in log.links.values())
 
 
 def _ports(log: LogReader, key: str) -> tuple[int, ...]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import platform
 import shlex
 import sys
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from mbtool.core import InterfaceLink, TapLink, UsageError
 from mbtool.devices import profile_to_json
-from mbtool.logs import LogWriter, RotatingLog
-from mbtool.workflows.reading import PORTS, RTU_PORTS, SPEC
+from mbtool.logs import LogWriter, RotatingLog, demand_place
+from mbtool.workflows.reading import ANY_PORT, PORTS, RTU_PORTS, SPEC
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +32,7 @@ def begin_log(
     *,
     ports: Sequence[int] = (),
     rtu_ports: Sequence[int] = (),
+    any_port: bool = False,
     rotation: Rotation | None = None,
     overwrite: bool = False,
 ) -> LogWriter | RotatingLog:
@@ -39,9 +40,7 @@ def begin_log(
 
     Raises UsageError, and OutputError where another recorder has the file.
     """
-    name = PurePath(path)
-    if name.suffix.lower() in _OTHER_KINDS:
-        raise UsageError(f"{path}: a log is an MCAP file: name it {name.with_suffix('.mcap')}")
+    _demand_name(path)
     capture = {
         "host": platform.node(),
         "system": platform.platform(),
@@ -56,7 +55,8 @@ def begin_log(
     for link in links:
         settings = {SPEC: str(link)}
         if isinstance(link, InterfaceLink):
-            settings |= {PORTS: _listed(ports), RTU_PORTS: _listed(rtu_ports)}
+            named: list[int | str] = [*ports, *([ANY_PORT] if any_port else [])]
+            settings |= {PORTS: _listed(named), RTU_PORTS: _listed(rtu_ports)}
         elif isinstance(link, TapLink) and link.target.port in rtu_ports:
             settings[RTU_PORTS] = str(link.target.port)
         log.add_link(link.name, settings)
@@ -67,5 +67,17 @@ def begin_log(
     return log
 
 
-def _listed(ports: Sequence[int]) -> str:
+def demand_log(path: str, *, overwrite: bool = False) -> None:
+    """See that a log may be begun there, before anything is done for it. Raises UsageError."""
+    _demand_name(path)
+    demand_place(Path(path), replace=overwrite)
+
+
+def _demand_name(path: str) -> None:
+    name = PurePath(path)
+    if name.suffix.lower() in _OTHER_KINDS:
+        raise UsageError(f"{path}: a log is an MCAP file: name it {name.with_suffix('.mcap')}")
+
+
+def _listed(ports: Sequence[int | str]) -> str:
     return " ".join(map(str, ports))

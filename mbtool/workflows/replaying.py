@@ -24,19 +24,23 @@ def read_recording(
     options: ReadingOptions,
     wanted: Callable[[NamedTransaction], bool],
     on_cut: Callable[[CutError | DamageError], None],
+    on_remark: Callable[[str], None] = lambda _: None,
 ) -> Recording:
     """The transactions of a capture or a log, ready to be played.
 
-    Of a file that is cut or damaged what is there is played, and `on_cut` is told. Raises
-    InputError, UsageError.
+    Of a file that is cut or damaged what is there is played, and `on_cut` is told; `on_remark`
+    is told what else there is to know of it. Raises InputError, UsageError.
     """
     transactions: list[NamedTransaction] = []
+    reading = Reading([path], options)
     try:
-        for record in Reading([path], options).records():
+        for record in reading.records():
             if not isinstance(record, WireEvent) and wanted(record):
                 transactions.append(record)
     except (CutError, DamageError) as error:
         on_cut(error)
+    for remark in reading.remarks:
+        on_remark(remark)
     recording = Recording.of(transactions)
     if not recording.answers:
         raise InputError(f"{path}: no request to play an answer for; see what it holds with decode")

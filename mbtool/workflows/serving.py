@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import SerialLink, TcpLink, UsageError
-from mbtool.core.link_spec import ANSWERED
-from mbtool.slave import DeviceResponder, RegisterImage, load_image, open_shell, units_on
+from mbtool.slave import (
+    DeviceResponder,
+    RegisterImage,
+    load_image,
+    open_shell,
+    slave_link,
+    units_on,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,20 +30,9 @@ def device_slave(
     allow_remote: bool = False,
 ) -> Shell:
     """A device on a link, not yet started. Raises UsageError, InputError."""
+    where_to_answer = slave_link(link)
     image = RegisterImage.of(profile)
     if image_file is not None:
         load_image(image_file, profile, image)
-    return open_shell(
-        link,
-        units_on(slave_link(link), profile, unit, DeviceResponder(profile, image)),
-        allow_remote=allow_remote,
-    )
-
-
-def slave_link(link: LinkSpec) -> SerialLink | TcpLink:
-    """The same link, if a slave can be on it. Raises UsageError."""
-    if isinstance(link, SerialLink):
-        link.demand_one_port()
-    if isinstance(link, SerialLink | TcpLink):
-        return link
-    raise UsageError(f"link {link}: a slave needs {ANSWERED}")
+    units = units_on(where_to_answer, profile, unit, DeviceResponder(profile, image))
+    return open_shell(where_to_answer, units, allow_remote=allow_remote)

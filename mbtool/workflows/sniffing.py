@@ -59,11 +59,12 @@ class Sniffer:
         ports: Sequence[int] = (),
         on_lost: Callable[[LinkError], None] = lambda _error: None,
         on_refused: Callable[[WireEvent], None] = lambda _event: None,
+        on_discarded: Callable[[WireEvent], None] = lambda _event: None,
     ) -> None:
         """`on_lost` is told when a link goes away while others stay.
 
         `on_refused` is told when a tap cannot reach its slave: once, until it could be reached or
-        cannot be for another reason.
+        cannot be for another reason. `on_discarded` is told when a bound has cost bytes or packets.
         """
         self._links = links
         self._decoder = decoder
@@ -72,6 +73,7 @@ class Sniffer:
         self._ports = ports
         self._on_lost = on_lost
         self._on_refused = on_refused
+        self._on_discarded = on_discarded
         self._refused: dict[str, str] = {}
         """Why the slaves of taps cannot be reached, by link."""
         self._inbox = Inbox()
@@ -151,8 +153,9 @@ class Sniffer:
 
     def _note(self, event: WireEvent) -> None:
         match event.kind:
-            case EventKind.DISCARDED:
+            case EventKind.DISCARDED if event.missing:
                 self._discarded += event.missing
+                self._on_discarded(event)
             case EventKind.OPENED:
                 self._refused.pop(event.link, None)
             case EventKind.REFUSED if self._refused.get(event.link) != event.message:

@@ -19,7 +19,7 @@ from mbtool.logs import CSV_COLUMNS, LogWriter, json_schema
 from mbtool.logs.schemas import TRANSACTION
 from tests.cli.program import Program
 from tests.logs.samples import EVENT, NAMED, transaction, write_log
-from tests.packets.building import pcap
+from tests.packets.building import packet, pcap
 from tests.workflows.evidence import capture_file, captured, damaged_log
 
 if TYPE_CHECKING:
@@ -251,6 +251,28 @@ def test_a_signal_while_it_waits_for_input_ends_it_with_what_came(number: int) -
     assert re.match(rf"{len(lines)} transactions?: {len(lines)} ok\n", told.err)
 
 
+@pytest.mark.parametrize(("format_", "heading"), [("jsonl", 0), ("csv", 1), ("table", 2)], ids=str)
+def test_a_live_capture_on_standard_input_is_shown_as_it_comes(format_: str, heading: int) -> None:
+    packets = captured(3)
+    reading, writing = os.pipe()
+    with Program("decode", "-", "--format", format_, stdin=reading) as program:
+        os.close(reading)
+        assert program.process.stdout is not None
+        with os.fdopen(writing, "wb", buffering=0) as pipe:
+            whole, written = pcap(packets), 0
+            for number in range(3):
+                # The response is the last packet that has come, as far as the reader can know.
+                so_far = len(pcap(packets[: 3 + 2 * (number + 1)]))
+                pipe.write(whole[written:so_far])
+                written = so_far
+                for _ in range(1 if number else 1 + heading):
+                    assert program.process.stdout.readline()
+            pipe.write(whole[written:])
+        told = program.end()
+    assert (told.code, told.err) == (exit_codes.DONE, "3 transactions: 3 ok\n")
+    assert told.out == ""
+
+
 def test_follows_a_log_as_it_grows(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     log = LogWriter(path, capture={})
@@ -337,3 +359,41 @@ def test_a_line_that_is_none_is_a_wrong_use(mbtool: CommandLine, capture: Path, 
 def test_a_followed_log_has_lines_of_its_own(mbtool: CommandLine, tmp_path: Path) -> None:
     told = mbtool("decode", tmp_path / "a.mcap", "--follow", "--link", "rtu@9600")
     assert told.code == exit_codes.USAGE
+
+
+def test_a_line_for_a_log_is_a_wrong_use_and_costs_no_older_output(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "a.mcap", tmp_path / "out.jsonl"
+    write_log(path, [NAMED])
+    out.write_text("older")
+    told = mbtool("decode", path, "--link", "rtu@19200-8E1", "-o", out)
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith(f"mbtool: {path}: a log knows its lines")
+    assert out.read_text() == "older"
+
+
+def test_a_log_that_was_not_closed_is_told_and_no_error(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path, killed = tmp_path / "a.mcap", tmp_path / "killed.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.write(transaction(1))
+        log.tick(0)
+        log.tick(10_000_000_000)
+        killed.write_bytes(path.read_bytes())
+    told = mbtool("decode", killed)
+    assert told.code == exit_codes.DONE
+    assert told.err.splitlines() == [
+        "1 transaction: 1 ok",
+        f"{killed}: was not closed; it ends at 2023-11-14 22:13:20.001 UTC",
+    ]
+
+
+def test_what_a_line_is_taken_for_is_no_data(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap([packet(b"\1\3\0\0\0\2\xc4\x0b", 0, link_type=147)]))
+    told = mbtool("decode", path)
+    assert told.code == exit_codes.DONE
+    assert "taken as" not in told.out
+    assert told.err.count("taken as 19200-8E1; name the line with --link rtu@") == 1

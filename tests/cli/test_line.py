@@ -15,6 +15,8 @@ from tests.workflows.evidence import READ
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from tests.cli.program import CommandLine
+
 
 def test_a_line_is_there_until_it_is_ended(tmp_path: Path) -> None:
     ends = [tmp_path / "slave", tmp_path / "master"]
@@ -28,4 +30,13 @@ def test_a_line_is_there_until_it_is_ended(tmp_path: Path) -> None:
                 assert master.ask(1, READ) == bytes.fromhex("03 04 0000 0000")
             assert slave.end(signal.SIGINT).code == exit_codes.INTERRUPTED
         assert program.end(signal.SIGTERM).code == exit_codes.INTERRUPTED
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_end_that_could_not_be_reached_is_a_wrong_use(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    told = mbtool("line", tmp_path / "q1", f"{tmp_path}/./q1")
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err.endswith("q1: named twice; each end of a line has a name of its own\n")
     assert list(tmp_path.iterdir()) == []

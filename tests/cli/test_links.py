@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.core.here import Holder, InterfaceHere, SerialPortHere, Trouble
-from mbtool.sources import interfaces_here, ports_here
+from mbtool.workflows import listing
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -29,8 +29,8 @@ INTERFACE = InterfaceHere(name="eth0", is_up=False)
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with one of each."""
-    monkeypatch.setattr(ports_here, "ports_here", lambda: [PORT])
-    monkeypatch.setattr(interfaces_here, "interfaces_here", lambda: [INTERFACE])
+    monkeypatch.setattr(listing, "ports_here", lambda: [PORT])
+    monkeypatch.setattr(listing, "interfaces_here", lambda: [INTERFACE])
 
 
 @pytest.mark.usefixtures("machine")
@@ -84,8 +84,8 @@ def test_json_lines_leave_out_what_is_not_known(mbtool: CommandLine) -> None:
 def test_without_a_port_it_says_how_to_do_without(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, format_: str
 ) -> None:
-    monkeypatch.setattr(ports_here, "ports_here", list)
-    monkeypatch.setattr(interfaces_here, "interfaces_here", lambda: [INTERFACE])
+    monkeypatch.setattr(listing, "ports_here", list)
+    monkeypatch.setattr(listing, "interfaces_here", lambda: [INTERFACE])
     told = mbtool("links", "--format", format_)
     assert told.code == exit_codes.DONE
     assert told.err == (
@@ -98,9 +98,9 @@ def test_without_a_port_it_says_how_to_do_without(
 def test_a_name_that_is_no_text_is_told_nevertheless(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ports_here, "ports_here", list)
+    monkeypatch.setattr(listing, "ports_here", list)
     odd = [InterfaceHere(name="eth\udcff")]
-    monkeypatch.setattr(interfaces_here, "interfaces_here", lambda: odd)
+    monkeypatch.setattr(listing, "interfaces_here", lambda: odd)
     assert json.loads(mbtool("links", "--format", "jsonl").out)["name"] == "eth\udcff"
     assert "net:eth?" in mbtool("links").out
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.cli.options import assignments, condition, file_line, silence
+from mbtool.cli.options import assignments, condition, file_line, silence, tcp_ports
 from mbtool.core import UsageError
 from tests.logs.samples import transaction
 
@@ -37,3 +37,24 @@ def test_a_silence_is_given_or_not() -> None:
     assert str(silence("--t3-5", "28bits")) == "28bits"
     with pytest.raises(UsageError, match=r"^--t3-5: silence 'long': write a number and bits"):
         silence("--t3-5", "long")
+
+
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [
+        (None, ([], False)),
+        (["502", "1502"], ([502, 1502], False)),
+        (["any"], ([], True)),
+        (["any", "1502"], ([1502], True)),
+    ],
+)
+def test_ports_are_numbers_or_any(
+    texts: list[str] | None, expected: tuple[list[int], bool]
+) -> None:
+    assert tcp_ports(texts) == expected
+
+
+@pytest.mark.parametrize("text", ["0", "65536", "all", "-1", "٥"])
+def test_a_port_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="a number from 1 to 65535, or any"):
+        tcp_ports([text])

@@ -193,6 +193,30 @@ def test_a_log_is_replaced_where_that_is_asked(bench: Bench, tmp_path: Path) -> 
     assert _logged(path) == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["rtu:/dev/tty-no@auto", "-w", "old.mcap"], "the file exists"),
+        (["rtu:/dev/tty-no@auto", "-w", "a.pcap"], "name it a.mcap"),
+        (["rtu:/dev/tty-no@auto", "rtu:/dev/x/tty-no@auto"], "two links are called 'tty-no'"),
+        (["rtu:/dev/tty-no@auto", "-w", "a.mcap", "--rotate", "often"], "rotation 'often'"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_settings_are_looked_for(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    mbtool: CommandLine,
+    arguments: list[str],
+    why: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("old.mcap").touch()
+    told = mbtool("sniff", *arguments)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert why in told.err
+    assert "finding" not in told.err
+
+
 def test_settings_that_were_found_are_said_and_logged(bench: Bench, tmp_path: Path) -> None:
     line, descriptor = bench.line(tmp_path)
     path = tmp_path / "a.mcap"

@@ -48,6 +48,26 @@ E8 = SerialFormat(19200, 8, "E", 1)
             "rtu:/dev/ttyUSB0@9600-8E1,t3.5=28bits",
             SerialLink("/dev/ttyUSB0", SerialFormat(9600, t3_5=Silence.parse("28bits"))),
         ),
+        (
+            "rtutap:/dev/a@9600-8N2=/dev/b",
+            SerialLink("/dev/a", SerialFormat(9600, 8, "N", 2), slave_port="/dev/b", is_relay=True),
+        ),
+        ("rtutap:/dev/a=/dev/b", SerialLink("/dev/a", E8, slave_port="/dev/b", is_relay=True)),
+        (
+            "rtutap:/dev/a@9600,t3.5=28bits=/dev/b",
+            SerialLink(
+                "/dev/a",
+                SerialFormat(9600, t3_5=Silence.parse("28bits")),
+                slave_port="/dev/b",
+                is_relay=True,
+            ),
+        ),
+        (
+            "asciitap:/dev/a=/dev/b",
+            SerialLink(
+                "/dev/a", SerialFormat(9600, 7), ascii=True, slave_port="/dev/b", is_relay=True
+            ),
+        ),
         ("net:eth0", InterfaceLink("eth0")),
         (
             "tap:127.0.0.1:1502=10.0.0.9:502",
@@ -79,6 +99,7 @@ def test_reads_a_link(text: str, link: LinkSpec) -> None:
     [
         ("rtu:/dev/serial/by-id/usb-1@9600", "usb-1"),
         ("rtu:/dev/ttyUSB0,/dev/ttyUSB1@9600", "ttyUSB0+ttyUSB1"),
+        ("rtutap:/dev/ttyUSB0@9600=/dev/ttyUSB1", "ttyUSB0+ttyUSB1"),
         ("net:eth0", "eth0"),
         ("tap:127.0.0.1:1502=10.0.0.9:502", "10.0.0.9"),
         ("tap:127.0.0.1:1502=10.0.0.9:503", "10.0.0.9:503"),
@@ -101,13 +122,25 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("rtu:/dev/ttyUSB0@", "line settings ''"),
         ("rtu:/dev/ttyUSB0@fast", "line settings 'fast'"),
         ("rtu:/dev/ttyUSB0@99999999-8E1", "no port has 99999999 baud; write 50 to 4000000"),
-        ("rtu:/dev/ttyUSB0@9600-7E1", "RTU needs 8 data bits"),
+        ("rtu:/dev/a@9600-7E1", "RTU needs 8 data bits, for example rtu:/dev/a@19200-8E1"),
         ("rtu:/dev/a,/dev/b,/dev/c@9600", "a line has one tap, or two different ones"),
         ("rtu:/dev/a,/dev/a@9600", "a line has one tap, or two different ones"),
         ("rtu:/dev/a,@9600", "no port is named"),
         ("rtu:,/dev/b@9600", "no port is named"),
         ("rtu:/dev/a@9600,t3.5=fast", "silence 'fast'"),
         ("rtu:/dev/a@9600,t2=5ms", "'t2=5ms' is neither t1.5=SILENCE nor t3.5=SILENCE"),
+        ("rtutap:/dev/a@9600", "for example rtutap:/dev/ttyUSB0@19200-8E1=/dev/ttyUSB1"),
+        ("rtutap:/dev/a@9600=", "a tap needs the port on the master's side and the port on"),
+        ("asciitap:/dev/a", "for example asciitap:/dev/ttyUSB0@9600-7E1=/dev/ttyUSB1"),
+        ("rtutap:/dev/a=/dev/b@9600", "the settings are those of both ports and stand behind"),
+        ("rtutap:/dev/a@auto=/dev/b", "its settings cannot be found; give them"),
+        ("rtutap:/dev/a@9600=/dev/a", "a tap joins two different ports"),
+        ("rtutap:/dev/a,/dev/c@9600=/dev/b", "a tap joins two different ports"),
+        ("rtutap:@9600=/dev/b", "no port is named, for example rtutap:/dev/ttyUSB0@19200-8E1="),
+        (
+            "rtutap:/dev/a@9600-7E1=/dev/b",
+            "8 data bits, for example rtutap:/dev/ttyUSB0@19200-8E1=",
+        ),
         ("tap:127.0.0.1:1502", "whom to call"),
         ("tap:=10.0.0.9", "'' is no address"),
         ("tap:127.0.0.1:1704=127.0.0.1:1704", "the tap would call itself"),

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, CutError, Direction
 from mbtool.modbus import Adu, Conversation, parse_pdu
-from mbtool.packets import StreamClosed, StreamGap, TcpReassembler
-from mbtool.sources.files import read_packets
+from mbtool.packets import StreamClosed, StreamGap, StreamItem, TcpReassembler
+from tests.captures import read_packets
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -129,19 +129,26 @@ def _adus(path: Path) -> Iterator[tuple[Connection, Adu]]:
     ) -> Iterator[tuple[Connection, Adu]]:
         return ((connection, event) for event in events if isinstance(event, Adu))
 
-    for packet in read_packets(path):
-        for item in reassembler.feed(packet):
-            match item:
-                case Chunk(connection=connection) if connection is not None:
-                    events = conversation(connection).feed(item.direction, item.data, item.ts_ns)
-                    yield from decoded(connection, events)
-                case StreamGap(connection=connection):
-                    events = conversation(connection).gap(item.direction, item.missing, item.ts_ns)
-                    yield from decoded(connection, events)
-                case StreamClosed(connection=connection):
-                    conversations.pop(connection, None)
-                case _:
-                    pass
+    for item in _items(path, reassembler):
+        match item:
+            case Chunk(connection=connection) if connection is not None:
+                events = conversation(connection).feed(item.direction, item.data, item.ts_ns)
+                yield from decoded(connection, events)
+            case StreamGap(connection=connection):
+                events = conversation(connection).gap(item.direction, item.missing, item.ts_ns)
+                yield from decoded(connection, events)
+            case StreamClosed(connection=connection):
+                conversations.pop(connection, None)
+            case _:
+                pass
+
+
+def _items(path: Path, reassembler: TcpReassembler) -> Iterator[StreamItem]:
+    try:
+        for packet in read_packets(path):
+            yield from reassembler.feed(packet)
+    finally:  # Also of a file that was cut off.
+        yield from reassembler.close(0)
 
 
 def _hold(comparison: Comparison, truth: list[Facts], found: list[Facts]) -> None:

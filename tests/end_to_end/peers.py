@@ -78,10 +78,10 @@ class Wire:
 
 
 @contextmanager
-def tcp_client(port: int) -> Iterator[tuple[ModbusTcpClient, Wire]]:
+def tcp_client(port: int, host: str = "127.0.0.1") -> Iterator[tuple[ModbusTcpClient, Wire]]:
     wire = Wire()
     client: Any = ModbusTcpClient(
-        "127.0.0.1", port=port, timeout=PATIENCE_S, retries=0, trace_packet=wire.trace
+        host, port=port, timeout=PATIENCE_S, retries=0, trace_packet=wire.trace
     )
     assert client.connect()
     try:

@@ -11,7 +11,7 @@ import pytest
 
 from mbtool.core import OutputError, UsageError
 from mbtool.logs import LogWriter, RotatingLog, Rotation, read_log
-from mbtool.logs.creating import create_file
+from mbtool.logs.creating import create_file, demand_place
 from tests.logs.samples import chunk
 
 needs_locks = pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
@@ -43,6 +43,17 @@ def test_a_file_that_cannot_be_created_is_the_users_mistake(tmp_path: Path) -> N
 def test_a_folder_is_said_to_be_one(tmp_path: Path, replace: bool) -> None:
     with pytest.raises(UsageError, match=r"a directory; name a file in it, for example .*x\.mcap"):
         create_file(tmp_path, replace=replace)
+
+
+def test_a_place_can_be_looked_at_before(tmp_path: Path) -> None:
+    demand_place(tmp_path / "a.mcap")
+    (tmp_path / "b.mcap").touch()
+    demand_place(tmp_path / "b.mcap", replace=True)
+    with pytest.raises(UsageError, match="the file exists"):
+        demand_place(tmp_path / "b.mcap")
+    with pytest.raises(UsageError, match="the log cannot be created: No such file"):
+        demand_place(tmp_path / "absent" / "a.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")

@@ -375,7 +375,7 @@ class _NeverAsked(Turns):
     def judge(self, *_: object, **__: object) -> Judgement:
         raise AssertionError("asked who speaks")
 
-    spoke = judge  # type: ignore[assignment]
+    spoke = judge
 
 
 @pytest.mark.parametrize("speaker", [Direction.REQUEST, Direction.RESPONSE])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,6 +31,12 @@ LDAP_BIND = bytes.fromhex(
 LDAP_ANSWER = bytes.fromhex("30 84 0000000f 02 01 01 61 84 00000006 0a 01 00 04 00 80")
 
 Piece = tuple[Direction, bytes]
+
+
+class Port(Protocol):
+    def __call__(self, *, joined: bool = False) -> Recognition: ...
+
+
 TCP_PAIR: list[Piece] = [(REQUEST, mbap_adu(1, 1, READ)), (RESPONSE, mbap_adu(1, 1, VALUES))]
 RTU_PAIR: list[Piece] = [(REQUEST, rtu_adu(1, READ)), (RESPONSE, rtu_adu(1, VALUES))]
 
@@ -106,7 +114,7 @@ def test_elsewhere_functions_that_no_table_knows_prove_nothing() -> None:
 def test_another_protocol_is_one_event_that_names_it(
     pieces: list[Piece],
     name: str,
-    port: type[Recognition],
+    port: Port,
 ) -> None:
     recognition = port()
     decoded = [*fed(recognition, pieces), *fed(recognition, pieces * 9), *recognition.close()]
@@ -221,7 +229,7 @@ PIECES: list[Piece] = [
     joined=st.booleans(),
 )
 def test_where_segments_end_does_not_matter(
-    pieces: list[Piece], size: int, kind: type[Recognition], joined: bool
+    pieces: list[Piece], size: int, kind: Port, joined: bool
 ) -> None:
     whole, cut = kind(joined=joined), kind(joined=joined)
     wanted = [one for way, data in pieces for one in whole.feed(way, data, 0)] + whole.close()

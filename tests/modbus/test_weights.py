@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 
 from mbtool.modbus import weights
-from mbtool.modbus.tiling import DOUBT
+from mbtool.modbus.rows import DOUBT
 from mbtool.modbus.turns import SURE, likelihood
 
 TOLD_BY_ANOTHER = {"SKIP_LIMITS", "GLUED_LIMITS", "TORN_LIMITS", "MOST_FOR_LATENESS"}

@@ -49,6 +49,7 @@ def ipv4(
     protocol: int = 6,
     options: bytes = b"",
     fragment: int = 0,
+    identification: int = 1,
     total: int | None = None,
 ) -> bytes:
     """Make an IPv4 packet. `fragment` is the field of flags and offset."""
@@ -57,7 +58,7 @@ def ipv4(
         0x40 | 5 + len(options) // 4,
         0,
         20 + len(options) + len(payload) if total is None else total,
-        1,  # identification
+        identification,
         fragment,
         64,  # time to live
         protocol,
@@ -78,6 +79,24 @@ def ipv6(
     """Make an IPv6 packet. `following` is the next header's type."""
     header = struct.pack(">IHBB", 6 << 28, len(payload), following, 64)
     return header + ip_address(source).packed + ip_address(destination).packed + payload
+
+
+def in_fragments(whole: Packet, *sizes: int, identification: int = 7) -> list[Packet]:
+    """Cut an Ethernet packet of IPv4 into fragments; sizes in bytes, the rest is the last one's."""
+    end = 14 + int.from_bytes(whole.data[16:18], "big")
+    source, destination = (str(ip_address(whole.data[at : at + 4])) for at in (26, 30))
+    payload, at = whole.data[34:end], 0
+    parts = []
+    for size in (*sizes, len(payload)):
+        part = payload[at : at + size]
+        more = at + len(part) < len(payload)
+        field_ = at // 8 | (0x2000 if more else 0)
+        data = ipv4(part, source, destination, fragment=field_, identification=identification)
+        parts.append(replace(whole, data=ethernet(data), original_length=len(ethernet(data))))
+        at += size
+        if not more:
+            break
+    return parts
 
 
 def ethernet(payload: bytes, kind: int = 0x0800, tags: bytes = b"") -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, WireEvent
@@ -36,3 +37,7 @@ def close_reasons(items: list[StreamItem]) -> list[CloseReason]:
 
 def wire_events(items: list[StreamItem]) -> list[WireEvent]:
     return [item for item in items if isinstance(item, WireEvent)]
+
+
+def host(address: bytes) -> str:
+    return str(ip_address(address))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import CutError, InputError, Packet
 from mbtool.packets import CAPTURE_MAGICS, read_capture
-from mbtool.sources.files import read_packets
+from tests.captures import read_packets
 from tests.packets.building import Pcapng, packet, pcap
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from itertools import groupby
+from itertools import groupby, permutations
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -20,11 +21,16 @@ from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES
 from tests.packets.building import (
     MASTER,
     MASTER_PORT,
+    SLAVE,
+    SLAVE_PORT,
     End,
     Talk,
     cut,
 )
 from tests.packets.reading import close_reasons, run_packets, wire_events, words_of
+
+if TYPE_CHECKING:
+    from mbtool.core import Packet
 
 _MASTER = Endpoint("10.0.0.1", 49152)
 _SLAVE = Endpoint("10.0.0.2", 502)
@@ -34,13 +40,45 @@ _MS = 1_000_000
 def test_joins_in_mid_stream_at_the_first_payload() -> None:
     talk = Talk()
     old = talk.at(talk.master, 990, b"0123456789")
-    acknowledgement = talk.send(talk.slave)
+    packets = [talk.send(talk.slave), talk.request(b"ask"), talk.response(b"tell")]
+    packets += [talk.request(b"again"), talk.response(b"TELL"), old]
 
-    items = run_packets([acknowledgement, talk.request(b"ask"), old, talk.response(b"tell")])
+    items = run_packets(packets)
 
     assert isinstance(items[0], StreamOpened)
     assert items[0].joined
-    assert words_of(items) == [">ask", "<tell"]
+    assert words_of(items) == [">ask", "<tell", ">again", "<TELL"]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))), ids=str)
+def test_the_first_packets_of_a_joined_connection_may_be_swapped(order: tuple[int, ...]) -> None:
+    talk = Talk()
+    packets = [talk.request(b"a"), talk.request(b"bc"), talk.response(b"d"), talk.response(b"ef")]
+
+    items = run_packets([packets[at] for at in order] + [talk.request(b"g"), talk.response(b"h")])
+
+    assert words_of(items) == [">a", ">bc", "<d", "<ef", ">g", "<h"]
+    assert [item.ts_ns // _MS for item in items if isinstance(item, Chunk)][-2:] == [5, 6]
+
+
+def test_where_a_joined_stream_begins_is_settled_after_a_while() -> None:
+    talk = Talk()
+    reassembler = TcpReassembler()
+    assert words_of(run_packets([talk.request(b"ask")], reassembler, close=False)) == []
+
+    assert words_of(reassembler.advance(_MS + PATIENCE_NS)) == [">ask"]
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 3, 4])
+def test_a_syn_that_the_capture_put_behind_bytes_opens_nothing(place: int) -> None:
+    talk = Talk()
+    syn, *others = talk.handshake()
+    packets = [*others, talk.request(b"ask"), talk.request(b" more"), talk.response(b"tell")]
+
+    items = run_packets([*packets[:place], syn, *packets[place:]])
+
+    assert words_of(items) == [">ask", "> more", "<tell"]
+    assert len([item for item in items if isinstance(item, StreamOpened)]) == 1
 
 
 @pytest.mark.parametrize(
@@ -86,6 +124,119 @@ def test_puts_segments_in_order(
 
     assert words_of(items) == said
     assert wire_events(items) == []
+
+
+# A second segment against a first of three bytes at 3, in the six ways that two can overlap.
+_OVERLAPS = {
+    "begins before and ends inside": (1, 4),
+    "begins before and ends with it": (1, 6),
+    "covers it": (1, 8),
+    "stands inside": (4, 5),
+    "begins with it and ends behind": (3, 8),
+    "begins inside and ends behind": (5, 8),
+}
+_LETTERS = "abcdefgh"
+
+
+@pytest.mark.parametrize("differs", [False, True], ids=["same", "different"])
+@pytest.mark.parametrize("delivered", [False, True], ids=["held", "delivered"])
+@pytest.mark.parametrize("sender", ["master", "slave"])
+@pytest.mark.parametrize(("start", "end"), _OVERLAPS.values(), ids=list(_OVERLAPS))
+@pytest.mark.parametrize("first", [1000, 2**32 - 1, 2**32 - 4, 2**32 - 6])
+def test_the_first_copy_wins_in_every_overlap(
+    first: int, start: int, end: int, sender: str, delivered: bool, differs: bool
+) -> None:
+    talk = Talk(End(MASTER, MASTER_PORT, first - 1), End(SLAVE, SLAVE_PORT, first - 1))
+    packets = talk.handshake()
+    by = talk.master if sender == "master" else talk.slave
+
+    def sent(begin: int, behind: int, text: str = _LETTERS) -> Packet:
+        return talk.at(by, first + begin, text[begin:behind].encode())
+
+    known, second = sent(3, 6), sent(start, end, "ABCDEFGH" if differs else _LETTERS)
+    packets += [sent(0, 3), known, second] if delivered else [known, second, sent(0, 3)]
+    items = run_packets([*packets, sent(6, 8)])
+
+    said = "".join(str(part)[1:] for part in words_of(items))
+    expected = list(_LETTERS)
+    if differs:
+        for at in range(start, end):
+            if at >= 6 or (at < 3 and not delivered):
+                expected[at] = _LETTERS[at].upper()
+    assert said == "".join(expected)
+    assert {event.kind for event in wire_events(items)} == (
+        {EventKind.OVERLAP} if differs else set()
+    )
+
+
+@pytest.mark.parametrize("distance", range(12))
+def test_sequence_numbers_wrap_in_both_directions(distance: int) -> None:
+    start = 2**32 - distance
+    talk = Talk(End(MASTER, MASTER_PORT, start), End(SLAVE, SLAVE_PORT, start + 3))
+    packets = talk.handshake()
+    for number in range(3):
+        packets += [talk.request(f"ask{number}".encode()), talk.response(f"tell{number}".encode())]
+    packets[4], packets[5] = packets[5], packets[4]
+    lost = packets.pop(6)
+    assert b"tell1" in lost.data
+
+    items = run_packets([*packets, *talk.goodbye()])
+
+    assert words_of(items) == [">ask0", "<tell0", ">ask1", 5, ">ask2", "<tell2"]
+    assert close_reasons(items) == [CloseReason.FINISHED]
+
+
+def test_bytes_that_come_after_their_gap_are_one_event() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    late = talk.request(b"late")
+    packets += [talk.request(b"ask"), *(talk.response(str(at).encode()) for at in range(4))]
+
+    items = run_packets([*packets, late, late])
+
+    assert words_of(items) == [4, ">ask", "<0", "<1", "<2", "<3"]
+    (event,) = wire_events(items)
+    assert (event.kind, event.raw) == (EventKind.DISCARDED, b"late")
+    assert event.message == "bytes that came after their gap was told"
+
+
+@pytest.mark.parametrize("payload", [b"", b"\0"], ids=["without a byte", "with a byte"])
+def test_keep_alive_probes_are_counted(payload: bytes) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+    for _ in range(3):
+        packets += [talk.at(talk.master, talk.master.sequence - 1, payload), talk.send(talk.slave)]
+    packets += [talk.at(talk.slave, talk.slave.sequence - 1, payload)]
+
+    items = run_packets([*packets, *talk.goodbye()])
+
+    assert words_of(items) == [">ask", "<tell"]
+    assert wire_events(items) == []
+    (closed,) = [item for item in items if isinstance(item, StreamClosed)]
+    assert closed.keep_alives == 4
+
+
+def test_a_connection_joined_at_a_keep_alive_probe_begins_behind_it() -> None:
+    talk = Talk()
+    packets = [talk.send(talk.master), talk.at(talk.master, 999, b"\0"), talk.send(talk.slave)]
+    talk.ts_ns += PATIENCE_NS
+    packets += [talk.request(b"ask"), talk.response(b"tell")]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">ask", "<tell"]
+    (closed,) = [item for item in items if isinstance(item, StreamClosed)]
+    assert closed.keep_alives == 1
+
+
+def test_acknowledgements_and_copies_are_no_keep_alive_probes() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+
+    items = run_packets([*packets, *packets, talk.send(talk.master), *talk.goodbye()])
+
+    (closed,) = [item for item in items if isinstance(item, StreamClosed)]
+    assert closed.keep_alives == 0
 
 
 @pytest.mark.parametrize(

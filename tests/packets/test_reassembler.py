@@ -18,7 +18,7 @@ from mbtool.packets import (
 )
 from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_WAITING
 from mbtool.packets.segment import ACK, FIN, RST, SYN
-from mbtool.sources.files import read_packets
+from tests.captures import read_packets
 from tests.packets.building import (
     MASTER,
     MASTER_PORT,
@@ -27,12 +27,13 @@ from tests.packets.building import (
     Talk,
     cut,
     ethernet,
+    in_fragments,
     ipv4,
     ipv6,
     packet,
     tcp,
 )
-from tests.packets.reading import close_reasons, run_packets, words_of
+from tests.packets.reading import close_reasons, run_packets, wire_events, words_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -235,16 +236,83 @@ def test_packets_cut_in_their_headers_are_one_event() -> None:
     assert event.kind is EventKind.CUT
 
 
-def test_a_train_of_fragments_is_one_event() -> None:
-    data = tcp(49152, 502, 1000, payload=bytes(range(32)))
-    first = packet(ethernet(ipv4(data[:32], fragment=0x2000)))
-    second = packet(ethernet(ipv4(data[32:], fragment=0x0004)))
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2), (0, 0, 1, 1, 2, 2)])
+def test_a_packet_in_fragments_is_put_together(order: tuple[int, ...]) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    fragments = in_fragments(talk.request(bytes(range(65, 91))), 8, 24)
+    packets += [replace(fragments[at], ts_ns=10 * _MS + turn) for turn, at in enumerate(order)]
 
-    (event,) = run_packets([first, second])
+    items = run_packets([*packets, talk.response(b"tell")])
 
-    assert isinstance(event, WireEvent)
-    assert event.kind is EventKind.UNREADABLE
+    assert words_of(items) == [">ABCDEFGHIJKLMNOPQRSTUVWXYZ", "<tell"]
+    assert wire_events(items) == []
+    (asked, _) = [item for item in items if isinstance(item, Chunk)]
+    assert asked.ts_ns == 10 * _MS + (4 if len(order) > 3 else 2)
+
+
+def test_fragments_of_ipv6_with_extension_headers_are_put_together() -> None:
+    header = bytes.fromhex("06 00 0104 00000000")  # destination options before TCP
+    data = header + tcp(49152, 502, 1000, payload=b"abcdefghijk")
+    hops = bytes.fromhex("2c 00 0104 00000000")  # hop-by-hop options before the fragment header
+    parts = []
+    for at, more in ((0, 1), (8, 1), (16, 0)):
+        part = data[at : at + 8] if more else data[at:]
+        field = (at | more).to_bytes(2, "big")
+        parts.append(ipv6(hops + b"\x3c\x00" + field + b"\x00\x00\x00\x09" + part, following=0))
+
+    items = run_packets([packet(each, link_type=229) for each in parts])
+
+    assert words_of(items) == [">abcdefghijk"]
+
+
+def test_fragments_that_contradict_each_other_are_one_event() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    whole = talk.request(b"first copy!!")
+    other = replace(whole, data=whole.data.replace(b"first", b"worst"))
+    packets += [in_fragments(whole, 24)[0], *in_fragments(other, 24)]
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">first copy!!"]
+    (event,) = wire_events(items)
+    assert (event.kind, event.link) == (EventKind.OVERLAP, "if0")
+    assert event.message == "fragments of a packet contradict each other; the first copy is kept"
     assert (event.source, event.destination) == (str(_MASTER), str(_SLAVE))
+
+
+def test_a_packet_that_lacks_a_fragment_is_one_event() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    packets += in_fragments(talk.request(b"never whole"), 24)[:1]
+    items = run_packets([*packets, talk.request(b"x")])
+
+    # Its bytes are a gap of the connection too.
+    assert words_of(items) == [11, ">x"]
+    (event,) = wire_events(items)
+    assert (event.kind, event.raw[-4:]) == (EventKind.UNREADABLE, b"neve")
+    assert event.message == "a packet of which fragments are missing"
+
+
+def test_fragments_without_the_first_one_are_one_event_for_each_interface() -> None:
+    talk = Talk()
+    packets = [
+        in_fragments(talk.request(b"abcdefghijk"), 24, identification=number)[1]
+        for number in range(3)
+    ]
+
+    (event,) = wire_events(run_packets(packets))
+
+    assert event.message == "fragments of packets whose first one is not in the capture"
+
+
+def test_fragments_of_other_ports_are_passed_over() -> None:
+    talk = Talk(slave=End(SLAVE, 503, 5000))
+    first, second = in_fragments(talk.request(b"abcdefghijk"), 24)
+
+    assert run_packets([first, first, second]) == []
+    assert run_packets([first]) == []
 
 
 @given(

@@ -99,6 +99,7 @@ def test_does_not_believe_a_packet_longer_than_its_frame() -> None:
     [
         ipv4(_TCP, protocol=17),
         ipv4(_TCP, fragment=0x00B9),  # not the first fragment
+        ipv4(_TCP, fragment=0x2000),  # the first of several
         b"\x44" + ipv4(_TCP)[1:],  # a header of 16 bytes
         b"\x55" + ipv4(_TCP)[1:],  # version 5
         ipv4(_TCP, total=19),  # ends in its own header
@@ -108,23 +109,12 @@ def test_does_not_believe_a_packet_longer_than_its_frame() -> None:
         ipv6(_TCP, following=17),
         ipv6(_TCP, following=59),  # no next header
         ipv6(bytes.fromhex("06 00 0008 00000001") + _TCP, following=44),
+        ipv6(bytes.fromhex("06 00 0001 00000001") + _TCP, following=44),
         ipv6(bytes.fromhex("06 ff 0104 00000000") + _TCP, following=0),
     ],
 )
 def test_passes_over_what_is_no_tcp_segment(data: bytes) -> None:
     assert _read(data) is None
-
-
-def test_tells_the_first_fragment() -> None:
-    data = ipv4(_TCP, fragment=0x2000)
-    place = find_tcp(data, 0, len(data))
-    assert place is not None
-    assert place.fragment
-
-    data = ipv6(bytes.fromhex("06 00 0001 00000001") + _TCP, following=44)
-    place = find_tcp(data, 0, len(data))
-    assert place is not None
-    assert place.fragment
 
 
 def test_a_claim_of_more_than_any_card_hands_over_is_malformed() -> None:

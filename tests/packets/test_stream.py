@@ -4,7 +4,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction, Endpoint
-from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES, RECENT_BYTES, Piece, Stream
+from mbtool.packets.stream import (
+    LEAD,
+    MAX_ACKNOWLEDGEMENTS,
+    MAX_GAPS,
+    MAX_HELD_BYTES,
+    MAX_HELD_PIECES,
+    RECENT_BYTES,
+    Piece,
+    Stream,
+)
 
 
 def _stream(first: int = 0) -> Stream:
@@ -80,3 +89,48 @@ def test_a_gap_leaves_nothing_to_compare_with() -> None:
 
     assert stream.position == 13
     assert not stream.differs_from_delivered(0, b"xyz")
+
+
+def test_a_joined_stream_begins_where_its_first_hole_ends() -> None:
+    stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
+    stream.join(3, arrival=1, ts_ns=0)
+
+    assert (stream.place(3), stream.place(2)) == (LEAD, LEAD - 1)
+    assert stream.begins_at(3)
+    assert stream.begins_at(2**32 - 7)
+    assert not stream.begins_at(4)
+    stream.pass_over(LEAD - 1)
+    assert (stream.position, stream.beginning, stream.joining) == (LEAD - 1, 2, False)
+    assert stream.begins_at(2)
+    assert not stream.begins_at(3)
+    assert stream.take_late(_piece(0, bytes(LEAD))) == b""
+
+
+def test_a_doubt_is_as_old_as_the_acknowledgement_of_what_is_missing() -> None:
+    stream = _stream()
+    stream.acknowledge(3, arrival=1, ts_ns=0)
+    stream.acknowledge(6, arrival=3, ts_ns=0)
+
+    assert stream.is_overdue(4, 3, 0, 100)
+    stream.advance(b"abc", 3)
+    assert not stream.is_overdue(5, 3, 0, 100)
+    assert stream.is_overdue(6, 3, 0, 100)
+    assert stream.is_overdue(5, 3, 100, 100)
+    stream.advance(b"def", 3)
+    assert not stream.is_overdue(99, 3, 999, 100)
+
+
+def test_remembers_so_many_acknowledgements_and_gaps() -> None:
+    stream = _stream()
+    for number in range(1000):
+        stream.acknowledge(10 * number + 1, arrival=number, ts_ns=0)
+    stream.advance(b"x" * 9980, 9980)
+    assert not stream.is_overdue(MAX_ACKNOWLEDGEMENTS, 3, 0, 100)
+
+    stream = _stream()
+    for _ in range(MAX_GAPS + 1):
+        stream.pass_over(1)
+        stream.advance(b"x", 1)
+    assert stream.take_late(_piece(0, b"a")) == b""
+    told = [stream.take_late(_piece(0, bytes(range(20)))) for _ in range(MAX_GAPS + 1)]
+    assert told == [bytes([2 * number]) for number in range(1, MAX_GAPS + 1)] + [b""]

@@ -12,7 +12,8 @@ import pytest
 import zstandard
 
 from mbtool.core import Chunk, CutError, InputError, Packet, parse_line
-from mbtool.sources.files import CaptureKind, open_capture, read_packets
+from mbtool.sources.files import CaptureKind, open_capture
+from tests.captures import read_packets
 from tests.packets.building import Pcapng, packet, pcap
 
 if TYPE_CHECKING:

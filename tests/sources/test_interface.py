@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InterfaceLink, LinkError, Packet, Quiet
+from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
+from mbtool.sources import interface
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.interface import InterfaceSource, _program
 from tests.sources.live_helpers import drain, take_until
@@ -89,6 +90,40 @@ def test_other_ports_are_not_heard(connection: tuple[int, socket.socket, socket.
     packets = [item for item in drain(inbox) if isinstance(item, Packet)]
     assert any(packet.data.endswith(b"wanted") for packet in packets)
     assert not any(b"stranger" in packet.data for packet in packets)
+
+
+@needs_privilege
+def test_all_interfaces_are_heard_at_once_and_the_loopback_once(
+    connection: tuple[int, socket.socket, socket.socket],
+) -> None:
+    port, master, slave = connection
+    inbox = Inbox()
+    with InterfaceSource(InterfaceLink("any"), inbox, ports=[port]):
+        master.sendall(b"request")
+        assert slave.recv(100) == b"request"
+        slave.sendall(b"answer")
+        assert master.recv(100) == b"answer"
+    packets = [item for item in drain(inbox) if isinstance(item, Packet)]
+    assert {(packet.link, packet.link_type) for packet in packets} == {("any", ETHERNET)}
+    assert [packet.data.endswith(b"request") for packet in packets].count(True) == 1
+
+
+@needs_privilege
+def test_what_the_kernel_drops_is_counted_to_the_packet(
+    connection: tuple[int, socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, master, slave = connection
+    monkeypatch.setattr(interface, "_BUFFER", 0)  # The kernel takes the least that it has.
+    monkeypatch.setattr(InterfaceSource, "_fetch", lambda _: False)  # Nobody fetches meanwhile.
+    inbox = Inbox()
+    sent = 200
+    with InterfaceSource(InterfaceLink("lo"), inbox, ports=[port]):
+        for _ in range(sent):
+            master.sendall(b"x" * 200)
+            assert slave.recv(200)
+    lost = [item for item in drain(inbox) if isinstance(item, WireEvent)]
+    assert all(event.kind is EventKind.DISCARDED for event in lost)
+    assert sum(event.missing for event in lost) > sent - 50
 
 
 @needs_privilege

@@ -17,13 +17,23 @@ HOST, OUTGOING = 0, 4
 UDP, TCP, HOP_BY_HOP = 17, 6, 0
 
 
-def passes(program: list[bytes], protocol: int, network: bytes, packet_type: int = HOST) -> bool:
+ETHERNET, LOOPBACK = 1, 772
+
+
+def passes(
+    program: list[bytes],
+    protocol: int,
+    network: bytes,
+    packet_type: int = HOST,
+    hardware: int = ETHERNET,
+) -> bool:
     """Run a filter over what stands from the network header on."""
     accumulator = index = place = 0
 
     def load(offset: int, size: int) -> int:
-        if offset in (0xFFFFF000, 0xFFFFF004):
-            return protocol if offset == 0xFFFFF000 else packet_type
+        told = {0xFFFFF000: protocol, 0xFFFFF004: packet_type, 0xFFFFF01C: hardware}
+        if offset in told:
+            return told[offset]
         start = offset - 0xFFF00000
         if start + size > len(network):
             raise IndexError
@@ -141,6 +151,15 @@ def test_on_the_loopback_a_packet_passes_once() -> None:
     assert passes(program, IPV4, ipv4(1, 502), HOST)
     assert not passes(program, IPV4, ipv4(1, 502), OUTGOING)
     assert passes(port_filter([502], is_loopback=False), IPV4, ipv4(1, 502), OUTGOING)
+
+
+def test_on_all_interfaces_only_those_of_the_loopback_pass_once() -> None:
+    program = port_filter([502], is_loopback=None)
+    for way in (HOST, OUTGOING):
+        assert passes(program, IPV4, ipv4(1, 502), way, ETHERNET)
+        assert not passes(program, IPV4, ipv4(1, 503), way, ETHERNET)
+    assert passes(program, IPV4, ipv4(1, 502), HOST, LOOPBACK)
+    assert not passes(program, IPV4, ipv4(1, 502), OUTGOING, LOOPBACK)
 
 
 def test_drop_everything_drops_everything() -> None:

@@ -63,6 +63,22 @@ def test_a_port_of_a_group_says_how_to_join_it(tmp_path: Path) -> None:
     assert "usermod -aG" in text or "only root" in text
 
 
+def test_a_port_that_cannot_be_looked_at_lies_in_a_folder_that_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    forbidden = PermissionError(errno.EACCES, "Permission denied")
+
+    def stat(_path: str) -> os.stat_result:
+        raise forbidden
+
+    monkeypatch.setattr("mbtool.sources.serial_port.os.stat", stat)
+    text = str(explain("/srv/port", EVEN, forbidden))
+    assert text == (
+        "serial port /srv/port: permission denied; a folder on the way to it may not be entered: "
+        "namei -l /srv/port"
+    )
+
+
 def test_what_the_driver_does_not_do_is_said_with_the_format() -> None:
     text = str(explain("/dev/ttyS0", EVEN, ValueError("Failed to set custom baud rate")))
     assert text == (

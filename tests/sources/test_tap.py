@@ -28,7 +28,7 @@ from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.relay import _why
 from mbtool.sources.tap import TapSource, _remedy
-from tests.sources.live_helpers import PATIENCE_S, drain, take_until
+from tests.sources.live_helpers import PATIENCE_S, drain, start_program, take_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -211,6 +211,48 @@ def test_a_reset_is_passed_on_as_a_reset(bench: Bench) -> None:
     with pytest.raises(ConnectionResetError):
         slave.recv(100)
     assert closing_of(bench).reason is CloseReason.RESET
+
+
+_TALKER = """
+import socket, sys
+with socket.create_connection(("127.0.0.1", int(sys.argv[1]))) as tap:
+    while True:
+        tap.sendall(bytes(range(256)) * 16)
+"""
+
+
+def recorded(bench: Bench, direction: Direction) -> bytes:
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))
+    chunks = (item for item in items if isinstance(item, Chunk))
+    return b"".join(chunk.data for chunk in chunks if chunk.direction is direction)
+
+
+def test_a_master_that_is_killed_loses_no_recorded_byte(bench: Bench) -> None:
+    tap = bench.tap()
+    with start_program(_TALKER, str(tap.endpoint.port)) as master:
+        slave = bench.accept()
+        heard = slave.recv(2**16)
+        master.kill()
+        heard += read_to_end(slave)  # Of a killed process the kernel says the end, as of any.
+        slave.close()
+    assert recorded(bench, Direction.REQUEST) == heard
+
+
+def test_a_slave_that_is_killed_loses_no_recorded_byte(bench: Bench) -> None:
+    tap = bench.tap()
+    master = bench.call(tap)
+    slave = bench.accept()
+    slave.sendall(b"last words")
+    assert master.recv(100) == b"last words"
+    master.sendall(REQUEST)
+    reset(slave)  # With a request that it had not read, a killed process resets.
+    with pytest.raises(ConnectionResetError):
+        master.recv(100)
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))
+    said = {one.direction: one.data for one in items if isinstance(one, Chunk)}
+    assert said == {Direction.RESPONSE: b"last words", Direction.REQUEST: REQUEST}
+    assert isinstance(items[-1], StreamClosed)
+    assert items[-1].reason is CloseReason.RESET
 
 
 def test_two_connections_are_kept_apart(bench: Bench) -> None:

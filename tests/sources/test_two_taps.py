@@ -85,6 +85,22 @@ def test_quiet_is_what_both_ports_are(wires: tuple[Wire, Wire]) -> None:
     assert drain(inbox) == []
 
 
+def test_quiet_follows_a_clock_that_is_set_back(wires: tuple[Wire, Wire]) -> None:
+    inbox = Inbox()
+    link = link_of(*wires)
+    source = TwoTapsSource(link, inbox)
+    hour_ns = 3_600_000_000_000
+    for speaker in (REQUEST, RESPONSE):
+        source.put(Quiet(hour_ns + 100, link.name), speaker)
+    assert drain(inbox) == [Quiet(hour_ns + 100, link.name)]
+    source.put(Quiet(200, link.name), RESPONSE)
+    source.put(Quiet(190, link.name), RESPONSE)  # A step of that size is none.
+    assert drain(inbox) == [Quiet(200, link.name)]
+    source.put(Quiet(210, link.name), REQUEST)
+    source.put(Quiet(230, link.name), RESPONSE)
+    assert drain(inbox) == [Quiet(210, link.name)]
+
+
 def test_leaving_ends_both_ports_with_one_last_word(wires: tuple[Wire, Wire]) -> None:
     inbox = Inbox()
     with TwoTapsSource(link_of(*wires), inbox) as source:

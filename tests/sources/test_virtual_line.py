@@ -113,6 +113,14 @@ def test_links_lead_to_the_first_ends_and_go_with_the_line(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
+def test_two_ends_cannot_share_a_name(tmp_path: Path) -> None:
+    (tmp_path / "there").symlink_to(tmp_path)
+    for other in ("q1", "./q1", "there/q1"):
+        names = [str(tmp_path / "q1"), f"{tmp_path}/{other}"]
+        with pytest.raises(UsageError, match="q1: named twice"):
+            VirtualLine(link_names=names)
+
+
 def test_a_file_in_the_place_of_a_link_is_an_error_and_stays(tmp_path: Path) -> None:
     taken = tmp_path / "slave"
     taken.write_text("mine")

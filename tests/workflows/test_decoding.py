@@ -534,3 +534,49 @@ def test_a_line_that_ended_leaves_nothing_to_the_next_of_its_name() -> None:
         Outcome.UNSOLICITED
     ]
     assert decoder.end_line("never seen") == []
+
+
+ELSEWHERE = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 1502), 1)
+TLS = bytes.fromhex("16 0301 0200 01 0001fc 0303")
+
+
+def test_at_any_port_a_connection_is_told_once_it_is_modbus() -> None:
+    decoder = Decoder(Namer(), any_port=True)
+    opened = StreamOpened(START_NS, ELSEWHERE, joined=False)
+    request = relayed(0, REQUEST, READ, connection=ELSEWHERE)
+    answer = relayed(5, RESPONSE, VALUES, connection=ELSEWHERE)
+    assert decoder.feed(opened) + decoder.feed(request) == []
+    records = decoder.feed(answer)
+    closed = StreamClosed(START_NS + 9 * MS, ELSEWHERE, CloseReason.FINISHED)
+    assert _outcomes([*records, *decoder.feed(closed)]) == ["opened", "ok", "closed"]
+
+
+def test_at_any_port_what_is_no_modbus_is_told_once_for_each_slave() -> None:
+    decoder = Decoder(Namer(), any_port=True)
+    records: list[Record] = []
+    for number in range(3):
+        connection = Connection(ELSEWHERE.master, ELSEWHERE.slave, number)
+        chunk = relayed(0, REQUEST, READ, connection=connection)
+        records += decoder.feed(StreamOpened(START_NS, connection, joined=False))
+        records += decoder.feed(
+            Chunk(
+                ts_ns=START_NS,
+                link=chunk.link,
+                data=TLS,
+                direction=REQUEST,
+                connection=connection,
+            )
+        )
+        records += decoder.feed(StreamClosed(START_NS, connection, CloseReason.FINISHED))
+    assert _outcomes(records) == ["foreign"]
+
+
+def test_a_foreign_connection_to_a_port_that_is_named_is_one_event() -> None:
+    decoder = _decoder()
+    records = decoder.feed(StreamOpened(START_NS, CONNECTION, joined=False))
+    for way in (REQUEST, RESPONSE, REQUEST, RESPONSE):
+        data = Chunk(
+            ts_ns=START_NS, link=CONNECTION.link, data=TLS, direction=way, connection=CONNECTION
+        )
+        records += decoder.feed(data)
+    assert _outcomes([*records, *decoder.close()]) == ["opened", "foreign"]

@@ -29,7 +29,7 @@ from mbtool.logs.layout import Opcode
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions, followed
 from tests.logs.samples import changed, records_of
-from tests.packets.building import pcap
+from tests.packets.building import packet, pcap
 from tests.workflows.evidence import (
     LINE,
     READ,
@@ -450,3 +450,87 @@ def test_a_cut_packed_file_of_bytes_gives_what_comes_before(tmp_path: Path) -> N
     with pytest.raises(CutError, match="the compressed stream ends"):
         records.extend(Reading([str(path)], ReadingOptions(line=RTU)).records())
     assert len(_transactions(records)) == 2
+
+
+def _packed(exchanges: int, link_type: int = 147) -> bytes:
+    """Exchanges a second apart, of which the response comes 20 ms after the request."""
+    chunks = [chunk for number in range(exchanges) for chunk in exchange(1000 * number)]
+    return pcap([packet(chunk.data, chunk.ts_ns, link_type=link_type) for chunk in chunks])
+
+
+_MONITOR = (
+    b"2023-02-28 12:00:00.000000 "
+    b"Read holding register for device ID 1 , Start address = 0 Quantity = 1\n"
+    b"2023-02-28 12:00:00.020000  * Response 1 from device ID 1 , data = 2376\n"
+)
+
+
+@pytest.mark.parametrize("content", [_packed(1), _MONITOR], ids=["packets", "text"])
+def test_says_as_what_line_serial_bytes_are_taken_and_doubts_a_wrong_rate(
+    tmp_path: Path, content: bytes
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(content)
+    taken = f"{path}: taken as 19200-8E1; name the line with --link rtu@19200-8E1"
+    doubt = f"{path}: 1 of 2 packets overlap at 300 baud: is the rate right?"
+    slow = parse_line("rtu@300")
+    for line, remarks in ((None, [taken]), (RTU, []), (slow, [doubt])):
+        reading = Reading([str(path)], ReadingOptions(line=line))
+        assert len(_transactions(list(reading.records()))) == 1
+        assert reading.remarks == remarks
+
+
+def test_as_what_line_is_said_once_for_all_files(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    for path in paths:
+        path.write_bytes(_packed(1))
+    reading = Reading([str(path) for path in paths], ReadingOptions())
+    list(reading.records())
+    (remark,) = reading.remarks
+    assert remark.startswith(f"{paths[0]} and 2 more: taken as 19200-8E1; ")
+
+
+def test_a_packet_capture_needs_no_remark(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file())
+    reading = Reading([str(path)], ReadingOptions())
+    list(reading.records())
+    assert reading.remarks == []
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_says_where_a_log_ends_that_was_not_closed(tmp_path: Path, raw: bool) -> None:
+    path, killed = _serial_log(tmp_path / "a.mcap"), tmp_path / "killed.mcap"
+    growing = _Growing(killed, 2, closes=True)
+    for _ in range(2):
+        growing.wait()
+    growing_copy = tmp_path / "copy.mcap"
+    growing_copy.write_bytes(killed.read_bytes())
+    growing.close()
+    for one, remarks in (
+        (path, []),
+        (killed, []),
+        (growing_copy, [f"{growing_copy}: was not closed; it ends at 2023-11-14 22:13:20.220 UTC"]),
+    ):
+        reading = Reading([str(one)], ReadingOptions(raw=raw))
+        assert _transactions(list(reading.records()))
+        assert reading.remarks == remarks
+
+
+def test_an_empty_log_that_was_not_closed_holds_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, capture={}):
+        copy = tmp_path / "copy.mcap"
+        copy.write_bytes(path.read_bytes())
+    reading = Reading([str(copy)], ReadingOptions())
+    assert list(reading.records()) == []
+    assert reading.remarks == [f"{copy}: was not closed; it holds nothing"]
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_log_knows_its_lines(tmp_path: Path, raw: bool) -> None:
+    path = _serial_log(tmp_path / "a.mcap")
+    reading = Reading([str(path)], ReadingOptions(line=RTU, raw=raw))
+    for look in (reading.demand_files, lambda: list(reading.records())):
+        with pytest.raises(UsageError, match=r"a log knows its lines.*--t3-5 with --raw"):
+            look()

@@ -127,7 +127,7 @@ def test_a_recording_cannot_be_played_on_an_interface(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file())
     recording, _ = _recording(path)
-    with pytest.raises(UsageError, match="a slave is on rtu:PORT"):
+    with pytest.raises(UsageError, match="a slave needs rtu:PORT"):
         recorded_slave(
             recording,
             parse_link("net:eth0"),

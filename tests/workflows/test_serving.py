@@ -12,7 +12,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import load_profile
 from mbtool.slave import TcpSlave
 from mbtool.workflows.asking import TcpMaster
-from mbtool.workflows.serving import device_slave, slave_link
+from mbtool.workflows.serving import device_slave
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,7 +48,7 @@ def test_a_link_that_no_slave_can_be_on_is_refused(link: str) -> None:
 
 def test_a_link_with_two_ports_is_refused() -> None:
     with pytest.raises(UsageError, match="two ports can only listen; to answer, name one"):
-        slave_link(parse_link("rtu:/dev/a,/dev/b@9600"))
+        device_slave(TOUCH, parse_link("rtu:/dev/a,/dev/b@9600"))
 
 
 def test_others_are_let_in_only_with_leave() -> None:

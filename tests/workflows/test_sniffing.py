@@ -308,15 +308,20 @@ def test_the_log_learns_the_time_while_nothing_comes(bench: Bench) -> None:
     assert log.ticks >= 3
 
 
-def test_what_bounds_have_cost_is_counted(bench: Bench) -> None:
+def test_what_bounds_have_cost_is_counted_and_told(bench: Bench) -> None:
     log = _Log(room=100)
-    with Sniffer([bench.tap()], Decoder(Namer()), begin_log=lambda: log) as sniffer:
+    told: list[WireEvent] = []
+    decoder = Decoder(Namer())
+    with Sniffer(
+        [bench.tap()], decoder, begin_log=lambda: log, on_discarded=told.append
+    ) as sniffer:
         sniffer._inbox.put(
             WireEvent(ts_ns=1, link="x", kind=EventKind.DISCARDED, message="", missing=42)
         )
         for _ in sniffer.records(lambda _: True):
             pass
     assert log.final == {"discarded": "42"}
+    assert [one.missing for one in told] == [42]
 
 
 def test_an_endpoint_cannot_be_listened_to() -> None:

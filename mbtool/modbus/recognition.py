@@ -1,0 +1,343 @@
+"""Decides whether a TCP connection carries Modbus, and of which kind, and decodes it then."""
+
+# A connection is read in every way that is possible (a `Conversation` each), and what comes of that
+# is held until one of them is believed. Then all that it gave comes out, from the connection's
+# first byte, and the others are dropped.
+#
+# Where Modbus is expected, at a port that the user named and at its own, 502, it is believed
+#   with the first ADU that has the structure of its function, or a function that no table knows;
+#   after CONTRADICTING ADUs without that structure, or fewer, when the connection ends;
+#   when bytes are missing before that, since then nothing speaks against it.
+# At any other port a connection must show
+#   a request and the response that answers it, each with the structure of a function that the
+#   table knows, on Modbus/TCP with equal transaction id and unit, in RTU with correct CRCs; or
+#   ENOUGH ADUs in a row with the structure of such a function. By chance that is 1 in 2^96 for
+#   headers; for frames 1 in 2^48, and their structure beside it.
+#
+# A connection is foreign
+#   where its beginning was captured and begins no ADU (where Modbus is expected: neither side's;
+#   and a stream of RTU that is expected may begin with noise);
+#   after CONTRADICTING ADUs without the structure of their function; where Modbus is expected,
+#   after one that begins like a message of another protocol: the lengths of LDAP, in BER's long
+#   form, look like headers;
+#   after ENOUGH_BYTES that did not suffice.
+# It is one FOREIGN event, which names the other protocol where it is known by how it begins; its
+# further bytes are not looked at.
+#
+# Who is the master follows from the SYN. Where that is not in the capture, and Modbus is not
+# expected, it is tried both ways.
+#
+# Holds, while undecided, what ENOUGH_BYTES gave at most, in up to four readings. A gap counts for
+# GAP_COUNTS bytes.
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Verdict
+from mbtool.modbus.conversation import Conversation, Decoded
+from mbtool.modbus.framing import crc
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.pdu import pdu_length
+from mbtool.modbus.rtu_structure import frame_size
+from mbtool.modbus.transaction import Outcome, Transaction
+
+if TYPE_CHECKING:
+    from mbtool.core import Connection
+
+ENOUGH = 3
+CONTRADICTING = 3
+ENOUGH_BYTES = 2048
+GAP_COUNTS = 64
+
+_MBAP = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
+_MBAP_SEEN = 6
+
+_OTHERS = {
+    # RFC 8446, 5.1: content type, then version 3.1 to 3.4.
+    "TLS": re.compile(rb"[\x14-\x17]\x03[\x01-\x04]"),
+    "HTTP": re.compile(rb"(?:GET|HEAD|POST|PUT|OPTIONS|CONNECT|DELETE|TRACE) |HTTP/"),
+    "SSH": re.compile(rb"SSH-"),
+    # RFC 4511, 4.1.1: a SEQUENCE that begins with an INTEGER of 1 to 4 bytes.
+    "LDAP": re.compile(rb"(?s)\x30(?:\x84....|[\x05-\x7F])\x02[\x01-\x04]"),
+    # RFC 1006, 6: version 3, a zero, the length, and the length and kind of a COTP header.
+    "TPKT, as of S7 or RDP": re.compile(rb"(?s)\x03\x00...[\xE0\xD0\xF0]"),
+    # [C706], 12.6.3: version 5.0 or 5.1, a packet type.
+    "DCE/RPC": re.compile(rb"\x05[\x00\x01][\x00-\x13]"),
+}
+"""What the messages of other protocols begin with."""
+
+
+class State(Enum):
+    """What is known of a connection."""
+
+    UNDECIDED = 0
+    MODBUS = 1
+    FOREIGN = 2
+
+
+class Recognition:
+    """A connection's bytes in; what a `Conversation` gives out, or one event that it is none."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        *,
+        joined: bool = False,
+        expected: bool = True,
+        tcp: bool = True,
+        rtu: bool = False,
+        turned: bool = False,
+    ) -> None:
+        """`tcp` and `rtu` are what it may carry, `expected` whether its port is one of Modbus.
+
+        `joined` is whether its beginning is missing, `turned` whether its master is the slave.
+        """
+        self.state = State.UNDECIDED
+        self.connection = connection
+        self._is_expected = expected
+        self._demands_beginning = tcp or not expected
+        self._heads: dict[Direction, bytes | None] = dict.fromkeys(
+            (Direction.REQUEST, Direction.RESPONSE), None if joined else b""
+        )
+        """The first bytes of each direction; None where they were not captured."""
+        self._first = b""
+        self._first_ns = 0
+        self._seen = 0
+        self._held: list[WireEvent] = []
+        turns = (False, True) if joined and not expected else (turned,)
+        self._readings = [
+            _Reading(connection, rtu=framing, turned=turned, expected=expected)
+            # RTU first: 01 03 00 00 00 02 C4 0B is a frame, and an ADU of Modbus/TCP.
+            for turned in turns
+            for framing, is_possible in ((True, rtu), (False, tcp))
+            if is_possible
+        ]
+
+    def hold(self, event: WireEvent) -> None:
+        """Keep an event that comes out before all else, should this be Modbus."""
+        self._held.append(event)
+
+    def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
+        """Take the payload of one segment."""
+        if self.state is State.MODBUS:
+            return self._readings[0].feed(direction, data, ts_ns)
+        if self.state is State.FOREIGN:
+            return []
+        # Where a segment ends must not matter: the bound is a byte's place in the connection.
+        room = ENOUGH_BYTES - self._seen
+        now, later = data[:room], data[room:]
+        if not self._seen:
+            self._first_ns = ts_ns
+        self._seen += len(now)
+        self._first = (self._first + now)[: MAX_RTU_ADU + 1]
+        self._look_at_beginning(direction, now)
+        if not self._readings:
+            return self._refuse()
+        for reading in self._readings:
+            reading.take(reading.feed(direction, now, ts_ns))
+        decoded = self._decide()
+        if not decoded and self._seen >= ENOUGH_BYTES:
+            return self._refuse()
+        return [*decoded, *self.feed(direction, later, ts_ns)] if later else decoded
+
+    def gap(
+        self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
+    ) -> list[Decoded]:
+        """Learn that bytes of one direction are missing here; 0 where nobody knows how many."""
+        if self.state is State.MODBUS:
+            return self._readings[0].gap(direction, missing, ts_ns, kind)
+        if self.state is State.FOREIGN:
+            return []
+        self._heads[direction] = None
+        self._seen += GAP_COUNTS
+        for reading in self._readings:
+            reading.take(reading.gap(direction, missing, ts_ns, kind))
+        if self._is_expected:
+            return self._believe(self._readings[-1])
+        return self._decide() if self._seen < ENOUGH_BYTES else self._refuse()
+
+    def advance(self, now_ns: int) -> list[Decoded]:
+        """Learn that nothing came until now."""
+        if self.state is State.MODBUS:
+            return self._readings[0].conversation.advance(now_ns)
+        for reading in self._readings:
+            reading.take(reading.conversation.advance(now_ns))
+        return []
+
+    def close(self) -> list[Decoded]:
+        """The connection or the capture ends."""
+        if self.state is State.MODBUS:
+            return self._readings[0].conversation.close()
+        if self.state is State.FOREIGN or not self._seen:
+            return []
+        for reading in self._readings:
+            reading.take(reading.conversation.close())
+        decoded = self._decide()
+        if decoded:
+            return decoded
+        has_adus = any(reading.contradicting for reading in self._readings)
+        if self._is_expected and (has_adus or self._name() is None):
+            return self._believe(self._readings[-1])
+        return self._refuse()
+
+    def seen_from_here(self, event: WireEvent) -> WireEvent:
+        """An event of the connection with its ends in the roles that they were found to have."""
+        return self._readings[0].seen_from_here(event) if self._readings else event
+
+    def _look_at_beginning(self, direction: Direction, data: bytes) -> None:
+        """Drop the readings in which a direction's first bytes cannot be."""
+        head = self._heads[direction]
+        if head is None or not self._demands_beginning:
+            return
+        head = self._heads[direction] = (head + data)[: MAX_RTU_ADU + 1]
+        for reading in self._readings:
+            reading.look_at_beginning(head, direction)
+        self._readings = [one for one in self._readings if not one.is_dead]
+
+    def _decide(self) -> list[Decoded]:
+        """Believe a reading, or refuse all, if what they gave so far suffices for that."""
+        for reading in self._readings:
+            if reading.convinces:
+                return self._believe(reading)
+        self._readings = [one for one in self._readings if not one.is_dead]
+        return [] if self._readings else self._refuse()
+
+    def _believe(self, reading: _Reading) -> list[Decoded]:
+        self.state = State.MODBUS
+        self._readings = [reading]
+        told = [reading.seen_from_here(event) for event in self._held]
+        decoded = [*told, *reading.given]
+        self._held.clear()
+        reading.given.clear()
+        return decoded
+
+    def _refuse(self) -> list[Decoded]:
+        self.state = State.FOREIGN
+        self._readings.clear()
+        self._held.clear()
+        name = self._name()
+        what = f"{name}, not Modbus" if name is not None else "not Modbus"
+        return [
+            WireEvent(
+                ts_ns=self._first_ns,
+                link=self.connection.link,
+                kind=EventKind.FOREIGN,
+                message=f"the connection is {what}; its bytes are not looked at",
+                source=str(self.connection.master),
+                destination=str(self.connection.slave),
+                raw=self._first,
+            )
+        ]
+
+    def _name(self) -> str | None:
+        """What other protocol the first bytes are of."""
+        head = self._heads[Direction.REQUEST] or self._first
+        if any(_is_frame(head, direction) for direction in self._heads):
+            return "RTU over TCP (--rtu-port)"
+        return _name_of(head)
+
+
+class _Reading:
+    """One way to read a connection, and what speaks for it."""
+
+    def __init__(self, connection: Connection, *, rtu: bool, turned: bool, expected: bool) -> None:
+        if turned:
+            connection = replace(connection, master=connection.slave, slave=connection.master)
+        self.conversation = Conversation(connection, rtu=rtu)
+        self.given: list[Decoded] = []
+        self.convinces = False
+        """What was read suffices. It is the first word that counts: this or `is_dead`."""
+        self.is_dead = False
+        self.contradicting = 0
+        """How many ADUs did not have the structure of their function."""
+        self._connection = connection
+        self._is_rtu = rtu
+        self._is_turned = turned
+        self._is_expected = expected
+        self._in_a_row = 0
+        self._wrong_beginnings: set[Direction] = set()
+
+    def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
+        return self.conversation.feed(self._role(direction), data, ts_ns)
+
+    def gap(self, direction: Direction, missing: int, ts_ns: int, kind: EventKind) -> list[Decoded]:
+        return self.conversation.gap(self._role(direction), missing, ts_ns, kind)
+
+    def look_at_beginning(self, head: bytes, direction: Direction) -> None:
+        """Learn the first bytes of a direction. Where Modbus is expected, one may begin wrong."""
+        if self._is_rtu:
+            may_be = _is_frame(head, direction) is not False
+        else:
+            may_be = len(head) < _MBAP_SEEN or _MBAP.match(head) is not None
+        if not may_be:
+            self._wrong_beginnings.add(direction)
+            if len(self._wrong_beginnings) == (2 if self._is_expected else 1):
+                self.is_dead = True
+
+    def take(self, decoded: list[Decoded]) -> None:
+        """Hold what was read, and weigh it."""
+        self.given += decoded
+        for one in decoded:
+            if isinstance(one, Adu):
+                self._weigh(one)
+            elif isinstance(one, Transaction):
+                if _is_beyond_doubt(one) and not self.is_dead:
+                    self.convinces = True
+            elif one.kind not in (EventKind.GAP, EventKind.CUT):
+                self._in_a_row = 0
+
+    def seen_from_here(self, event: WireEvent) -> WireEvent:
+        """An event of the connection with the ends in the roles that they have here."""
+        if not self._is_turned:
+            return event
+        ends = event.destination, event.source
+        return replace(event, link=self._connection.link, source=ends[0], destination=ends[1])
+
+    def _weigh(self, adu: Adu) -> None:
+        size = pdu_length(adu.pdu, adu.direction)
+        fits = size == len(adu.pdu)
+        if fits:
+            self._in_a_row += 1
+        elif size != 0:
+            self._in_a_row = 0
+            self.contradicting += 1
+        if self._is_expected:
+            is_over = not fits and size != 0 and _name_of(adu.raw) is not None
+            is_enough = fits or size == 0 or self.contradicting >= CONTRADICTING
+        else:
+            is_over = self.contradicting >= CONTRADICTING
+            is_enough = self._in_a_row >= ENOUGH
+        if not (self.convinces or self.is_dead):
+            self.is_dead, self.convinces = is_over, is_enough and not is_over
+
+    def _role(self, direction: Direction) -> Direction:
+        if not self._is_turned:
+            return direction
+        return Direction.RESPONSE if direction is Direction.REQUEST else Direction.REQUEST
+
+
+def _name_of(head: bytes) -> str | None:
+    return next((name for name, begins in _OTHERS.items() if begins.match(head)), None)
+
+
+def _is_beyond_doubt(one: Transaction) -> bool:
+    """Whether a transaction has the structure of its function on both sides."""
+    return (
+        one.outcome in (Outcome.OK, Outcome.EXCEPTION)
+        and one.function in FUNCTIONS
+        and Verdict.MALFORMED_REQUEST not in one.verdicts
+        and Verdict.MALFORMED_RESPONSE not in one.verdicts
+    )
+
+
+def _is_frame(head: bytes, direction: Direction) -> bool | None:
+    """Whether bytes begin with an RTU frame; None where more are needed to know."""
+    size = frame_size(head, direction)
+    if size is None or size > len(head):
+        return None if (size or 0) <= MAX_RTU_ADU and len(head) <= MAX_RTU_ADU else False
+    return size > 0 and crc(head[:size]) == 0

@@ -1,0 +1,124 @@
+"""Rows of pieces that explain a window of an RTU line, and how sure each piece is."""
+
+# A row is a chain: each knows its last piece and the row that it continues, so that rows share what
+# they have in common. Of rows that lead to the same turn the cheapest goes on; those that were
+# nearly as cheap stay with it as rivals, and raise doubts about the pieces that they have not.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import takewhile
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.modbus.turns import Turn, likelihood
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+DOUBT = 6.0
+"""Bits: what is so much dearer raises no doubt."""
+
+
+class Kind(Enum):
+    """What a piece is."""
+
+    FRAME = "frame"
+    DAMAGED = "damaged"
+    SKIPPED = "skipped"
+    OPEN = "open"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of the window."""
+
+    kind: Kind
+    place: int
+    size: int
+    role: Direction = Direction.UNKNOWN
+    roles: tuple[Direction, ...] = ()
+    """Those whose form a frame has."""
+    confidence: float = 1.0
+    """How sure it is that no other row of pieces explains these bytes."""
+
+
+@dataclass(slots=True, eq=False)
+class Row:
+    """Pieces from the first byte to a place, the last of them first."""
+
+    cost: float
+    turn: Turn
+    before: Row | None
+    piece: Piece | None
+    skipped: int = 0
+    """How many bytes were skipped up to here."""
+    runs: int = 0
+    """How often bytes were skipped before: each time makes the next likelier."""
+    is_anchored: bool = False
+    """Whether a frame ends here, so that another is likely to begin."""
+    rivals: tuple[Row, ...] = ()
+    """Rows that lead to the same turn and are nearly as cheap."""
+
+
+def with_doubts(ends: list[Row]) -> Iterator[Piece]:
+    """The pieces of the cheapest row; those that a row nearly as cheap has not are less sure."""
+    best = list(_back(ends[0]))
+    doubts: dict[int, float] = {}
+    for row in best:
+        for rival in row.rivals if row is not ends[0] else (*row.rivals, *ends[1:]):
+            more = rival.cost - row.cost
+            if more < DOUBT:
+                for place in _differences(best, row, rival):
+                    doubts[place] = min(doubts.get(place, 1.0), likelihood(more))
+    for row in reversed(best):
+        piece = row.piece
+        if piece is not None:
+            doubt = doubts.get(piece.place) if piece.kind is Kind.FRAME else None
+            yield piece if doubt is None else replace(piece, confidence=doubt)
+
+
+def _back(end: Row) -> Iterator[Row]:
+    """A row and those it continues, down to the empty one."""
+    row: Row | None = end
+    while row is not None:
+        yield row
+        row = row.before
+
+
+def agreed_on(pieces: list[Piece], open_row: Row, end: int) -> list[Piece]:
+    """The first pieces, as far as they are right also if more is to come; the rest is open."""
+    laid = {row.piece for row in _back(open_row)}
+    agreed = list(takewhile(lambda piece: replace(piece, confidence=1.0) in laid, pieces))
+    while agreed and agreed[-1].kind is Kind.SKIPPED:
+        agreed.pop()  # There may be more of them.
+    place = agreed[-1].place + agreed[-1].size if agreed else 0
+    return [*agreed, Piece(Kind.OPEN, place, end - place)]
+
+
+def _differences(best: list[Row], row: Row, rival: Row) -> list[int]:
+    """Where pieces begin that lead to a row and that its rival has not."""
+    known = {id(one) for one in best}
+    others = set()
+    for other in _back(rival):
+        if id(other) in known:
+            common = other
+            break
+        others.add(other.piece)
+    differing = takewhile(lambda one: one is not common, _back(row))
+    return [one.piece.place for one in differing if one.piece and one.piece not in others]
+
+
+def merged(pieces: Iterable[Piece]) -> Iterator[Piece]:
+    """Join skipped bytes that stand side by side."""
+    run: Piece | None = None
+    for piece in pieces:
+        if run is not None and run.kind is piece.kind is Kind.SKIPPED:
+            run = replace(run, size=run.size + piece.size)
+        else:
+            if run is not None:
+                yield run
+            run = piece
+    if run is not None:
+        yield run

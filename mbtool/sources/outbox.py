@@ -1,0 +1,55 @@
+"""What a relay has recorded, kept for a moment so that nobody is woken while it passes on."""
+
+# A consumer that is woken by a request decodes it and writes the log just when the response comes,
+# and in one interpreter the relay must wait for it. So what is recorded is handed over together,
+# HOLD_S after the first piece of it: a quick answer has passed by then.
+#
+# Holds what comes in HOLD_S, at most MAX_HELD bytes and one piece more. Lives in one event loop.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Chunk
+from mbtool.sources.inbox import ITEM_COST
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from mbtool.sources.inbox import Item, Sink
+
+HOLD_S = 0.005
+MAX_HELD = 2**20
+
+
+class Outbox:
+    """A sink before a sink."""
+
+    def __init__(self, inbox: Sink, loop: asyncio.AbstractEventLoop) -> None:
+        self._inbox = inbox
+        self._loop = loop
+        self._items: list[Item] = []
+        self._held = 0
+        self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def held(self) -> int:
+        """How much is held, counted as an `Inbox` does."""
+        return self._held
+
+    def put(self, item: Item) -> None:
+        self._items.append(item)
+        self._held += ITEM_COST + (len(item.data) if isinstance(item, Chunk) else 0)
+        if self._held >= MAX_HELD:
+            self.flush()
+        elif self._timer is None:
+            self._timer = self._loop.call_later(HOLD_S, self.flush)
+
+    def flush(self) -> None:
+        """Hand over all that is held."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        items, self._items, self._held = self._items, [], 0
+        for item in items:
+            self._inbox.put(item)

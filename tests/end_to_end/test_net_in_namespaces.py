@@ -1,0 +1,135 @@
+"""Masters of others and `mbtool slave` over a cable, with `mbtool sniff net:` at either end."""
+
+# The ends of the cable are in network namespaces of their own, so nothing else is on it, and what
+# passes is real Ethernet with IPv4 and IPv6. Where namespaces may not be made, nothing is tested.
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.end_to_end.namespaces import INTERFACE, IPV4, IPV6, cable, why_not
+from tests.end_to_end.programs import MBTOOL, PATIENCE_S, Program, decoded, required
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from tests.end_to_end.namespaces import Cable
+
+PORT = 1502
+ASKED = 20
+
+CLIENT = f"""
+import json, sys
+from tests.end_to_end.peers import ask_twenty, tcp_client
+with tcp_client({PORT}, sys.argv[1]) as (client, wire):
+    ask_twenty(client)
+print(json.dumps([[one.hex() for one in side] for side in (wire.requests, wire.responses)]))
+"""
+
+
+@pytest.fixture(scope="module")
+def ends() -> Iterator[Cable]:
+    reason = why_not()
+    if reason is not None:
+        pytest.skip(reason)
+    with cable() as made:
+        yield made
+
+
+@pytest.mark.parametrize(
+    ("host", "slave", "options"),
+    [
+        (IPV4[1], f"{IPV4[1]}:{PORT}", ("--port", str(PORT))),
+        (IPV6[1], f"[{IPV6[1]}]:{PORT}", ("--port", str(PORT))),
+        (IPV4[1], f"{IPV4[1]}:{PORT}", ("--port", "any")),
+    ],
+    ids=["ipv4", "ipv6", "any port"],
+)
+def test_what_pymodbus_asks_is_logged_at_both_ends(
+    ends: Cable, tmp_path: Path, host: str, slave: str, options: Sequence[str]
+) -> None:
+    client = [sys.executable, "-c", CLIENT, host]
+
+    def ask() -> tuple[list[str], list[str]]:
+        command = ends.within(ends.master, *client)
+        asked = subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
+        requests, responses = json.loads(asked.stdout)
+        return requests, responses
+
+    with listening(ends, tmp_path, f"net:{INTERFACE}", slave, options) as sniffers:
+        requests, responses = ask()
+        logs = sniffers.end_after(ASKED)
+    assert len(requests) == ASKED
+    for log in logs:
+        assert [one["request_raw"] for one in log] == requests
+        assert [one["response_raw"] for one in log] == responses
+        assert {one["link"] for one in log} == {slave}
+
+
+@pytest.mark.peers
+@pytest.mark.parametrize(
+    ("host", "slave"), [(IPV4[1], f"{IPV4[1]}:{PORT}"), (IPV6[1], f"[{IPV6[1]}]:{PORT}")]
+)
+def test_what_mbpoll_asks_is_logged_at_both_ends(
+    ends: Cable, tmp_path: Path, host: str, slave: str
+) -> None:
+    mbpoll = required("mbpoll", "mbpoll")
+    steps = [
+        (("-t", "4", "-r", "1", "-c", "3"), ()),
+        (("-t", "4", "-r", "10"), ("4660",)),
+        (("-t", "0", "-r", "1", "-c", "9"), ()),
+    ]
+    # On every interface at once: the cable is the only one that carries anything.
+    with listening(ends, tmp_path, "net:any", slave, ("--port", str(PORT))) as sniffers:
+        for options, values in steps:
+            command = (mbpoll, "-m", "tcp", "-p", str(PORT), "-1", "-q", *options, host, *values)
+            with Program(*ends.within(ends.master, *command)) as program:
+                assert program.wait() == 0, program.said.text + program.printed.text
+        logs = sniffers.end_after(len(steps))
+    for log in logs:
+        assert [(one["function"], one["outcome"]) for one in log] == [
+            (3, "ok"),
+            (6, "ok"),
+            (1, "ok"),
+        ]
+        assert log[1]["request_values"] == [4660]
+        assert {one["link"] for one in log} == {slave}
+
+
+class listening(ExitStack):  # noqa: N801
+    """A slave, and a sniffer at each end of the cable, while the context is open."""
+
+    def __init__(
+        self, ends: Cable, folder: Path, link: str, slave: str, options: Sequence[str]
+    ) -> None:
+        super().__init__()
+        answers = ("slave", "idec-ft1a-touch", "--on", f"tcp:{slave}", "--allow-remote")
+        self._programs: list[Program] = []
+        self._logs = []
+        self._start(ends.within(ends.slave, MBTOOL, *answers), "Ctrl-C ends")
+        for namespace in (ends.master, ends.slave):
+            log = folder / f"{namespace}.mcap"
+            hears = (MBTOOL, "sniff", link, *options, "-w", str(log), "--format", "jsonl")
+            sniffer = self._start(ends.within(namespace, *hears), "listening on")
+            self._programs.append(sniffer)
+            self._logs.append(log)
+
+    def end_after(self, count: int) -> list[list[dict[str, object]]]:
+        """What each sniffer has logged, once it has shown so many transactions."""
+        for program in self._programs:
+            program.printed.take(count)
+            assert program.interrupt() == 130
+            assert "dropped" not in program.said.text
+        return [decoded(log) for log in self._logs]
+
+    def _start(self, command: Sequence[str], says: str) -> Program:
+        program = self.enter_context(Program(*command))
+        program.said.find(says)
+        return program
