@@ -50,6 +50,7 @@ MAX_TEARS = 16
 
 _RARELY = 0.8
 """Bits: from so rarely glued frames on, the silences between them tell who speaks."""
+_ALMOST_CERTAIN = 0.98
 _LIKELY = weights.REQUEST + weights.NEW_REQUEST
 """What a frame may cost to be taken without a search."""
 
@@ -201,11 +202,17 @@ class RtuSplitter:
         cost = self._turns.weigh(turn, unit, pdu, judgement.direction, start_ns)
         if cost > _LIKELY:
             return None
-        if len(roles) > 1 and not (self._turns.trusts_silences and judgement.confidence >= SURE):
-            # Without silences the same frame twice may be a request and its echo, or one that was
-            # repeated. What comes behind them tells.
+        if len(roles) > 1 and not self._is_told(judgement):
             return None
         return found, judgement
+
+    def _is_told(self, judgement: Judgement) -> bool:
+        """Whether the direction of a frame that has the form of both is beyond doubt."""
+        if self._turns.trusts_silences:
+            return judgement.confidence >= SURE
+        # Without silences the same frame twice may be a request and its echo, or one that was
+        # repeated. What comes behind them tells.
+        return judgement.direction is Direction.REQUEST and judgement.confidence >= _ALMOST_CERTAIN
 
     def _search(self, events: list[Adu | Skipped], *, may_go_on: bool, keep: int = 0) -> None:
         """Explain all that is held, and give it out but for a frame that has only begun.
