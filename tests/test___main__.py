@@ -12,6 +12,7 @@ from mbtool.cli import exit_codes
 _PROGRAM = """
 import os, signal, sys
 signal_name, module, *sys.argv[1:] = sys.argv[1:]
+signal.signal(signal.SIGINT, signal.default_int_handler)  # A shell's background job ignores it.
 
 class Interrupt:
     # Sends the signal when a module is looked for.
