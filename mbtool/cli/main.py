@@ -22,6 +22,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
+from mbtool.cli.diff import diff
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
 from mbtool.cli.links import links
@@ -38,7 +39,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (sniff, decode, replay, slave, devices, links, line, demo):
+for command in (sniff, decode, replay, diff, slave, devices, links, line, demo):
     app.command()(command)
 
 

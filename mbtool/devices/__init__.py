@@ -1,6 +1,7 @@
 """What vendors mean: device profiles, and transactions in their words."""
 
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
+from mbtool.devices.difference import Difference, DifferenceKind, Side
 from mbtool.devices.findings import RULES, finding_text
 from mbtool.devices.loading import (
     builtin_profiles,
@@ -24,6 +25,7 @@ from mbtool.devices.model import (
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
 from mbtool.devices.references import parse_reference, write_reference
+from mbtool.devices.spans import Span, parse_span
 from mbtool.devices.wording import describe, describe_points
 
 __all__ = [
@@ -33,6 +35,8 @@ __all__ = [
     "Area",
     "Assignment",
     "Assignments",
+    "Difference",
+    "DifferenceKind",
     "Exceptions",
     "FunctionRule",
     "NamedTransaction",
@@ -42,6 +46,8 @@ __all__ = [
     "PointValue",
     "Profile",
     "Radix",
+    "Side",
+    "Span",
     "Timing",
     "Who",
     "WordOrder",
@@ -52,6 +58,7 @@ __all__ = [
     "load_profile",
     "parse_assignment",
     "parse_reference",
+    "parse_span",
     "parse_who",
     "profile_from_json",
     "profile_to_json",

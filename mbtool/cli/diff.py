@@ -1,0 +1,92 @@
+"""mbtool diff: two captures compared by meaning."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from mbtool.cli.options import DeviceOption, LineOption, PortOption, RtuPortOption, WhereOption
+
+
+class DiffFormat(StrEnum):
+    """How differences are printed."""
+
+    TABLE = "table"
+    JSON = "json"
+
+
+def diff(
+    a: Annotated[
+        str, typer.Argument(metavar="A", help="A log or a capture, as for decode: how it was.")
+    ],
+    b: Annotated[str, typer.Argument(metavar="B", help="The one that is held against it.")],
+    device: DeviceOption = None,
+    where: WhereOption = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--ignore",
+            metavar="RANGE",
+            help="Registers whose values may differ: HR400010..400020, as the device's manual "
+            "writes them, or 'holding 9..19'. Repeatable.",
+        ),
+    ] = None,
+    latency: Annotated[
+        bool, typer.Option("--latency/--no-latency", help="Compare latencies, too.")
+    ] = True,
+    format_: Annotated[
+        DiffFormat, typer.Option("--format", help="How to print.")
+    ] = DiffFormat.TABLE,
+    raw: Annotated[
+        bool,
+        typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
+    ] = False,
+    port: PortOption = None,
+    rtu_port: RtuPortOption = None,
+    link: LineOption = None,
+) -> None:
+    """Compare two captures by register and by transaction; exit 1 when they differ.
+
+    Ids, order and times do not count. What counts: slaves and requests that are in one only, ways
+    in which a request ended, values that registers had, and latencies that differ by more than
+    chance.
+    """
+    import msgspec
+
+    from mbtool.cli import exit_codes
+    from mbtool.cli.console import PipeConsole
+    from mbtool.cli.options import assignments, condition, file_line, tcp_ports
+    from mbtool.cli.talk import say
+    from mbtool.views.differences import count_text, print_differences
+    from mbtool.workflows.differing import DiffOptions, compare
+    from mbtool.workflows.reading import ReadingOptions
+
+    ports, any_port = tcp_ports(port)
+    options = DiffOptions(
+        reading=ReadingOptions(
+            assignments=assignments(device),
+            ports=ports,
+            rtu_ports=rtu_port or (),
+            any_port=any_port,
+            line=file_line(link),
+            raw=raw,
+        ),
+        wanted=condition(where),
+        ignore=ignore or (),
+        latency=latency,
+    )
+    compared = compare(a, b, options, say)
+    if format_ is DiffFormat.JSON:
+        typer.echo(msgspec.json.format(msgspec.json.encode(compared), indent=2).decode())
+    else:
+        print_differences(PipeConsole(), compared.differences)
+    if not compared.is_whole:
+        say("mbtool: there is more than can be compared at once; choose a part with --where")
+    say(
+        f"{count_text(compared.differences)} between {compared.a_transactions:,} transactions of "
+        f"{a} and {compared.b_transactions:,} of {b}"
+    )
+    if compared.differences:
+        raise typer.Exit(exit_codes.NO)

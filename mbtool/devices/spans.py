@@ -1,0 +1,76 @@
+"""Ranges of registers or bits as a user names them: `HR400010..400020`, `holding 7..9`."""
+
+# The notation is that of the devices in use, or the neutral one of a line without a profile
+# (references.py). A number behind the dots may stand without its prefix, as mbtool writes it.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core.errors import UsageError
+from mbtool.devices.references import parse_reference, write_reference
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.devices.model import Profile
+
+_NEUTRAL = {write_reference(None, table, 0).split()[0]: table for table in Table}
+_NEUTRAL_SPAN = re.compile(r"([a-z]+)[ :]?(\d{1,5})(?:\.\.(\d{1,5}))?", re.ASCII)
+_LAST_ADDRESS = 0xFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Addresses of one table, both ends included."""
+
+    table: Table
+    first: int
+    last: int
+
+    def __contains__(self, address: int) -> bool:
+        return self.first <= address <= self.last
+
+
+def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
+    """Read a reference or a range of them. Raises UsageError."""
+    neutral = _NEUTRAL_SPAN.fullmatch(text.strip().lower())
+    if neutral is not None and neutral[1] in _NEUTRAL:
+        return _span(text, _NEUTRAL[neutral[1]], int(neutral[2]), int(neutral[3] or neutral[2]))
+    for profile in profiles:
+        span = _in_notation(text, profile)
+        if span is not None:
+            return span
+    raise UsageError(
+        f"{text!r} is no range of registers; write 'holding 10..20' (or coil, discrete, input), or "
+        f"HR400010..400020 as the device's manual does, with --device"
+    )
+
+
+def _in_notation(text: str, profile: Profile) -> Span | None:
+    begin, dots, end = text.strip().partition("..")
+    try:
+        table, first = parse_reference(profile, begin)
+        if not dots:
+            return Span(table, first, first)
+    except UsageError:
+        return None
+    area = profile.area(table, first)
+    spelled = (end, f"{area.prefix}{end}{area.suffix}", f"{area.prefix}{end}") if area else (end,)
+    for each in spelled:
+        try:
+            other, last = parse_reference(profile, each)
+        except UsageError:
+            continue
+        if other is table:
+            return _span(text, table, first, last)
+    return None
+
+
+def _span(text: str, table: Table, first: int, last: int) -> Span:
+    if not first <= last <= _LAST_ADDRESS:
+        raise UsageError(f"{text!r}: a range runs from the lower to the higher, up to 65535")
+    return Span(table, first, last)

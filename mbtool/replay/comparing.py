@@ -1,0 +1,312 @@
+"""Compares two captures by meaning: what was asked, what was answered, how soon."""
+
+# Ids, order and times are not compared. For each slave, by unit and if need be by link:
+#
+#     slave     it is in one capture only
+#     request   it was asked for something in one capture only
+#     outcome   a request ended in a way that it never did in the other capture; no answer is a
+#               matter of degree, so there it is the share that must differ
+#     value     a register or bit had a value that it did not have in the other capture. Neighbours
+#               that change in both captures are one difference
+#     latency   the latencies of equal requests differ by more than chance; of one slave and
+#               function that is one difference, told by the request for which it is greatest
+#
+# What chance would do is judged at ALPHA for a whole comparison: divided by how many tests there
+# are (Bonferroni). A latency must also be of medium size (significance.py), since with thousands of
+# polls the smallest shift is beyond chance.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from statistics import median_low
+from typing import TYPE_CHECKING
+
+from mbtool.devices import Difference, Side, Span, write_reference
+from mbtool.devices import DifferenceKind as Kind
+from mbtool.devices.values import Place as NamedPlace
+from mbtool.modbus import FUNCTIONS, Table
+from mbtool.replay.significance import Shift, rank_sum, same_share
+from mbtool.replay.traffic import NO_ANSWER, Ask, Held, Place
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from mbtool.devices import Profile
+    from mbtool.replay.traffic import Asked, SlaveKey, SlaveTraffic, Traffic
+
+ALPHA = 0.01
+SHOWN_VALUES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Ignored:
+    """What is not compared."""
+
+    spans: Sequence[Span] = ()
+    """Registers whose values may differ."""
+    latency: bool = False
+
+    def has(self, place: Place) -> bool:
+        return any(span.table is place.table and place.address in span for span in self.spans)
+
+
+def differences(
+    a: Traffic, b: Traffic, profiles: Mapping[str, Profile], ignored: Ignored
+) -> list[Difference]:
+    """All differences, slave by slave; `profiles` by name, for the words."""
+    links = a.links_of_units() | b.links_of_units()  # The greater of the two.
+    alone = frozenset(unit for unit, count in links.items() if count == 1)
+    here, there = a.slaves(alone), b.slaves(alone)
+    tests = _tests(here, there)
+    found: list[Difference] = []
+    for key in sorted(here.keys() | there.keys(), key=lambda key: (key.unit, key.link or "")):
+        one, other = here.get(key), there.get(key)
+        if one is None or other is None:
+            found.append(_only_slave(key, one, other))
+            continue
+        device = one.device or other.device
+        words = _Words(profiles.get(device) if device is not None else None)
+        compared = _Compared(key, one, other, words, ignored, ALPHA / max(tests, 1))
+        found += compared.differences()
+    return found
+
+
+def _tests(here: Mapping[SlaveKey, SlaveTraffic], there: Mapping[SlaveKey, SlaveTraffic]) -> int:
+    """How many tests are made: two for each request that both captures have."""
+    return sum(
+        2 * len(here[key].asked.keys() & there[key].asked.keys())
+        for key in here.keys() & there.keys()
+    )
+
+
+def _only_slave(key: SlaveKey, one: SlaveTraffic | None, other: SlaveTraffic | None) -> Difference:
+    return Difference(
+        kind=Kind.SLAVE,
+        unit=key.unit,
+        link=key.link,
+        what="slave",
+        a=_transactions(one.count if one is not None else 0),
+        b=_transactions(other.count if other is not None else 0),
+    )
+
+
+class _Compared:
+    """One slave, as two captures have it."""
+
+    def __init__(
+        self,
+        key: SlaveKey,
+        a: SlaveTraffic,
+        b: SlaveTraffic,
+        words: _Words,
+        ignored: Ignored,
+        alpha: float,
+    ) -> None:
+        self._key = key
+        self._a = a
+        self._b = b
+        self._words = words
+        self._ignored = ignored
+        self._alpha = alpha
+        self._both = sorted(a.asked.keys() & b.asked.keys())
+
+    def differences(self) -> Iterator[Difference]:
+        yield from self._requests()
+        for ask in self._both:
+            yield from self._outcomes(ask)
+        yield from self._values()
+        if not self._ignored.latency:
+            yield from self._latencies()
+
+    def _requests(self) -> Iterator[Difference]:
+        for ask in sorted(self._a.asked.keys() ^ self._b.asked.keys()):
+            here, there = self._a.asked.get(ask), self._b.asked.get(ask)
+            yield self._about(
+                ask,
+                Kind.REQUEST,
+                _transactions(here.count if here is not None else 0),
+                _transactions(there.count if there is not None else 0),
+            )
+
+    def _outcomes(self, ask: Ask) -> Iterator[Difference]:
+        here, there = self._a.asked[ask], self._b.asked[ask]
+        labels = (here.outcomes.keys() ^ there.outcomes.keys()) - {NO_ANSWER}
+        p = same_share(here.outcomes[NO_ANSWER], here.count, there.outcomes[NO_ANSWER], there.count)
+        if labels or p < self._alpha:
+            yield self._about(
+                ask,
+                Kind.OUTCOME,
+                Side(text=_outcomes_text(here), count=here.count),
+                Side(text=_outcomes_text(there), count=there.count),
+                None if labels else p,
+            )
+
+    def _values(self) -> Iterator[Difference]:
+        places = [
+            place
+            for place in sorted(self._a.registers.keys() & self._b.registers.keys())
+            if not self._ignored.has(place)
+            and not _is_same(self._a.registers[place], self._b.registers[place])
+        ]
+        for run in _runs(places, self._changes):
+            first = run[0]
+            if len(run) == 1:
+                here, there = self._a.registers[first], self._b.registers[first]
+                name, texts = self._words.of(first)
+                a = Side(text=_held_text(here, texts), values=list(here.values))
+                b = Side(text=_held_text(there, texts), values=list(there.values))
+            else:
+                name = None
+                a = Side(text=_together(run, self._a.registers))
+                b = Side(text=_together(run, self._b.registers))
+            yield Difference(
+                kind=Kind.VALUE,
+                unit=self._key.unit,
+                link=self._key.link,
+                reference=self._words.reference(first.table, first.address, len(run)),
+                name=name,
+                what="written" if first.is_written else "read",
+                a=a,
+                b=b,
+            )
+
+    def _changes(self, place: Place) -> bool:
+        """Whether it changes in both captures, so that its neighbours may be told with it."""
+        return min(len(side.registers[place].values) for side in (self._a, self._b)) > 1
+
+    def _latencies(self) -> Iterator[Difference]:
+        for _, asks in groupby(self._both, key=lambda ask: ask.function):
+            shifted = [
+                (shift, ask)
+                for ask in asks
+                for shift in (self._shift(ask),)
+                if shift.p < self._alpha and shift.is_medium
+            ]
+            if not shifted:
+                continue
+            shift, ask = max(shifted, key=lambda one: abs(one[0].exceeds - 0.5))
+            yield self._about(
+                ask,
+                Kind.LATENCY,
+                _latency(self._a.asked[ask]),
+                _latency(self._b.asked[ask]),
+                shift.p,
+                len(shifted) - 1,
+            )
+
+    def _shift(self, ask: Ask) -> Shift:
+        return rank_sum(self._a.asked[ask].latencies.values, self._b.asked[ask].latencies.values)
+
+    def _about(
+        self, ask: Ask, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
+    ) -> Difference:
+        asked = self._a.asked.get(ask) or self._b.asked[ask]
+        return Difference(
+            kind=kind,
+            unit=self._key.unit,
+            link=self._key.link,
+            function=ask.function,
+            reference=asked.reference or None,
+            what=_function_text(ask, asked),
+            a=a,
+            b=b,
+            p=p,
+            alike=alike,
+        )
+
+
+class _Words:
+    """The words of a device for its registers."""
+
+    def __init__(self, profile: Profile | None) -> None:
+        self._profile = profile
+        self._points = {
+            (point.table, address): point
+            for point in (profile.points if profile is not None else ())
+            for address in point.addresses
+        }
+
+    def reference(self, table: Table, address: int, quantity: int = 1) -> str:
+        return write_reference(self._profile, table, address, quantity)
+
+    def of(self, place: Place) -> tuple[str | None, NamedPlace | None]:
+        """The name of a register, and what puts its value into words where it is one word."""
+        point = self._points.get((place.table, place.address))
+        if point is None:
+            return None, None
+        named = NamedPlace(point, place.address, self.reference(place.table, place.address))
+        return named.name, named if named.words == 1 else None
+
+
+def _is_same(a: Held, b: Held) -> bool:
+    bounds = (a.least, a.greatest) == (b.least, b.greatest)
+    return a.values.keys() == b.values.keys() or (bounds and not (a.is_all and b.is_all))
+
+
+def _runs(places: Iterable[Place], is_together: Callable[[Place], bool]) -> Iterator[list[Place]]:
+    """Neighbours of which all hold that; each other place alone."""
+    run: list[Place] = []
+    for place in places:
+        follows = bool(run) and is_together(run[-1]) and is_together(place)
+        if follows and place == run[-1]._replace(address=run[-1].address + 1):
+            run.append(place)
+            continue
+        if run:
+            yield run
+        run = [place]
+    if run:
+        yield run
+
+
+def _transactions(count: int) -> Side:
+    text = "" if not count else "1 transaction" if count == 1 else f"{count:,} transactions"
+    return Side(text=text, count=count)
+
+
+def _function_text(ask: Ask, asked: Asked) -> str:
+    known = FUNCTIONS.get(ask.function)
+    name = (
+        known.short
+        if known is not None and asked.function_name == known.name
+        else (asked.function_name)
+    )
+    sub = f" {ask.sub_function:02X}" if ask.sub_function >= 0 else ""
+    return f"{ask.function:02X} {name}{sub}"
+
+
+def _outcomes_text(asked: Asked) -> str:
+    return ", ".join(
+        label if count == asked.count else f"{label} {count:,} of {asked.count:,}"
+        for label, count in sorted(asked.outcomes.items(), key=lambda one: (-one[1], one[0]))
+    )
+
+
+def _held_text(held: Held, named: NamedPlace | None) -> str:
+    count = len(held.values)
+    if count > SHOWN_VALUES or not held.is_all:
+        more = "" if held.is_all else "more than "
+        return f"{held.least}..{held.greatest}, {more}{count} values"
+    return ", ".join(
+        named.value([value]).text if named is not None else str(value) for value in held.values
+    )
+
+
+def _together(run: Sequence[Place], registers: Mapping[Place, Held]) -> str:
+    held = [registers[place] for place in run]
+    values = sum(len(one.values) for one in held)
+    least, greatest = min(one.least for one in held), max(one.greatest for one in held)
+    return f"{least}..{greatest}, {values} values"
+
+
+def _latency(asked: Asked) -> Side:
+    ordered = sorted(asked.latencies.values)
+    median, p95 = median_low(ordered), ordered[min(len(ordered) - 1, len(ordered) * 95 // 100)]
+    return Side(
+        text=f"{_milliseconds(median)}, p95 {_milliseconds(p95)}", median_ns=median, p95_ns=p95
+    )
+
+
+def _milliseconds(ns: int) -> str:
+    return f"{ns / 1e6:.3g} ms" if ns < 10_000_000 else f"{ns / 1e6:,.0f} ms"

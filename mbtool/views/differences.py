@@ -1,0 +1,69 @@
+"""Shows in what two captures differ."""
+
+# A table of a row for each difference, grouped by slave, then one line that says how many there
+# are. Names come from profiles and links out of captures, so nothing in them is obeyed.
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+from rich.text import Text
+
+from mbtool.views.transaction_table import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from mbtool.devices import Difference
+
+_NOTHING = "-"
+_HEADINGS = ("differs", "function", "what", "A", "B")
+_SMALLEST_P = 1e-12
+
+
+def print_differences(console: Console, found: Sequence[Difference]) -> None:
+    """Each slave's differences as a table of its own."""
+    for slave, group in groupby(found, key=_slave):
+        table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+        for heading in _HEADINGS:
+            table.add_column(heading, overflow="fold")
+        for one in group:
+            cells = (one.what, what_text(one), one.a.text or _NOTHING, one.b.text or _NOTHING)
+            table.add_row(one.kind.value, *map(_text, cells))
+        console.print(_text(slave), style="bold")
+        console.print(table)
+        console.print()
+
+
+def what_text(difference: Difference) -> str:
+    """The reference, the name that the manual has, how many are alike, and how likely that is."""
+    parts = [difference.reference or ""]
+    if difference.name is not None and difference.name != difference.reference:
+        parts.append(difference.name)
+    if difference.alike:
+        parts.append(f"and {difference.alike} other request{'s' if difference.alike > 1 else ''}")
+    if difference.p is not None:
+        parts.append(f"({_chance(difference.p)})")
+    return " ".join(parts).strip()
+
+
+def count_text(found: Sequence[Difference]) -> str:
+    """How many differences there are."""
+    return "1 difference" if len(found) == 1 else f"{len(found):,} differences"
+
+
+def _slave(difference: Difference) -> str:
+    where = f" on {difference.link}" if difference.link is not None else ""
+    return f"unit {difference.unit}{where}"
+
+
+def _chance(p: float) -> str:
+    return f"p < {_SMALLEST_P:g}" if p < _SMALLEST_P else f"p = {p:.2g}"
+
+
+def _text(text: str) -> Text:
+    return Text(printable(text))

@@ -1,0 +1,66 @@
+"""mbtool diff."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.cli import exit_codes
+
+if TYPE_CHECKING:
+    from tests.cli.program import CommandLine
+
+CAPTURES = Path(__file__).resolve().parents[2] / "captures"
+SETUP = CAPTURES / "fa3-at1m8x-setup.mcap"
+LINE = CAPTURES / "ft1a-touch-line.mcap"
+GLUED = CAPTURES / "torn-and-glued-frames.mcap"
+RETRY = CAPTURES / "retry-after-silence.mcap"
+
+
+def test_equal_captures_are_told_and_the_exit_code_is_0(mbtool: CommandLine) -> None:
+    told = mbtool("diff", SETUP, SETUP.with_suffix(".pcap"))
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err.startswith("0 differences between 9 transactions of ")
+
+
+def test_differences_are_a_table_and_the_exit_code_is_1(mbtool: CommandLine) -> None:
+    told = mbtool("diff", RETRY, GLUED)
+    assert told.code == exit_codes.NO
+    assert [line.rstrip() for line in told.lines] == [
+        "unit 1",
+        "differs  function  what      A        B",
+        "value    read      HR400001  1, 3, 4  4660",
+        "",
+    ]
+    assert told.err.startswith("1 difference between ")
+
+
+def test_differences_as_json(mbtool: CommandLine) -> None:
+    told = mbtool("diff", RETRY, GLUED, "--format", "json")
+    document = json.loads(told.out)
+    assert (document["a"], document["b"]) == (str(RETRY), str(GLUED))
+    assert document["differences"] == [
+        {
+            "kind": "value",
+            "unit": 1,
+            "reference": "HR400001",
+            "what": "read",
+            "a": {"text": "1, 3, 4", "values": [1, 3, 4]},
+            "b": {"text": "4660", "values": [4660]},
+        }
+    ]
+
+
+def test_registers_can_be_left_out(mbtool: CommandLine) -> None:
+    assert mbtool("diff", RETRY, GLUED, "--ignore", "HR400001").code == exit_codes.DONE
+
+
+def test_a_wrong_range_is_wrong_usage(mbtool: CommandLine) -> None:
+    told = mbtool("diff", RETRY, GLUED, "--ignore", "RWr2")
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert "'RWr2' is no range of registers; write 'holding 10..20'" in told.err
+
+
+def test_a_file_that_is_not_there_cannot_be_read(mbtool: CommandLine) -> None:
+    assert mbtool("diff", SETUP, "nowhere.pcap").code == exit_codes.UNREADABLE

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.devices import Assignments, Difference, Namer, Span, load_profile, parse_assignment
+from mbtool.devices import DifferenceKind as Kind
+from mbtool.modbus import Table
+from mbtool.replay import Ignored, Traffic, differences
+from tests.replay.recorded import MS, answered, unanswered
+
+if TYPE_CHECKING:
+    import random
+    from collections.abc import Iterable, Sequence
+
+    from mbtool.modbus import Transaction
+
+AT1M8X = load_profile("fa3-at1m8x")
+
+
+def _compared(
+    a: Iterable[Transaction],
+    b: Iterable[Transaction],
+    ignored: Ignored | None = None,
+    device: str | None = None,
+) -> list[Difference]:
+    namer = Namer(Assignments([parse_assignment(f"all={device}")] if device else []))
+    one, other = (Traffic.of(namer.name(each) for each in side) for side in (a, b))
+    return differences(one, other, {AT1M8X.name: AT1M8X}, ignored or Ignored())
+
+
+def _told(found: Sequence[Difference]) -> list[tuple[str, str | None, str, str]]:
+    return [(one.kind.value, one.reference, one.a.text, one.b.text) for one in found]
+
+
+def _poll(at_ms: int, values: str, latency_ms: float = 5, unit: int = 1) -> Transaction:
+    count = len(values.split())
+    return answered(
+        at_ms,
+        f"03 000A {count:04X}",
+        f"03 {2 * count:02X} {values}",
+        latency_ns=round(latency_ms * MS),
+        unit=unit,
+    )
+
+
+@given(st.lists(st.integers(0, 9), max_size=30), st.randoms(use_true_random=False))
+def test_order_and_times_do_not_count(values: list[int], chance: random.Random) -> None:
+    a = [_poll(number * 10, f"{value:04X} 0001") for number, value in enumerate(values)]
+    b = [_poll(number * 99, f"{value:04X} 0001") for number, value in enumerate(values)]
+    chance.shuffle(b)
+    assert _compared(a, b) == []
+
+
+@given(st.integers(0, 9), st.integers(1, 0xFFFF))
+def test_one_register_that_changed_is_found_and_only_that(place: int, change: int) -> None:
+    before = [7] * 10
+    after = before.copy()
+    after[place] ^= change
+    a, b = (
+        [_poll(at, " ".join(f"{one:04X}" for one in values)) for at in range(0, 50, 10)]
+        for values in (before, after)
+    )
+    assert _told(_compared(a, b)) == [("value", f"holding {10 + place}", "7", str(after[place]))]
+
+
+def test_a_value_that_the_other_never_had_counts() -> None:
+    a, b = [_poll(0, "0000"), _poll(9, "0000")], [_poll(0, "0000"), _poll(9, "0001")]
+    assert _told(_compared(a, b)) == [("value", "holding 10", "0", "0, 1")]
+
+
+def test_neighbours_that_change_in_both_are_one_difference() -> None:
+    a = [_poll(at, f"{at:04X} {at + 5:04X} 0001") for at in range(8)]
+    b = [_poll(at, f"{at:04X} {at + 6:04X} 0002") for at in range(1, 9)]
+    assert _told(_compared(a, b)) == [
+        ("value", "holding 10..11", "0..12, 16 values", "1..14, 16 values"),
+        ("value", "holding 12", "1", "2"),
+    ]
+
+
+def test_values_that_may_differ_are_not_compared() -> None:
+    ignored = Ignored(spans=[Span(Table.HOLDING_REGISTERS, 10, 11)])
+    found = _compared([_poll(0, "0001 0001 0001")], [_poll(0, "0002 0002 0002")], ignored)
+    assert _told(found) == [("value", "holding 12", "1", "2")]
+
+
+def test_what_only_one_was_asked_for_is_told() -> None:
+    both = [_poll(0, "0001")]
+    found = _compared([*both, answered(9, "06 0001 0002", "06 0001 0002")], both)
+    assert _told(found) == [("request", "holding 1", "1 transaction", "")]
+    assert found[0].what == "06 write register"
+
+
+def test_a_slave_that_is_in_one_only_is_told_once() -> None:
+    found = _compared([_poll(0, "0001")], [_poll(0, "0001"), _poll(9, "0001", unit=7)])
+    assert [(one.kind, one.unit, one.b.count) for one in found] == [(Kind.SLAVE, 7, 1)]
+
+
+def test_an_exception_that_the_other_never_gave_is_told() -> None:
+    a = [_poll(at, "0001") for at in range(5)]
+    found = _compared(a, [*a, answered(99, "03 000A 0001", "83 06")])
+    assert _told(found) == [("outcome", "holding 10", "ok", "ok 5 of 6, exception 06 1 of 6")]
+
+
+def test_one_missing_answer_in_hundreds_is_chance() -> None:
+    a = [_poll(at, "0001") for at in range(300)]
+    assert _compared(a, [*a, unanswered(999, "03 000A 0001")]) == []
+
+
+def test_many_missing_answers_are_none() -> None:
+    a = [_poll(at, "0001") for at in range(60)]
+    b = [*a[:30], *(unanswered(at, "03 000A 0001") for at in range(900, 930))]
+    (found,) = _compared(a, b)
+    assert found.kind is Kind.OUTCOME
+    assert found.p is not None
+    assert found.p < 1e-6
+    assert found.b.text == "no answer 30 of 60, ok 30 of 60"
+
+
+def test_a_latency_that_is_shifted_is_told_with_its_chance() -> None:
+    a = [_poll(at, "0001", 5 + at % 7) for at in range(100)]
+    b = [_poll(at, "0001", 9 + at % 7) for at in range(100)]
+    (found,) = _compared(a, b)
+    assert (found.kind, found.a.text, found.b.text) == (
+        Kind.LATENCY,
+        "8 ms, p95 11 ms",
+        "12 ms, p95 15 ms",
+    )
+    assert found.p is not None
+    assert found.p < 1e-6
+    assert _compared(a, b, Ignored(latency=True)) == []
+
+
+def test_a_shift_too_small_to_matter_is_none() -> None:
+    a = [_poll(at, "0001", 5 + at % 20) for at in range(4000)]
+    b = [_poll(at, "0001", 6 + at % 20) for at in range(4000)]
+    assert _compared(a, b) == []
+
+
+def test_equal_units_on_several_links_are_told_apart_by_link() -> None:
+    import msgspec
+
+    a = [_poll(0, "0001"), msgspec.structs.replace(_poll(0, "0002"), link="other")]
+    found = _compared(a, a[:1])
+    assert [(one.kind, one.unit, one.link) for one in found] == [(Kind.SLAVE, 1, "other")]
+
+
+def test_a_unit_is_found_whatever_its_link_is_called() -> None:
+    import msgspec
+
+    a = _poll(0, "0001")
+    assert _compared([a], [msgspec.structs.replace(a, link="127.0.0.1:1502")]) == []
+
+
+def test_registers_have_the_words_of_their_device() -> None:
+    a = [answered(0, "06 0102 005C", "06 0102 005C")]
+    b = [answered(0, "06 0102 00FF", "06 0102 00FF")]
+    (found,) = _compared(a, b, device="fa3-at1m8x")
+    assert (found.reference, found.name, found.what) == (
+        "0102H",
+        "A/D conversion enable/disable setting",
+        "written",
+    )
+    assert (found.a.text, found.b.text) == ("CH1 CH2 CH6 CH8 enabled", "none enabled")
