@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from mbtool.modbus.spoiling import Spoiling
+
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -13,6 +15,8 @@ class Answer:
     pdu: bytes
     delay_ns: int = 0
     """From the end of the request to the start of the response."""
+    spoiling: Spoiling | None = None
+    """What is done to it on its way out; None: nothing."""
 
 
 class Responder(Protocol):

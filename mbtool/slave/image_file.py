@@ -15,13 +15,14 @@
 from __future__ import annotations
 
 import reprlib
-import tomllib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mbtool.core import InputError, UsageError
+from mbtool.core import UsageError
 from mbtool.devices import parse_reference
+from mbtool.slave.toml_file import read_toml
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from mbtool.devices import Profile
@@ -33,13 +34,19 @@ MAX_FILE_BYTES = 4 << 20
 _LOWEST, _HIGHEST = -0x8000, 0xFFFF
 
 
-def load_image(path: Path, profile: Profile, image: RegisterImage) -> None:
-    """Write the values of a file into an image.
+def load_image(
+    path: Path,
+    profile: Profile,
+    image: RegisterImage,
+    only: Sequence[tuple[Table, range]] | None = None,
+) -> None:
+    """Write the values of a file into an image; `only` is what the file may speak of.
 
     Raises InputError for a file that is no TOML, UsageError for what it says; the image then holds
     what came before.
     """
-    for key, value in _read(path).items():
+    hint = "write lines such as HR400001 = 4660"
+    for key, value in read_toml(path, MAX_FILE_BYTES, "register image", hint).items():
         try:
             table, address = parse_reference(profile, key)
         except UsageError as error:
@@ -49,23 +56,19 @@ def load_image(path: Path, profile: Profile, image: RegisterImage) -> None:
             area = profile.area(table, address)
             end = f", which ends at {area.reference(area.last)}" if area is not None else ""
             raise UsageError(f"{path}: {key}: {len(values)} values do not fit its area{end}")
+        span = range(address, address + len(values))
+        if only is not None and not _is_among(table, span, only):
+            raise UsageError(
+                f"{path}: {key}: {profile.name} does not keep this over a restart; "
+                f"is this a file of start values, for --image?"
+            )
         image.set(table, address, values)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise InputError(f"{path}: more than {MAX_FILE_BYTES} bytes are no register image")
-    try:
-        return tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: not TOML: {error}; write lines such as HR400001 = 4660"
-        ) from error
+def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -> bool:
+    return any(
+        table is each and span.start in part and span.stop <= part.stop for each, part in parts
+    )
 
 
 def _listed(path: Path, key: str, value: object) -> list[object]:

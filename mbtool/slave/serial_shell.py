@@ -12,8 +12,9 @@
 #
 # Not for adapters that give back what is written to them: their echo would look like a request.
 #
-# Bounds: MAX_WAITING requests whose answers wait; more are not answered. A write that the line
-# does not take for WRITE_TIMEOUT_S is given up.
+# Bounds: MAX_WAITING answers that wait, or pieces of one where it is sent in pieces on purpose
+# (modbus/spoiling.py); while there are so many, no request is answered. A write that the line does
+# not take for WRITE_TIMEOUT_S is given up.
 #
 # Linux: a pseudo-terminal has neither parity nor 7 bits, and may refuse them; then, and only on
 # one, it is opened with 8N1, which makes no difference to what travels.
@@ -29,10 +30,10 @@ from typing import TYPE_CHECKING
 import serial
 
 from mbtool.core import Direction, LinkError, SerialLink
-from mbtool.modbus.adu import Adu, Transport
+from mbtool.modbus.adu import Adu
 from mbtool.modbus.ascii import AsciiSplitter
-from mbtool.modbus.framing import ascii_adu, rtu_adu
 from mbtool.modbus.rtu import RtuSplitter
+from mbtool.modbus.spoiling import wire_pieces
 from mbtool.modbus.turns import Turn, Turns
 from mbtool.slave.clock import steady_clock
 from mbtool.slave.shell import OnExchange, Shell
@@ -59,7 +60,7 @@ class SerialSlave(Shell):
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _NobodysTurn())
         self._waiting: deque[tuple[int, bytes]] = deque()
-        """Answers and when they are due."""
+        """Answers, or pieces of them, and when they are due."""
 
     @property
     def place(self) -> str:
@@ -96,9 +97,9 @@ class SerialSlave(Shell):
             return
         answer = self._responder.respond(request.unit, request.pdu, now_ns)
         if answer is not None:
-            framed = ascii_adu if request.transport is Transport.ASCII else rtu_adu
             due_ns = request.end_ns + max(answer.delay_ns, self.link.format.t3_5_ns)
-            self._waiting.append((due_ns, framed(request.unit, answer.pdu)))
+            for later_ns, data in wire_pieces(answer, request.transport, request.unit):
+                self._waiting.append((due_ns + later_ns, data))
         if self._on_exchange is not None:
             self._on_exchange(request, answer)
 

@@ -16,6 +16,7 @@ import serial
 from mbtool.core import LinkError, SerialFormat, SerialLink
 from mbtool.devices import load_profile
 from mbtool.modbus import Answer, Table, ascii_adu, rtu_adu
+from mbtool.modbus.spoiling import Spoiling
 from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, units_on
 from mbtool.slave.serial_shell import MAX_WAITING
 from mbtool.sources.virtual_line import VirtualLine
@@ -142,6 +143,16 @@ def test_takes_as_long_as_the_answer_says(line: VirtualLine, master: serial.Seri
         began_ns = time.monotonic_ns()
         _ask(master)
         assert time.monotonic_ns() - began_ns >= 60_000_000
+
+
+def test_an_answer_is_spoilt_as_it_says(line: VirtualLine, master: serial.Serial) -> None:
+    spoiling = Spoiling(unit_by=1, pieces=2, gap_ns=30_000_000)
+    responder = _only_unit_1(lambda _, pdu: Answer(pdu, spoiling=spoiling))
+    with SerialSlave(_link(line), responder):
+        begin = time.monotonic()
+        master.write(rtu_adu(1, READ))
+        assert master.read(len(rtu_adu(1, READ))) == rtu_adu(2, READ)
+        assert time.monotonic() - begin >= 0.03
 
 
 def test_requests_that_wait_are_bounded(line: VirtualLine, master: serial.Serial) -> None:
