@@ -7,7 +7,15 @@ from mbtool.modbus.conversation import Bus, Conversation, Decoded
 from mbtool.modbus.framing import ascii_adu, crc, lrc, mbap_adu, rtu_adu
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
 from mbtool.modbus.mbap import MbapSplitter
-from mbtool.modbus.pdu import Pdu, encode_pdu, exception_pdu, parse_pdu, pdu_length, pdu_of
+from mbtool.modbus.pdu import (
+    Pdu,
+    encode_pdu,
+    exception_pdu,
+    parse_pdu,
+    pdu_length,
+    pdu_of,
+    whole_pdu,
+)
 from mbtool.modbus.reach import REACHING, Reach, reach_of, response_to, values_after
 from mbtool.modbus.recognition import Recognition, State
 from mbtool.modbus.rtu import RtuSplitter
@@ -58,4 +66,5 @@ __all__ = [
     "response_to",
     "rtu_adu",
     "values_after",
+    "whole_pdu",
 ]

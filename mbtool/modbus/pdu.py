@@ -119,6 +119,17 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
             return frame.body[0], frame.body[1:]
 
 
+def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
+    """The PDU of an ADU, or None where there is none or it is cut short, as in a log of others."""
+    if raw is None:
+        return None
+    try:
+        _, pdu = pdu_of(transport, raw)
+    except (IndexError, ValueError):
+        return None
+    return pdu or None
+
+
 def _layout(code: int, direction: Direction) -> Layout:
     if direction is Direction.RESPONSE and code & EXCEPTION_BIT:
         return _EXCEPTION

@@ -20,24 +20,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from statistics import median_low
 from typing import TYPE_CHECKING
 
-from mbtool.devices import Difference, Side, Span, write_reference
+from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
-from mbtool.devices.values import Place as NamedPlace
-from mbtool.modbus import FUNCTIONS, Table
 from mbtool.replay.significance import Shift, rank_sum, same_share
 from mbtool.replay.traffic import NO_ANSWER, Ask, Held, Place
+from mbtool.replay.wording import Words, function_text, held_text, latency_side
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from mbtool.devices import Profile
-    from mbtool.replay.traffic import Asked, SlaveKey, SlaveTraffic, Traffic
+from mbtool.replay.traffic import Asked, SlaveKey, SlaveTraffic, Traffic
 
 ALPHA = 0.01
-SHOWN_VALUES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +64,7 @@ def differences(
             found.append(_only_slave(key, one, other))
             continue
         device = one.device or other.device
-        words = _Words(profiles.get(device) if device is not None else None)
+        words = Words(profiles.get(device) if device is not None else None)
         compared = _Compared(key, one, other, words, ignored, ALPHA / max(tests, 1))
         found += compared.differences()
     return found
@@ -100,7 +97,7 @@ class _Compared:
         key: SlaveKey,
         a: SlaveTraffic,
         b: SlaveTraffic,
-        words: _Words,
+        words: Words,
         ignored: Ignored,
         alpha: float,
     ) -> None:
@@ -155,8 +152,8 @@ class _Compared:
             if len(run) == 1:
                 here, there = self._a.registers[first], self._b.registers[first]
                 name, texts = self._words.of(first)
-                a = Side(text=_held_text(here, texts), values=list(here.values))
-                b = Side(text=_held_text(there, texts), values=list(there.values))
+                a = Side(text=held_text(here, texts), values=list(here.values))
+                b = Side(text=held_text(there, texts), values=list(there.values))
             else:
                 name = None
                 a = Side(text=_together(run, self._a.registers))
@@ -190,8 +187,8 @@ class _Compared:
             yield self._about(
                 ask,
                 Kind.LATENCY,
-                _latency(self._a.asked[ask]),
-                _latency(self._b.asked[ask]),
+                latency_side(self._a.asked[ask].latencies),
+                latency_side(self._b.asked[ask].latencies),
                 shift.p,
                 len(shifted) - 1,
             )
@@ -209,35 +206,12 @@ class _Compared:
             link=self._key.link,
             function=ask.function,
             reference=asked.reference or None,
-            what=_function_text(ask, asked),
+            what=function_text(ask.function, asked.function_name, ask.sub_function),
             a=a,
             b=b,
             p=p,
             alike=alike,
         )
-
-
-class _Words:
-    """The words of a device for its registers."""
-
-    def __init__(self, profile: Profile | None) -> None:
-        self._profile = profile
-        self._points = {
-            (point.table, address): point
-            for point in (profile.points if profile is not None else ())
-            for address in point.addresses
-        }
-
-    def reference(self, table: Table, address: int, quantity: int = 1) -> str:
-        return write_reference(self._profile, table, address, quantity)
-
-    def of(self, place: Place) -> tuple[str | None, NamedPlace | None]:
-        """The name of a register, and what puts its value into words where it is one word."""
-        point = self._points.get((place.table, place.address))
-        if point is None:
-            return None, None
-        named = NamedPlace(point, place.address, self.reference(place.table, place.address))
-        return named.name, named if named.words == 1 else None
 
 
 def _is_same(a: Held, b: Held) -> bool:
@@ -265,31 +239,10 @@ def _transactions(count: int) -> Side:
     return Side(text=text, count=count)
 
 
-def _function_text(ask: Ask, asked: Asked) -> str:
-    known = FUNCTIONS.get(ask.function)
-    name = (
-        known.short
-        if known is not None and asked.function_name == known.name
-        else (asked.function_name)
-    )
-    sub = f" {ask.sub_function:02X}" if ask.sub_function >= 0 else ""
-    return f"{ask.function:02X} {name}{sub}"
-
-
 def _outcomes_text(asked: Asked) -> str:
     return ", ".join(
         label if count == asked.count else f"{label} {count:,} of {asked.count:,}"
         for label, count in sorted(asked.outcomes.items(), key=lambda one: (-one[1], one[0]))
-    )
-
-
-def _held_text(held: Held, named: NamedPlace | None) -> str:
-    count = len(held.values)
-    if count > SHOWN_VALUES or not held.is_all:
-        more = "" if held.is_all else "more than "
-        return f"{held.least}..{held.greatest}, {more}{count} values"
-    return ", ".join(
-        named.value([value]).text if named is not None else str(value) for value in held.values
     )
 
 
@@ -298,15 +251,3 @@ def _together(run: Sequence[Place], registers: Mapping[Place, Held]) -> str:
     values = sum(len(one.values) for one in held)
     least, greatest = min(one.least for one in held), max(one.greatest for one in held)
     return f"{least}..{greatest}, {values} values"
-
-
-def _latency(asked: Asked) -> Side:
-    ordered = sorted(asked.latencies.values)
-    median, p95 = median_low(ordered), ordered[min(len(ordered) - 1, len(ordered) * 95 // 100)]
-    return Side(
-        text=f"{_milliseconds(median)}, p95 {_milliseconds(p95)}", median_ns=median, p95_ns=p95
-    )
-
-
-def _milliseconds(ns: int) -> str:
-    return f"{ns / 1e6:.3g} ms" if ns < 10_000_000 else f"{ns / 1e6:,.0f} ms"

@@ -19,13 +19,13 @@ from statistics import median_low
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Direction
-from mbtool.modbus import Outcome, Table, parse_pdu, pdu_of, reach_of, values_after
+from mbtool.modbus import Outcome, Table, parse_pdu, reach_of, values_after, whole_pdu
 from mbtool.replay.timeline import Timeline
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mbtool.modbus import Transaction, Transport
+    from mbtool.modbus import Transaction
 
 Key = tuple[int, bytes]
 """Unit and request PDU."""
@@ -79,18 +79,18 @@ class Recording:
         return self._latencies.get((unit, function), of_unit)
 
     def _add_answer(self, transaction: Transaction) -> None:
-        request = _pdu(transaction.transport, transaction.request_raw)
+        request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
             return
         answer = RecordedAnswer(
-            _pdu(transaction.transport, transaction.response_raw),
+            whole_pdu(transaction.transport, transaction.response_raw),
             _answered_ns(transaction),
             transaction.latency_ns or 0,
         )
         self.answers.setdefault((transaction.unit, request), []).append(answer)
 
     def _add_values(self, transaction: Transaction) -> None:
-        pdu = _pdu(transaction.transport, transaction.request_raw)
+        pdu = whole_pdu(transaction.transport, transaction.request_raw)
         if pdu is None or transaction.outcome not in (Outcome.OK, Outcome.BROADCAST):
             return
         request = parse_pdu(pdu, Direction.REQUEST)
@@ -118,17 +118,6 @@ def _is_asked(transaction: Transaction) -> bool:
 
 def _answered_ns(transaction: Transaction) -> int:
     return transaction.start_ns if transaction.response_ns is None else transaction.response_ns
-
-
-def _pdu(transport: Transport, raw: bytes | None) -> bytes | None:
-    """The PDU of an ADU, or None where there is none or it is cut short."""
-    if raw is None:
-        return None
-    try:
-        _, pdu = pdu_of(transport, raw)
-    except (IndexError, ValueError):
-        return None
-    return pdu or None
 
 
 def _median_latencies(transactions: Iterable[Transaction]) -> dict[tuple[int, int | None], int]:

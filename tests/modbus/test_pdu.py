@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus import Transport, encode_pdu, exception_pdu, parse_pdu, pdu_length, pdu_of
+from mbtool.modbus import (
+    Transport,
+    encode_pdu,
+    exception_pdu,
+    parse_pdu,
+    pdu_length,
+    pdu_of,
+    whole_pdu,
+)
 from tests.modbus.reading import with_parity
 
 if TYPE_CHECKING:
@@ -210,3 +218,9 @@ def test_exception_response_names_function_and_code() -> None:
 )
 def test_adu_of_any_transport_has_a_unit_and_a_pdu(transport: Transport, raw: bytes) -> None:
     assert pdu_of(transport, raw) == (0x11, bytes.fromhex("03 006B 0003"))
+
+
+@pytest.mark.parametrize("transport", Transport)
+@pytest.mark.parametrize("raw", [None, b"", b"\x01", b":01"])
+def test_no_pdu_is_had_of_an_adu_that_is_cut_short(transport: Transport, raw: bytes | None) -> None:
+    assert whole_pdu(transport, raw) is None

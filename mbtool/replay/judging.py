@@ -1,0 +1,241 @@
+"""Compares what a slave answers with what the recorded one answered, by meaning."""
+
+# Each answer is held against the recorded one of the same step:
+#
+#     outcome   answered or not, ok or which exception, an answer that breaks its form, or one with
+#               another quantity of values
+#     value     each register or bit that was read, one by one
+#     data      functions whose form says nothing of registers: the bytes
+#
+# What differs is put together by request, and by register: how often, the recorded values, and
+# those that came. So a register that is wrong in a thousand polls is one difference. Latencies are
+# kept beside, and count only where the user says by how much they may differ.
+#
+# Registers that may differ: those of `spans`, which the user names, and those that differed in a
+# run in which the judge learned; `learned` gives them.
+#
+# Memory grows with what was asked, not with how often: see traffic.py for its bounds.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.devices import Difference, Side, Span
+from mbtool.devices import DifferenceKind as Kind
+from mbtool.modbus import exception_name, parse_pdu, reach_of
+from mbtool.replay.script import Step
+from mbtool.replay.traffic import Held, Place, Sample
+from mbtool.replay.wording import Words, function_text, held_text, latency_side
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from mbtool.devices import Profile
+    from mbtool.modbus import Reach
+
+NO_ANSWER = "no answer"
+SHOWN_BYTES = 16
+
+_EXCEPTION_BIT = 0x80
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How much later answers may come than the recorded ones."""
+
+    share: float = 0.0
+    """Of the recorded median and 95th percentile: 0.5 is half as long again."""
+    least_ns: int = 1_000_000
+    """So much later is no difference whatever the share."""
+
+    def latest_ns(self, recorded_ns: int) -> float:
+        return recorded_ns + max(recorded_ns * self.share, self.least_ns)
+
+
+@dataclass(slots=True)
+class _Judged:
+    """One request and its repetitions."""
+
+    step: Step
+    count: int = 0
+    wrong: dict[tuple[str, str], int] = field(default_factory=dict)
+    """How often what was recorded, and what came in its place."""
+    recorded: Sample = field(default_factory=Sample)
+    answered: Sample = field(default_factory=Sample)
+
+
+@dataclass(slots=True)
+class _Pair:
+    """A register: what was recorded and what came, where they differed."""
+
+    recorded: Held = field(default_factory=Held)
+    came: Held = field(default_factory=Held)
+    count: int = 0
+
+
+class Judge:
+    """Takes answers one by one, and says in what they differ."""
+
+    def __init__(
+        self,
+        *,
+        profiles: Mapping[str, Profile] | None = None,
+        spans: Sequence[Span] = (),
+        learns: bool = False,
+        tolerance: Tolerance | None = None,
+    ) -> None:
+        """`profiles` by name, for the words; without `tolerance` latencies do not count."""
+        self._profiles = profiles or {}
+        self._spans = list(spans)
+        self._learns = learns
+        self._tolerance = tolerance
+        self._of_devices: dict[str | None, Words] = {}
+        self._asked: dict[tuple[int, bytes], _Judged] = {}
+        self._registers: dict[tuple[int, str | None, Place], _Pair] = {}
+        self.count = 0
+        """How many answers were judged."""
+        self.wrong = 0
+        """How many of them differed."""
+
+    def judge(self, step: Step, answer: bytes | None, latency_ns: int | None) -> bool:
+        """Whether an answer, or None for silence, means what the recorded one means."""
+        self.count += 1
+        asked = self._asked.setdefault((step.unit, step.pdu), _Judged(step))
+        asked.count += 1
+        if step.latency_ns is not None and latency_ns is not None:
+            asked.recorded.add(step.latency_ns)
+            asked.answered.add(latency_ns)
+        if step.is_broadcast or answer == step.expected:
+            return True
+        request = parse_pdu(step.pdu, Direction.REQUEST)
+        recorded, came = _outcome(step.expected), _outcome(answer)
+        is_right = recorded == came
+        if is_right and answer is not None and step.expected is not None:
+            reach = reach_of(request)
+            if reach is None or not reach.reads:
+                is_right, recorded, came = False, _shown(step.expected), _shown(answer)
+            elif len(answer) != len(step.expected):
+                is_right, recorded, came = False, _length(step.expected), _length(answer)
+            else:
+                is_right = self._has_right_values(step, step.expected, reach, answer)
+        if not is_right:
+            self.wrong += 1
+            if recorded != came:
+                asked.wrong[recorded, came] = asked.wrong.get((recorded, came), 0) + 1
+        return is_right
+
+    def differences(self) -> list[Difference]:
+        """What differed, by unit: outcomes in the order of the requests, then values, latencies."""
+        found = [*self._outcomes(), *self._value_differences(), *self._latencies()]
+        return sorted(found, key=lambda one: one.unit)
+
+    def learned(self) -> list[tuple[int, Span]]:
+        """The units and registers that differed, as ranges."""
+        spans: list[tuple[int, Span]] = []
+        for unit, place in sorted({(unit, place) for unit, _, place in self._registers}):
+            one = Span(place.table, place.address, place.address)
+            if spans:
+                before, span = spans[-1]
+                if (before, span.table, span.last + 1) == (unit, one.table, one.first):
+                    spans[-1] = unit, Span(one.table, span.first, one.last)
+                    continue
+            spans.append((unit, one))
+        return spans
+
+    def _has_right_values(self, step: Step, expected: bytes, reach: Reach, answer: bytes) -> bool:
+        recorded, came = (
+            parse_pdu(pdu, Direction.RESPONSE).numbers() or () for pdu in (expected, answer)
+        )
+        is_right = True
+        for address, before, after in zip(reach.reads, recorded, came, strict=False):
+            place = Place(reach.table, address, is_written=False)
+            if before == after or self._may_differ(place):
+                continue
+            pair = self._registers.setdefault((step.unit, step.device, place), _Pair())
+            pair.recorded.add(before)
+            pair.came.add(after)
+            pair.count += 1
+            is_right = self._learns and is_right
+        return is_right
+
+    def _may_differ(self, place: Place) -> bool:
+        return any(span.table is place.table and place.address in span for span in self._spans)
+
+    def _outcomes(self) -> Iterable[Difference]:
+        for asked in self._asked.values():
+            for (recorded, came), count in asked.wrong.items():
+                yield _about(asked, Kind.OUTCOME, Side(text=recorded), Side(text=came, count=count))
+
+    def _value_differences(self) -> Iterable[Difference]:
+        if self._learns:
+            return
+        for unit, device, place in sorted(self._registers, key=lambda key: (key[0], key[2])):
+            pair = self._registers[unit, device, place]
+            words = self._words(device)
+            name, named = words.of(place)
+            yield Difference(
+                kind=Kind.VALUE,
+                unit=unit,
+                reference=words.reference(place.table, place.address),
+                name=name,
+                what="read",
+                a=Side(text=held_text(pair.recorded, named), values=list(pair.recorded.values)),
+                b=Side(
+                    text=held_text(pair.came, named),
+                    values=list(pair.came.values),
+                    count=pair.count,
+                ),
+            )
+
+    def _words(self, device: str | None) -> Words:
+        if device not in self._of_devices:
+            profile = self._profiles.get(device) if device is not None else None
+            self._of_devices[device] = Words(profile)
+        return self._of_devices[device]
+
+    def _latencies(self) -> Iterable[Difference]:
+        if self._tolerance is None:
+            return
+        for asked in self._asked.values():
+            if not asked.recorded.values:
+                continue
+            recorded, came = latency_side(asked.recorded), latency_side(asked.answered)
+            medians = recorded.median_ns or 0, came.median_ns or 0
+            tails = recorded.p95_ns or 0, came.p95_ns or 0
+            if any(after > self._tolerance.latest_ns(before) for before, after in (medians, tails)):
+                yield _about(asked, Kind.LATENCY, recorded, came)
+
+
+def _about(asked: _Judged, kind: Kind, a: Side, b: Side) -> Difference:
+    step = asked.step
+    return Difference(
+        kind=kind,
+        unit=step.unit,
+        function=step.pdu[0],
+        reference=step.reference or None,
+        what=function_text(step.pdu[0], step.function_name),
+        a=a,
+        b=b,
+    )
+
+
+def _outcome(pdu: bytes | None) -> str:
+    if pdu is None:
+        return NO_ANSWER
+    if pdu[0] & _EXCEPTION_BIT:
+        if len(pdu) != 2:
+            return f"malformed exception {_shown(pdu)}"
+        return f"exception {pdu[1]:02X} {exception_name(pdu[1])}"
+    problem = parse_pdu(pdu, Direction.RESPONSE).problem
+    return "ok" if problem is None else f"malformed: {problem}"
+
+
+def _length(pdu: bytes) -> str:
+    return f"{len(pdu) - 2} bytes of values"
+
+
+def _shown(pdu: bytes) -> str:
+    text = pdu[:SHOWN_BYTES].hex(" ")
+    return text if len(pdu) <= SHOWN_BYTES else f"{text} ... ({len(pdu)} bytes)"

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
+from mbtool.modbus import Table, Transaction
+from mbtool.replay.judging import Judge, Tolerance
+from mbtool.replay.script import Script, Step
+from tests.replay.recorded import MS, answered, to_all, unanswered
+
+READ = "03 000A 0002"
+VALUES = "03 04 0007 0008"
+AT1M8X = load_profile("fa3-at1m8x")
+
+
+def _step(transaction: Transaction, device: str | None = None) -> Step:
+    namer = Namer(Assignments([parse_assignment(f"all={device}")] if device else []))
+    (step,) = Script.of([namer.name(transaction)]).steps
+    return step
+
+
+def _told(judge: Judge) -> list[tuple[str, str | None, str, str, int | None]]:
+    return [
+        (one.kind.value, one.reference, one.a.text, one.b.text, one.b.count)
+        for one in judge.differences()
+    ]
+
+
+def _judged(transaction: Transaction, answer: str | None, times: int = 1) -> Judge:
+    judge = Judge()
+    for _ in range(times):
+        judge.judge(_step(transaction), None if answer is None else bytes.fromhex(answer), 5 * MS)
+    return judge
+
+
+def test_the_recorded_answer_is_right() -> None:
+    judge = _judged(answered(0, READ, VALUES), VALUES, times=3)
+    assert (judge.count, judge.wrong, judge.differences()) == (3, 0, [])
+
+
+@given(st.lists(st.integers(0, 0xFFFF), min_size=2, max_size=2))
+def test_each_register_that_differs_is_told_and_no_other(values: list[int]) -> None:
+    answer = "03 04" + "".join(f"{value:04X}" for value in values)
+    told = _told(_judged(answered(0, READ, VALUES), answer, times=2))
+    assert told == [
+        ("value", f"holding {10 + place}", str(7 + place), str(value), 2)
+        for place, value in enumerate(values)
+        if value != 7 + place
+    ]
+
+
+def test_padding_bits_do_not_count() -> None:
+    assert _judged(answered(0, "01 0000 0003", "01 01 05"), "01 01 FD").wrong == 0
+
+
+def test_outcomes_are_compared() -> None:
+    ok = answered(0, READ, VALUES)
+    refused = answered(0, READ, "83 02")
+    silent = unanswered(0, READ)
+    address, busy = "exception 02 illegal data address", "exception 06 server device busy"
+    for transaction, answer, a, b in (
+        (ok, "83 06", "ok", busy),
+        (ok, None, "ok", "no answer"),
+        (refused, VALUES, address, "ok"),
+        (refused, "83 06", address, busy),
+        (silent, VALUES, "no answer", "ok"),
+    ):
+        told = _told(_judged(transaction, answer, times=2))
+        assert told == [("outcome", "holding 10..11", a, b, 2)]
+    assert _judged(silent, None).wrong == 0
+
+
+def test_an_answer_of_another_length_is_wrong() -> None:
+    told = _told(_judged(answered(0, READ, VALUES), "03 02 0007"))
+    assert told == [("outcome", "holding 10..11", "4 bytes of values", "2 bytes of values", 1)]
+
+
+def test_an_answer_that_breaks_its_form_is_wrong() -> None:
+    judge = _judged(answered(0, READ, VALUES), "03 05 0007")
+    ((kind, _, a, b, _),) = _told(judge)
+    assert (kind, a) == ("outcome", "ok")
+    assert b.startswith("malformed: ")
+
+
+def test_an_acknowledgement_of_something_else_is_wrong() -> None:
+    told = _told(_judged(answered(0, "06 0001 0007", "06 0001 0007"), "06 0001 0008"))
+    assert told == [("outcome", "holding 1", "06 00 01 00 07", "06 00 01 00 08", 1)]
+
+
+def test_functions_without_registers_are_compared_as_bytes() -> None:
+    told = _told(_judged(answered(0, "42 00", "42 0016"), "42 0017"))
+    assert told == [("outcome", None, "42 00 16", "42 00 17", 1)]
+
+
+def test_a_broadcast_has_no_answer_to_compare() -> None:
+    assert _judged(to_all(0, "06 0001 0007"), None).wrong == 0
+
+
+def test_registers_that_may_differ_do_not_count() -> None:
+    judge = Judge(spans=[Span(Table.HOLDING_REGISTERS, 10, 10)])
+    step = _step(answered(0, READ, VALUES))
+    assert judge.judge(step, bytes.fromhex("03 04 0001 0008"), None)
+    assert not judge.judge(step, bytes.fromhex("03 04 0001 0009"), None)
+    assert [told[1] for told in _told(judge)] == ["holding 11"]
+
+
+def test_what_differs_can_be_learned() -> None:
+    judge = Judge(learns=True)
+    assert judge.judge(_step(answered(0, READ, VALUES)), bytes.fromhex("03 04 0001 0002"), None)
+    assert judge.judge(
+        _step(answered(0, "03 0020 0001", "03 02 0007", unit=2)), bytes.fromhex("03 02 0008"), None
+    )
+    assert not judge.judge(_step(answered(0, READ, VALUES)), bytes.fromhex("83 02"), None)
+    assert judge.learned() == [
+        (1, Span(Table.HOLDING_REGISTERS, 10, 11)),
+        (2, Span(Table.HOLDING_REGISTERS, 0x20, 0x20)),
+    ]
+    assert [told[0] for told in _told(judge)] == ["outcome"]
+
+
+def test_latencies_count_where_the_user_says_so() -> None:
+    def judged(tolerance: Tolerance | None, ms: int) -> list[DifferenceKind]:
+        judge = Judge(tolerance=tolerance)
+        for _ in range(20):
+            judge.judge(_step(answered(0, READ, VALUES)), bytes.fromhex(VALUES), ms * MS)
+        return [one.kind for one in judge.differences()]
+
+    assert judged(None, 500) == []
+    assert judged(Tolerance(share=0.5), 7) == []
+    assert judged(Tolerance(share=0.5), 8) == [DifferenceKind.LATENCY]
+    assert judged(Tolerance(share=0.0), 6) == []
+    assert judged(Tolerance(share=0.5), 1) == []  # Sooner is no fault.
+
+
+def test_values_are_told_in_the_words_of_the_device() -> None:
+    judge = Judge(profiles={AT1M8X.name: AT1M8X})
+    step = _step(answered(0, "03 0102 0001", "03 02 005C"), "fa3-at1m8x")
+    judge.judge(step, bytes.fromhex("03 02 00FF"), None)
+    (found,) = judge.differences()
+    assert (found.reference, found.name) == ("0102H", "A/D conversion enable/disable setting")
+    assert (found.a.text, found.b.text) == ("CH1 CH2 CH6 CH8 enabled", "none enabled")
+
+
+@given(st.binary(min_size=1, max_size=253), st.none() | st.binary(min_size=1, max_size=253))
+def test_no_answer_raises(expected: bytes, answer: bytes | None) -> None:
+    judge = Judge()
+    judge.judge(_step(answered(0, READ, expected.hex())), answer, None)
+    assert judge.wrong == len(judge.differences()) or judge.wrong == 1
