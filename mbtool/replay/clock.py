@@ -76,6 +76,14 @@ class PlayClock:
         """How often the end was passed."""
         return place_ns // self._lap_ns if self._lap_ns is not None else 0
 
+    @property
+    def is_loop(self) -> bool:
+        return self._lap_ns is not None
+
+    def lap_begin(self, lap: int) -> int:
+        """The place at which a lap begins."""
+        return lap * self._lap_ns if self._lap_ns is not None else 0
+
     def is_over(self, now_ns: int) -> bool:
         """Whether all was played; never in a loop."""
         return self._lap_ns is None and self.place(now_ns) >= self.length_ns
