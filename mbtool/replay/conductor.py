@@ -3,6 +3,7 @@
 # Whoever owns the link asks in a loop:
 #
 #     step = conductor.next_step(now)     a step to send at once, or None
+#     conductor.has_left(step, now)       its last byte is on the link: latencies count from here
 #     conductor.answered(...)             what came back
 #     conductor.expire(now)               what did not, in time
 #     conductor.wake_ns(now)              when to ask again at the latest
@@ -102,6 +103,14 @@ class Conductor:
         else:
             self._open[step.number] = _Open(step, now_ns)
         return step
+
+    def has_left(self, step: Step, now_ns: int) -> None:
+        """Say that the last byte of a step was sent."""
+        open_ = self._open.get(step.number)
+        if open_ is not None:
+            open_.sent_ns = now_ns
+        elif step.is_broadcast:
+            self._free_ns = now_ns + self._manners.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
         """When something is due: a step, the end of a pause, or a time-out. None: nothing is."""

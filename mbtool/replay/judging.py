@@ -21,6 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from mbtool.core import Direction
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
@@ -60,6 +62,7 @@ class _Judged:
 
     step: Step
     count: int = 0
+    different: int = 0
     wrong: dict[tuple[str, str], int] = field(default_factory=dict)
     """How often what was recorded, and what came in its place."""
     recorded: Sample = field(default_factory=Sample)
@@ -73,6 +76,18 @@ class _Pair:
     recorded: Held = field(default_factory=Held)
     came: Held = field(default_factory=Held)
     count: int = 0
+
+
+class Request(msgspec.Struct, frozen=True, kw_only=True):
+    """One request and its repetitions, for reports."""
+
+    unit: int
+    function: int
+    what: str
+    reference: str
+    count: int
+    different: int
+    """How many of its answers were not as recorded."""
 
 
 class Judge:
@@ -122,6 +137,7 @@ class Judge:
                 is_right = self._has_right_values(step, step.expected, reach, answer)
         if not is_right:
             self.wrong += 1
+            asked.different += 1
             if recorded != came:
                 asked.wrong[recorded, came] = asked.wrong.get((recorded, came), 0) + 1
         return is_right
@@ -130,6 +146,20 @@ class Judge:
         """What differed, by unit: outcomes in the order of the requests, then values, latencies."""
         found = [*self._outcomes(), *self._value_differences(), *self._latencies()]
         return sorted(found, key=lambda one: one.unit)
+
+    def requests(self) -> list[Request]:
+        """What was asked, in the order in which it was first asked."""
+        return [
+            Request(
+                unit=asked.step.unit,
+                function=asked.step.pdu[0],
+                what=function_text(asked.step.pdu[0], asked.step.function_name),
+                reference=asked.step.reference,
+                count=asked.count,
+                different=asked.different,
+            )
+            for asked in self._asked.values()
+        ]
 
     def learned(self) -> list[tuple[int, Span]]:
         """The units and registers that differed, as ranges."""

@@ -21,15 +21,17 @@ if TYPE_CHECKING:
     from mbtool.devices import Difference
 
 _NOTHING = "-"
-_HEADINGS = ("differs", "function", "what", "A", "B")
+_HEADINGS = ("differs", "function", "what")
 _SMALLEST_P = 1e-12
 
 
-def print_differences(console: Console, found: Sequence[Difference]) -> None:
-    """Each slave's differences as a table of its own."""
+def print_differences(
+    console: Console, found: Sequence[Difference], sides: tuple[str, str] = ("A", "B")
+) -> None:
+    """Each slave's differences as a table of its own, with a column for each side."""
     for slave, group in groupby(found, key=_slave):
         table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-        for heading in _HEADINGS:
+        for heading in (*_HEADINGS, *sides):
             table.add_column(heading, overflow="fold")
         for one in group:
             cells = (one.what, what_text(one), one.a.text or _NOTHING, one.b.text or _NOTHING)

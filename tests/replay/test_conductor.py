@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mbtool.devices import Namer
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.conductor import TIMEOUT_NS, TURNAROUND_NS, Conductor, Manners
-from mbtool.replay.judging import Judge
+from mbtool.replay.judging import Judge, Tolerance
 from mbtool.replay.script import Script
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
@@ -135,6 +135,22 @@ def test_behind_a_broadcast_the_line_is_left_alone() -> None:
     assert played.sent(0) == [0]
     assert (played.sent(1), played.wake(1)) == ([], TURNAROUND_NS / MS)
     assert played.sent(TURNAROUND_NS / MS) == [1]
+
+
+def test_latencies_and_pauses_count_from_the_last_byte() -> None:
+    played = Played(to_all(0, "06 0001 0007"), answered(1, READ, VALUE, latency_ns=8 * MS))
+    first = played.conductor.next_step(BEGIN)
+    assert first is not None
+    played.conductor.has_left(first, BEGIN + 10 * MS)
+    free_ms = TURNAROUND_NS // MS + 10
+    assert (played.sent(free_ms - 1), played.wake(free_ms - 1)) == ([], free_ms)
+    second = played.conductor.next_step(BEGIN + free_ms * MS)
+    assert second is not None
+    played.conductor.has_left(second, BEGIN + (free_ms + 20) * MS)
+    tolerant = Judge(tolerance=Tolerance(share=0.0))
+    tolerant.judge(second, RIGHT, 9 * MS)
+    assert played.answer(1, free_ms + 29) is True
+    assert tolerant.differences() == []
 
 
 def test_answers_of_nobody_are_counted() -> None:

@@ -1,0 +1,104 @@
+"""mbtool replay --as-master: ask a slave what was recorded, and compare."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import typer
+
+from mbtool.cli import exit_codes
+from mbtool.cli.console import PipeConsole
+from mbtool.cli.talk import interruptible, say
+from mbtool.core import InputError, OutputError, UsageError
+from mbtool.views.differences import print_differences
+from mbtool.workflows.mastering import MasterRun, junit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import LinkSpec
+    from mbtool.workflows.mastering import MasterOptions, Report
+
+SIDES = ("recorded", "answered")
+_MAX_RANGES_BYTES = 1 << 20
+
+
+def play_as_master(
+    file: str, to: LinkSpec, options: MasterOptions, report_file: Path | None, learn: Path | None
+) -> None:
+    """Ask, tell what differs, and exit with the code that says whether anything does."""
+    if report_file is not None and report_file.suffix not in (".json", ".xml"):
+        raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
+    run = MasterRun(file, options, say)
+    say(_what_is_played(file, run, to, options))
+    with interruptible() as interrupt:
+        report = run.play(to, stops=lambda: interrupt.asked)
+        was_stopped = interrupt.asked
+    print_differences(PipeConsole(), report.differences, SIDES)
+    say(_outcome(report))
+    if report_file is not None:
+        is_json = report_file.suffix == ".json"
+        document = msgspec.json.format(msgspec.json.encode(report), indent=2) if is_json else b""
+        _write(report_file, document.decode() + "\n" if is_json else junit(report))
+    if learn is not None:
+        _add_ranges(learn, report.learned)
+    if was_stopped:
+        raise typer.Exit(exit_codes.INTERRUPTED)
+    if report.differences:
+        raise typer.Exit(exit_codes.NO)
+
+
+def ranges_of(files: Sequence[Path]) -> list[str]:
+    """The ranges that files name, one in a line; # begins a remark. Raises InputError."""
+    ranges = []
+    for file in files:
+        try:
+            with file.open("rb") as stream:
+                lines = stream.read(_MAX_RANGES_BYTES).decode().splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is no text"
+            raise InputError(f"{file}: cannot be read: {reason}") from error
+        ranges += [text for line in lines if (text := line.partition("#")[0].strip())]
+    return ranges
+
+
+def _add_ranges(file: Path, learned: Sequence[str]) -> None:
+    known: list[str] = []
+    with suppress(InputError):
+        known = ranges_of([file])
+    fresh = [one for one in learned if one not in known]
+    _write(file, "".join(f"{one}\n" for one in [*known, *fresh]))
+    count = "1 range" if len(fresh) == 1 else f"{len(fresh)} ranges"
+    say(f"{count} of registers learned; give --ignore-from {file} to leave them out")
+
+
+def _write(file: Path, text: str) -> None:
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror or error}") from error
+
+
+def _what_is_played(file: str, run: MasterRun, to: LinkSpec, options: MasterOptions) -> str:
+    count = len(run.script.steps)
+    requests = "1 request" if count == 1 else f"{count:,} requests"
+    units = ", ".join(map(str, sorted(run.script.units))) or "all"
+    whom = "unit" if len(run.script.units) == 1 else "units"
+    lasts = "as fast as answers come"
+    if options.rate is not None:
+        lasts = f"{float(run.script.length_ns / options.rate) / 1e9:,.1f} s"
+    return f"{file}: {requests} to {whom} {units} on {to}, {lasts}; Ctrl-C ends"
+
+
+def _outcome(report: Report) -> str:
+    count = "1 request" if report.requests == 1 else f"{report.requests:,} requests"
+    differ = "1 answer" if report.different == 1 else f"{report.different:,} answers"
+    text = f"{count}; {differ} not as recorded"
+    if report.unsolicited:
+        text = f"{text}; {report.unsolicited:,} that nobody asked for"
+    if report.lateness_p99_ns is not None:
+        text = f"{text}; requests left at most {report.lateness_p99_ns / 1e6:.1f} ms late (p99)"
+    return text

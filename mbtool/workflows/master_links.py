@@ -1,0 +1,236 @@
+"""A link on which recorded requests are sent and their answers come back."""
+
+# Over TCP answers find their request by the transaction id, which counts up with each request; on
+# a serial line, and with RTU over TCP, there is one open request, and the next frame of its unit
+# answers it. A connection that the slave closes is opened again for the next request; while that
+# fails, requests have no answer.
+#
+# One thread sends and receives: it waits in `receive` until bytes come or the time is over.
+#
+# Holds: the splitter's incomplete ADU, and the numbers of the requests that are open, at most
+# MAX_OPEN of them; the oldest is forgotten first.
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
+from mbtool.core.link_spec import ANSWERED
+from mbtool.modbus import (
+    Adu,
+    AsciiSplitter,
+    MbapSplitter,
+    RtuSplitter,
+    RtuStreamSplitter,
+    ascii_adu,
+    mbap_adu,
+    rtu_adu,
+)
+from mbtool.replay.conductor import Manners
+from mbtool.replay.script import MAX_OPEN
+from mbtool.slave import open_port
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.modbus import Skipped
+
+CONNECT_S = 5.0
+SLOW_S = 0.5
+"""How long a connection that was lost may take to come back before a request is given up."""
+READ_BYTES = 4096
+LONGEST_WAIT_S = 3600.0
+
+_NS = 1_000_000_000
+
+
+class Answered(NamedTuple):
+    """An answer, from its first byte to its last."""
+
+    number: int
+    """The number that the request was sent with; -1 where no request is open for it."""
+    pdu: bytes
+    start_ns: int
+    end_ns: int
+
+
+class MasterLink(ABC):
+    """Sends requests; a context manager whose exit closes the link."""
+
+    manners: Manners
+
+    @abstractmethod
+    def send(self, number: int, unit: int, pdu: bytes) -> None:
+        """Send a request. Raises LinkError where the link is lost for good."""
+
+    @abstractmethod
+    def receive(self, timeout_ns: int) -> Sequence[Answered]:
+        """The answers that have come; waits for one, at most so long. Raises LinkError."""
+
+    @abstractmethod
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_master(link: LinkSpec, timeout_ns: int) -> MasterLink:
+    """A master on a link, waiting so long for answers. Raises LinkError, UsageError."""
+    if isinstance(link, SerialLink):
+        link.demand_one_port()
+        return SerialMaster(link, timeout_ns)
+    if isinstance(link, TcpLink):
+        return TcpMaster(link, timeout_ns)
+    raise UsageError(f"link {link}: a master needs {ANSWERED}")
+
+
+class TcpMaster(MasterLink):
+    """Speaks Modbus/TCP, or RTU over TCP."""
+
+    def __init__(self, link: TcpLink, timeout_ns: int) -> None:
+        """Connect. Raises LinkError."""
+        self.manners = Manners(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
+        self.reconnected = 0
+        self._link = link
+        self._open: dict[int, tuple[int, int]] = {}
+        """By transaction id, or 0 with RTU: the request's number and unit."""
+        self._last_id = 0
+        self._socket: socket.socket | None = self._connect(CONNECT_S)
+
+    def send(self, number: int, unit: int, pdu: bytes) -> None:
+        if self._socket is None:
+            try:
+                self._socket = self._connect(SLOW_S)
+            except LinkError:
+                return
+            self.reconnected += 1
+        if self._link.rtu:
+            self._open.clear()
+            adu = rtu_adu(unit, pdu)
+        else:
+            self._last_id = self._last_id % 0xFFFF + 1
+            adu = mbap_adu(self._last_id, unit, pdu)
+        self._open[self._last_id] = number, unit
+        if len(self._open) > MAX_OPEN:
+            del self._open[next(iter(self._open))]
+        try:
+            self._socket.sendall(adu)
+        except OSError:
+            self._lose()
+
+    def receive(self, timeout_ns: int) -> Sequence[Answered]:
+        wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
+        if self._socket is None:
+            time.sleep(wait_s)
+            return ()
+        if not select.select([self._socket], [], [], wait_s)[0]:
+            return ()
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except OSError:
+            data = b""
+        now_ns = time.monotonic_ns()
+        if not data:
+            self._lose()
+            return ()
+        return [
+            answer
+            for event in self._splitter.feed(data, now_ns)
+            if (answer := self._matched(event)) is not None
+        ]
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _matched(self, event: Adu | Skipped) -> Answered | None:
+        if not isinstance(event, Adu):
+            return None
+        number, unit = self._open.get(event.transaction_id or 0, (-1, -1))
+        if self._link.rtu and unit != event.unit:
+            number = -1  # Another unit's. A Modbus/TCP slave may give any (FA3: the id counts).
+        if number >= 0:
+            del self._open[event.transaction_id or 0]
+        return Answered(number, event.pdu, event.start_ns, event.end_ns)
+
+    def _lose(self) -> None:
+        self.close()
+        self._open.clear()
+
+    def _connect(self, timeout_s: float) -> socket.socket:
+        endpoint = self._link.endpoint
+        try:
+            connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
+        except OSError as error:
+            why = "no answer" if isinstance(error, TimeoutError) else error.strerror or error
+            raise LinkError(
+                f"{self._link}: cannot be reached: {why}; does a slave listen there?"
+            ) from error
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(Direction.RESPONSE)
+        return connected
+
+
+class SerialMaster(MasterLink):
+    """Speaks RTU or ASCII on a serial port."""
+
+    def __init__(self, link: SerialLink, timeout_ns: int) -> None:
+        """Open the port. Raises LinkError."""
+        self.manners = Manners(
+            timeout_ns=timeout_ns, one_at_a_time=True, pause_ns=link.format.t3_5_ns
+        )
+        self._link = link
+        self._port = open_port(link, link.format.t3_5_ns / _NS)
+        splitter = AsciiSplitter if link.ascii else RtuSplitter
+        self._splitter: AsciiSplitter | RtuSplitter = splitter(
+            link.format, speaker=Direction.RESPONSE
+        )
+        self._open: tuple[int, int] | None = None
+
+    def send(self, number: int, unit: int, pdu: bytes) -> None:
+        adu = (ascii_adu if self._link.ascii else rtu_adu)(unit, pdu)
+        self._open = number, unit
+        try:
+            self._port.write(adu)
+            # The answer's silence begins where the request ends, and so does its time-out.
+            self._port.flush()
+        except OSError as error:
+            raise self._lost() from error
+
+    def receive(self, timeout_ns: int) -> Sequence[Answered]:
+        until_ns = time.monotonic_ns() + max(timeout_ns, 0)
+        answers: list[Answered] = []
+        while not answers:
+            rest_ns = until_ns - time.monotonic_ns()
+            self._port.timeout = min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS
+            try:
+                data = self._port.read(self._port.in_waiting or 1)
+            except OSError as error:  # pyserial's errors are OSErrors too.
+                raise self._lost() from error
+            now_ns = time.monotonic_ns()
+            events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
+            answers = [self._matched(event) for event in events if isinstance(event, Adu)]
+            if rest_ns <= 0:
+                break
+        return answers
+
+    def close(self) -> None:
+        self._port.close()
+
+    def _matched(self, adu: Adu) -> Answered:
+        number, unit = self._open if self._open is not None else (-1, -1)
+        if unit != adu.unit:
+            return Answered(-1, adu.pdu, adu.start_ns, adu.end_ns)
+        self._open = None
+        return Answered(number, adu.pdu, adu.start_ns, adu.end_ns)
+
+    def _lost(self) -> LinkError:
+        return LinkError(f"serial port {self._link.port}: lost; is it still plugged in?")

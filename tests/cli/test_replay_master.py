@@ -1,0 +1,117 @@
+"""mbtool replay --as-master."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.cli import exit_codes
+from mbtool.core import parse_link
+from mbtool.modbus import Answer
+from mbtool.slave import open_shell
+from tests.slave.scripted import Scripted
+from tests.workflows.evidence import VALUES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from tests.cli.program import CommandLine
+
+WRONG = bytes.fromhex("03 04 1234 0001")
+
+
+@pytest.fixture
+def right() -> Iterator[str]:
+    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda *_: Answer(VALUES))) as shell:
+        yield shell.place
+
+
+@pytest.fixture
+def wrong() -> Iterator[str]:
+    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda *_: Answer(WRONG))) as shell:
+        yield shell.place
+
+
+def test_right_answers_exit_with_0(mbtool: CommandLine, capture: Path, right: str) -> None:
+    told = mbtool("replay", capture, "--as-master", "--to", right, "--speed", "max")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    begin, end = told.err.splitlines()
+    assert begin.startswith(f"{capture}: ")
+    assert begin.endswith(f" to unit 1 on {right}, as fast as answers come; Ctrl-C ends")
+    assert end.endswith("; 0 answers not as recorded")
+
+
+def test_wrong_answers_are_a_table_and_exit_with_1(
+    mbtool: CommandLine, capture: Path, wrong: str
+) -> None:
+    told = mbtool("replay", capture, "--as-master", "--to", wrong, "--speed", "max")
+    assert told.code == exit_codes.NO
+    assert [line.rstrip() for line in told.lines] == [
+        "unit 1",
+        "differs  function  what       recorded  answered",
+        "value    read      holding 1  22136     1",
+        "",
+    ]
+
+
+@pytest.mark.parametrize("suffix", ["json", "xml"])
+def test_a_report_is_written(
+    mbtool: CommandLine, capture: Path, wrong: str, tmp_path: Path, suffix: str
+) -> None:
+    file = tmp_path / f"report.{suffix}"
+    told = mbtool(
+        "replay", capture, "--as-master", "--to", wrong, "--speed", "max", "--report", file
+    )
+    assert told.code == exit_codes.NO
+    text = file.read_text()
+    if suffix == "json":
+        assert json.loads(text)["different"] > 0
+    else:
+        assert "recorded 22136, answered 1" in text
+
+
+def test_what_differs_is_learned_and_left_out_the_next_time(
+    mbtool: CommandLine, capture: Path, wrong: str, tmp_path: Path
+) -> None:
+    ranges = tmp_path / "ranges.txt"
+    play = ("replay", capture, "--as-master", "--to", wrong, "--speed", "max")
+    assert mbtool(*play, "--learn", ranges).code == exit_codes.DONE
+    assert ranges.read_text() == "holding 1\n"
+    assert mbtool(*play, "--ignore-from", ranges).code == exit_codes.DONE
+    assert mbtool(*play).code == exit_codes.NO
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "say which side to play: --as-slave --on LINK, or --as-master --to LINK"),
+        (["--as-slave", "--as-master"], "say which side to play"),
+        (["--as-master"], "--as-master goes with --to LINK"),
+        (["--as-master", "--on", "tcp:127.0.0.1:1"], "--as-master goes with --to LINK"),
+        (["--as-slave", "--to", "tcp:127.0.0.1:1"], "--as-slave goes with --on LINK"),
+        (["--as-master", "--to", "net:eth0"], "a master needs rtu:PORT"),
+        (["--as-master", "--to", "tcp:127.0.0.1:1", "--speed", "0"], "--speed '0': write a factor"),
+        (["--as-master", "--to", "tcp:127.0.0.1:1", "--speed", "1/0"], "--speed '1/0': write"),
+        (["--as-master", "--to", "tcp:127.0.0.1:1", "--report", "a.txt"], "name a .json file"),
+    ],
+)
+def test_wrong_usage_is_told(
+    mbtool: CommandLine, capture: Path, arguments: list[str], says: str
+) -> None:
+    told = mbtool("replay", capture, *arguments)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert says in told.err
+
+
+def test_what_cannot_be_read_or_reached_is_told(
+    mbtool: CommandLine, capture: Path, right: str, tmp_path: Path
+) -> None:
+    away = mbtool("replay", capture, "--as-master", "--to", "tcp:127.0.0.1:1")
+    assert (away.code, "does a slave listen there" in away.err) == (exit_codes.UNREADABLE, True)
+    none = mbtool(
+        "replay", capture, "--as-master", "--to", right, "--ignore-from", tmp_path / "none"
+    )
+    assert (none.code, "cannot be read" in none.err) == (exit_codes.UNREADABLE, True)
