@@ -34,7 +34,6 @@ WITHOUT_A_TEST_OF_THEIR_OWN = {
     "modbus/adu.py": "data without behaviour",
     "modbus/answer.py": "data and a protocol",
     "packets/stream_events.py": "data without behaviour",
-    "sources/relay.py": "a tap's connections, which test_tap.py tests",
     "sources/clock.py": "the system's clock, in one line",
     "cli/exit_codes.py": "numbers",
 }
@@ -43,6 +42,7 @@ WITHOUT_A_TEST_OF_THEIR_OWN = {
 WITHOUT_A_MODULE_OF_THEIR_OWN = {
     "cases/test_worked_examples.py",
     "cases/test_worked_examples_pdu.py",
+    "devices/test_wrong_profiles.py",
     "test_architecture.py",
 }
 """Tests of several rooms at once, beside those in the folders below."""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.decoding import Record
+    from mbtool.workflows.model_hints import ModelHints
     from mbtool.workflows.reading import Reading
 
 STANDARD_INPUT = "-"
@@ -80,18 +81,15 @@ def decode(
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.options import assignments, condition, file_line, silence, tcp_ports
-    from mbtool.cli.output import open_output
+    from mbtool.cli.output import demand_other_file, open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError, UsageError
+    from mbtool.workflows.model_hints import ModelHints
     from mbtool.workflows.reading import Reading, ReadingOptions, followed
 
     if follow and (raw or link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
-    for file in files:
-        if output is not None and _is_same(file, output):
-            raise UsageError(
-                f"{output}: it is read, and would be written over; name another --output"
-            )
+    demand_other_file(files, output)
     devices = assignments(device)
     wanted = condition(where)
     ports, any_port = tcp_ports(port)
@@ -110,8 +108,9 @@ def decode(
     def profile_for(one: NamedTransaction) -> Profile | None:
         return reading.assignments.profile_for(one)
 
+    hints = ModelHints(profile_for)
     with (
-        _with_remarks(reading),
+        _with_remarks(reading, hints),
         open_output(
             output, format_, events, profile_for, wanted, limit, reading.demand_files
         ) as out,
@@ -129,6 +128,7 @@ def decode(
         # A pipe may bring a live capture: each line is wanted at once, by a program, too.
         is_watched = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
         for record in records if follow or out.on_terminal else _with_progress(reading, records):
+            hints.note(record)
             out.add(record)
             if is_watched:
                 out.wait()
@@ -145,14 +145,14 @@ def decode(
 
 
 @contextmanager
-def _with_remarks(reading: Reading) -> Iterator[None]:
+def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
     """Say at the end, however it comes, what there is to know of the files."""
     from mbtool.cli.talk import say
 
     try:
         yield
     finally:
-        for remark in reading.remarks:
+        for remark in (*reading.remarks, *hints.remarks):
             say(remark)
 
 
@@ -162,15 +162,6 @@ def _is_piped() -> bool:
         return not stat.S_ISREG(os.fstat(0).st_mode)
     except OSError:  # It is closed, which opening it tells.
         return False
-
-
-def _is_same(file: str, output: str) -> bool:
-    if STANDARD_INPUT in (file, output):
-        return False
-    try:
-        return os.path.samefile(file, output)
-    except OSError:  # One of them is not there.
-        return os.path.abspath(file) == os.path.abspath(output)
 
 
 def _with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:

@@ -1,25 +1,148 @@
-"""mbtool devices: the built-in profiles, or one in full."""
+"""mbtool devices: the device profiles, and profiles of the user's own."""
+
+# `mbtool devices` lists, `mbtool devices NAME` shows one: a word that is none of the commands below
+# is the name of a profile, or its path, and goes to the hidden command "show". A file that is
+# called as a command is can be shown by its path, ./new.toml. The commands are in devices_own.py.
 
 from __future__ import annotations
 
-from typing import Annotated
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+
+from mbtool.cli.devices_own import draft, export, import_, new, schema
+from mbtool.cli.options import LineOption, PortOption, RtuPortOption
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.workflows.reading import ReadingOptions
+
+_SHOW = "show"
 
 
-def devices(
-    name: Annotated[
+class _ShowsByDefault(TyperGroup):
+    """A group in which every other word is the name of a profile."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        if args[0] not in self.commands or args[0] == _SHOW:
+            args = [_SHOW, *args]
+        return super().resolve_command(ctx, args)
+
+    def format_usage(self, ctx: Any, formatter: Any) -> None:
+        formatter.write_usage(ctx.command_path, "[NAME]")
+        formatter.write_usage(ctx.command_path, "--match FILE [NAME]...")
+        formatter.write_usage(ctx.command_path, "COMMAND [ARGS]...")
+
+
+class MatchFormat(StrEnum):
+    """How matches are printed."""
+
+    TABLE = "table"
+    JSONL = "jsonl"
+
+
+devices = typer.Typer(
+    cls=_ShowsByDefault,
+    help="List device profiles, show one in full, or make your own.\n\n"
+    "NAME is a profile's name, or the path of a TOML file.",
+)
+devices.command("new")(new)
+devices.command("import")(import_)
+devices.command("draft")(draft)
+devices.command("export")(export)
+devices.command("schema")(schema)
+
+
+@devices.callback(invoke_without_command=True)
+def _devices(
+    context: typer.Context,
+    matched: Annotated[
         str | None,
-        typer.Argument(metavar="NAME", help="A profile's name, or the path of a TOML file."),
+        typer.Option(
+            "--match",
+            metavar="FILE",
+            help="Say which profiles explain the traffic of each slave in a capture or log best, "
+            "and why. A NAME behind it adds a profile of your own to the built-in ones.",
+        ),
     ] = None,
+    format_: Annotated[
+        MatchFormat, typer.Option("--format", help="How to print what --match says.")
+    ] = MatchFormat.TABLE,
+    port: PortOption = None,
+    rtu_port: RtuPortOption = None,
+    link: LineOption = None,
 ) -> None:
-    """List the device profiles, or show one in full."""
+    from mbtool.cli.options import file_line, tcp_ports
+    from mbtool.core import UsageError
+    from mbtool.workflows.reading import ReadingOptions
+
+    is_about_match = port or rtu_port or link or format_ is not MatchFormat.TABLE
+    if matched is None:
+        if is_about_match:
+            raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
+        if context.invoked_subcommand is None:
+            _list()
+        return
+    if context.invoked_subcommand not in (None, _SHOW):
+        raise UsageError(f"--match does not go with {context.invoked_subcommand}")
+    ports, any_port = tcp_ports(port)
+    options = ReadingOptions(
+        ports=ports, rtu_ports=rtu_port or (), any_port=any_port, line=file_line(link)
+    )
+    if context.invoked_subcommand is None:
+        _match(matched, (), options, format_)
+    else:
+        context.obj = lambda names: _match(matched, names, options, format_)
+
+
+@devices.command(_SHOW, hidden=True)
+def _show(
+    context: typer.Context, names: Annotated[list[str], typer.Argument(metavar="NAME")]
+) -> None:
+    """Show a profile in full."""
+    from mbtool.cli.console import PipeConsole
+    from mbtool.core import UsageError
+    from mbtool.devices import load_profile
+    from mbtool.views.profile import profile_page
+
+    if context.obj is not None:
+        context.obj(names)
+        return
+    if len(names) > 1:
+        raise UsageError(f"one profile is shown at a time, not {len(names)}: {', '.join(names)}")
+    PipeConsole().print(profile_page(load_profile(names[0])))
+
+
+def _list() -> None:
     from mbtool.cli.console import PipeConsole
     from mbtool.devices import builtin_profiles, load_profile
-    from mbtool.views.profile import profile_list, profile_page
+    from mbtool.views.profile import profile_list
 
-    console = PipeConsole()
-    if name is None:
-        console.print(profile_list([load_profile(one) for one in builtin_profiles()]))
+    PipeConsole().print(profile_list([load_profile(one) for one in builtin_profiles()]))
+
+
+def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: MatchFormat) -> None:
+    import json
+
+    from mbtool.cli.console import PipeConsole
+    from mbtool.cli.devices_own import survey
+    from mbtool.cli.talk import say
+    from mbtool.devices import builtin_profiles, load_profile
+    from mbtool.devices.matching import match
+    from mbtool.views.matches import print_verdicts, verdict_record
+
+    profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]
+    found = survey(file, options)
+    verdicts = [match(one, profiles) for one in found.slaves]
+    if format_ is MatchFormat.JSONL:
+        for verdict in verdicts:
+            typer.echo(json.dumps(verdict_record(verdict), separators=(",", ":")))
     else:
-        console.print(profile_page(load_profile(name)))
+        print_verdicts(PipeConsole(), verdicts)
+    if not verdicts:
+        say(f"{file}: no transaction in it, so nothing to match")
+    if found.forgotten:
+        say(f"{found.forgotten} transactions of further slaves were not looked at")

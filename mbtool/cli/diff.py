@@ -47,7 +47,7 @@ def diff(
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
 ) -> None:
-    """Compare two captures by register and by transaction; exit 1 when they differ.
+    """Compare two captures by meaning; exit 1 when they differ.
 
     Ids, order and times do not count. What counts: slaves and requests that are in one only, ways
     in which a request ended, values that registers had, and latencies that differ by more than

@@ -12,13 +12,15 @@ import signal
 import sys
 from contextlib import suppress
 from io import TextIOWrapper
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from mbtool import __version__
 from mbtool.cli import exit_codes
+from mbtool.cli.check import check
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
@@ -32,15 +34,26 @@ from mbtool.cli.sniff import sniff
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 
+
+class _InOrder(TyperGroup):
+    """The commands as a reader wants them; typer puts one with commands of its own last."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        names = [name for name in self.commands if name != "devices"]
+        return [*names[: names.index("links")], "devices", *names[names.index("links") :]]
+
+
 app = typer.Typer(
+    cls=_InOrder,
     name="mbtool",
     help="Capture, decode and replay Modbus: serial lines, TCP, and the devices' own words.",
     add_completion=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (sniff, decode, replay, diff, slave, devices, links, line, demo):
+for command in (sniff, decode, check, replay, diff, slave, links, line, demo):
     app.command()(command)
+app.add_typer(devices, name="devices")
 
 
 def _version(wanted: bool) -> None:

@@ -15,14 +15,14 @@ from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.workflows.decoding import Record
     from mbtool.workflows.where import Where
 
 STANDARD_OUTPUT = "-"
-_STANDARD_OUTPUT_NAME = "standard output"
+STANDARD_OUTPUT_NAME = "standard output"
 
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
@@ -69,18 +69,18 @@ class Output:
         if not self._wants(record):
             return
         self._tally.add(record)
-        with _told_as_lost(self._name):
+        with told_as_lost(self._name):
             self._printer.print(record, self._tally.transactions)
 
     def wait(self) -> None:
         """Show all that has been printed, before there is a pause."""
-        with _told_as_lost(self._name):
+        with told_as_lost(self._name):
             self._printer.pause()
             self._file.flush()
 
     def finish(self) -> None:
         """Show all that has been printed, at the end."""
-        with _told_as_lost(self._name):
+        with told_as_lost(self._name):
             self._printer.flush()
             self._file.flush()
 
@@ -121,12 +121,12 @@ def open_output(
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if chosen is Format.CSV and shown is not EventChoice.NONE:
         raise UsageError("--events goes with table and jsonl; a CSV row is a transaction")
-    name = path if path is not None and to_file else _STANDARD_OUTPUT_NAME
-    if not to_file and not is_kept and sys.__stdout__ is None:
-        raise OutputError(f"{name}: closed, so what goes there is lost; redirect it to a file")
+    name = path if path is not None and to_file else STANDARD_OUTPUT_NAME
+    if not to_file and not is_kept:
+        demand_standard_output()
     demand_inputs()
-    with _open_file(path if to_file else None) as file:
-        with _told_as_lost(name):
+    with open_file(path if to_file else None) as file:
+        with told_as_lost(name):
             printer = printer_for(chosen, file, profile_for)
         output = Output(file, name, printer, shown, wanted, limit)
         try:
@@ -154,8 +154,35 @@ def _format_of(path: str | None) -> Format:
         ) from None
 
 
+def demand_standard_output() -> None:
+    """See that what is printed goes somewhere. Raises OutputError."""
+    if sys.__stdout__ is None:
+        raise OutputError(
+            f"{STANDARD_OUTPUT_NAME}: closed, so what goes there is lost; redirect it to a file"
+        )
+
+
+def demand_other_file(files: Sequence[str], output: str | None) -> None:
+    """See that no input would be written over. Raises UsageError."""
+    for file in files:
+        if output is not None and _is_same(file, output):
+            raise UsageError(
+                f"{output}: it is read, and would be written over; name another --output"
+            )
+
+
+def _is_same(file: str, output: str) -> bool:
+    if STANDARD_OUTPUT in (file, output):
+        return False
+    try:
+        return os.path.samefile(file, output)
+    except OSError:  # One of them is not there.
+        return os.path.abspath(file) == os.path.abspath(output)
+
+
 @contextmanager
-def _open_file(path: str | None) -> Iterator[TextIO]:
+def open_file(path: str | None) -> Iterator[TextIO]:
+    """A file to write text to, standard output where there is none. Raises UsageError."""
     if path is None:
         yield sys.stdout
         return
@@ -184,7 +211,7 @@ def _close(file: TextIO) -> None:
 
 
 @contextmanager
-def _told_as_lost(name: str) -> Iterator[None]:
+def told_as_lost(name: str) -> Iterator[None]:
     """A full disk is told in the words of this program; a broken pipe stays what it is."""
     try:
         yield

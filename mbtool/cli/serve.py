@@ -10,6 +10,8 @@ from mbtool.cli import exit_codes
 from mbtool.cli.talk import interruptible, say
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.slave import Shell
 
 
@@ -18,17 +20,24 @@ _SILENT_LOOKS = 50
 """A master that is turned away calls again at once; so this is said once in ten seconds."""
 
 
-def serve(shell: Shell, who: str) -> None:
-    """Answer until Ctrl-C. Raises LinkError when the link is lost."""
+def serve(shell: Shell, who: str, look: Callable[[], None] = lambda: None) -> None:
+    """Answer until Ctrl-C; `look` is called now and then, and at the end.
+
+    Raises LinkError when the link is lost, and what `look` raises.
+    """
     with interruptible() as interrupt, shell:
         say(f"{who} on {shell.place}; Ctrl-C ends")
         said, silent = 0, 0
         while not interrupt.asked:
             shell.wait(_LOOK_EVERY_S)
+            look()
+            for note in shell.notes():
+                say(f"mbtool: {note}")
             silent = max(silent - 1, 0)
             if shell.turned_away > said and not silent:
                 say(_turned_away(shell.turned_away - said, shell.places))
                 said, silent = shell.turned_away, _SILENT_LOOKS
+    look()
     raise typer.Exit(exit_codes.INTERRUPTED)
 
 

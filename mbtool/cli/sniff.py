@@ -16,6 +16,16 @@ from mbtool.cli.options import (
     T35Option,
     WhereOption,
 )
+from mbtool.cli.tls_options import (
+    TlsCaOption,
+    TlsCertOption,
+    TlsKeyOption,
+    TlsTargetCaOption,
+    TlsTargetCertOption,
+    TlsTargetKeyOption,
+    TlsTargetNameOption,
+    TlsTargetUnverifiedOption,
+)
 
 
 def sniff(
@@ -59,6 +69,14 @@ def sniff(
     t3_5: T35Option = None,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     events: EventsOption = None,
+    tls_cert: TlsCertOption = None,
+    tls_key: TlsKeyOption = None,
+    tls_ca: TlsCaOption = None,
+    tls_target_ca: TlsTargetCaOption = None,
+    tls_target_unverified: TlsTargetUnverifiedOption = False,
+    tls_target_cert: TlsTargetCertOption = None,
+    tls_target_key: TlsTargetKeyOption = None,
+    tls_target_name: TlsTargetNameOption = None,
 ) -> None:
     """Listen on links, show each transaction as it ends, and log it.
 
@@ -71,6 +89,7 @@ def sniff(
     from mbtool.cli.options import assignments, condition, silence, tcp_ports
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
+    from mbtool.cli.tls_options import listen_tls, target_tls, with_tls
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.devices import Namer
@@ -85,7 +104,17 @@ def sniff(
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
-    specs = [parse_link(link, HEARD) for link in links]
+    specs = with_tls(
+        [parse_link(link, HEARD) for link in links],
+        listen_tls(tls_cert, tls_key, tls_ca),
+        target_tls(
+            tls_target_ca,
+            tls_target_cert,
+            tls_target_key,
+            tls_target_name,
+            unverified=tls_target_unverified,
+        ),
+    )
     devices, wanted = assignments(device), condition(where)
     ports, any_port = tcp_ports(port)
     ports, rtu_ports = ports or [DEFAULT_PORT], rtu_port or []

@@ -9,17 +9,33 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
 
 T = TypeVar("T")
 
 
+_wipes: list[Callable[[], None]] = []
+"""What takes away a line that is drawn over and over."""
+
+
 def say(text: str) -> None:
     """Tell something that is no data, if anyone still listens."""
+    for wipe in _wipes:
+        wipe()
     with suppress(OSError):
         print(text, file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+
+
+@contextmanager
+def drawn_line(wipe: Callable[[], None]) -> Iterator[None]:
+    """While one line is drawn over and over, take it away before something is said."""
+    _wipes.append(wipe)
+    try:
+        yield
+    finally:
+        _wipes.remove(wipe)
 
 
 class Interrupt:

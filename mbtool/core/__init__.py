@@ -10,15 +10,17 @@ from mbtool.core.errors import (
     ProfileError,
     UsageError,
 )
-from mbtool.core.events import EventKind, WireEvent
+from mbtool.core.events import CONNECTION_JOINED, CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.core.evidence import Chunk, Connection, Direction, Endpoint, Packet, Quiet, Stamp
 from mbtool.core.line_settings import LineSettings, parse_line
 from mbtool.core.link_spec import (
     AutoLink,
     InterfaceLink,
     LinkSpec,
+    ListenTls,
     SerialLink,
     TapLink,
+    TargetTls,
     TcpLink,
     parse_link,
 )
@@ -26,6 +28,8 @@ from mbtool.core.serial_format import SerialFormat
 from mbtool.core.silence import Silence
 
 __all__ = [
+    "CONNECTION_JOINED",
+    "CONNECTION_OPENED",
     "AutoLink",
     "Chunk",
     "Connection",
@@ -39,6 +43,7 @@ __all__ = [
     "LineSettings",
     "LinkError",
     "LinkSpec",
+    "ListenTls",
     "MbtoolError",
     "OutputError",
     "Packet",
@@ -49,6 +54,7 @@ __all__ = [
     "Silence",
     "Stamp",
     "TapLink",
+    "TargetTls",
     "TcpLink",
     "UsageError",
     "WireEvent",

@@ -24,7 +24,7 @@ class EventKind(StrEnum):
     DISCARDED = "discarded"
     """What a bound of this program threw away."""
     REFUSED = "refused"
-    """A connection that was not made: the slave behind a tap cannot be reached."""
+    """A connection through a tap that was not made: the slave cannot be reached, or TLS failed."""
     OPENED = "opened"
     CLOSED = "closed"
     UNREADABLE = "unreadable"
@@ -33,6 +33,10 @@ class EventKind(StrEnum):
     """What is heard does not fit how the link was named: two ports are exchanged."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
+
+
+CONNECTION_OPENED, CONNECTION_JOINED = "connection opened", "connection joined"
+"""What OPENED events say: the beginning of a connection is in the capture, or is not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,4 +53,6 @@ class WireEvent:
     raw: bytes = b""
     """The bytes concerned, where there are any."""
     missing: int = 0
-    """How many bytes a gap lost."""
+    """How many bytes are lost, as far as that is known."""
+    packets: int = 0
+    """How many packets of an interface are lost."""

@@ -82,7 +82,7 @@ class InterfaceHere:
 
     @property
     def link(self) -> str:
-        return str(InterfaceLink(self.name))
+        return str(InterfaceLink((self.name,)))
 
     @property
     def may_capture(self) -> bool:

@@ -6,6 +6,7 @@
 #     rtutap:/dev/A@19200-8E1=/dev/B     a relay in a cut line: the master's end, the slaves' end
 #     rtu:/dev/ttyUSB0@auto              settings and mode to be found by listening
 #     net:eth0                           a network interface
+#     net:eth0,eth1                      several that hear one network, flows followed across them
 #     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where to listen, whom to call
 #     tcp:127.0.0.1:1502                 a Modbus/TCP endpoint
 #     rtu+tcp:127.0.0.1:1502             the same with RTU frames
@@ -24,6 +25,8 @@ from mbtool.core.serial_format import SerialFormat
 
 MODBUS_PORT = 502
 AUTO = "auto"
+ANY_INTERFACE = "any"
+MAX_INTERFACES = 16
 
 HEARD = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE "
@@ -114,16 +117,40 @@ class AutoLink:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceLink:
-    """A network interface to listen on."""
+    """A network interface to listen on, or several that hear one network."""
 
-    interface: str
+    interfaces: tuple[str, ...]
 
     @property
     def name(self) -> str:
-        return self.interface
+        return "+".join(self.interfaces)
 
     def __str__(self) -> str:
-        return f"net:{self.interface}"
+        return f"net:{','.join(self.interfaces)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ListenTls:
+    """What a tap shows and demands where masters connect with TLS. All files are PEM."""
+
+    cert: str
+    """The certificate, with those between it and its CA behind it."""
+    key: str | None = None
+    """Where the private key is; None for the same file."""
+    ca: str | None = None
+    """Whose certificates masters must show; None where they need none."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetTls:
+    """What a tap shows and demands where it connects to its target with TLS."""
+
+    ca: str | None
+    """Who vouches for the target; None where that is not checked."""
+    cert: str | None = None
+    key: str | None = None
+    name: str | None = None
+    """What the target's certificate calls it; None for the host of the link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +159,14 @@ class TapLink:
 
     listen: Endpoint
     target: Endpoint
+    listen_tls: ListenTls | None = field(default=None, kw_only=True)
+    target_tls: TargetTls | None = field(default=None, kw_only=True)
+
+    @property
+    def tls_sides(self) -> tuple[str, ...]:
+        """On which sides TLS is spoken: master, slave."""
+        sides = (("master", self.listen_tls), ("slave", self.target_tls))
+        return tuple(name for name, tls in sides if tls is not None)
 
     @property
     def name(self) -> str:
@@ -173,7 +208,7 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
         case "rtutap" | "asciitap":
             return _parse_relay(text, scheme, rest)
         case "net":
-            return InterfaceLink(rest)
+            return _parse_interfaces(text, rest)
         case "tap":
             listen, equals, target = rest.partition("=")
             if not equals:
@@ -240,6 +275,18 @@ def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
     if slave_port in line.ports or line.slave_port is not None:
         raise UsageError(f"link {text!r}: a tap joins two different ports, for example {example}")
     return replace(line, slave_port=slave_port, is_relay=True)
+
+
+def _parse_interfaces(text: str, rest: str) -> InterfaceLink:
+    names = tuple(rest.split(","))
+    if not all(names) or len(names) > MAX_INTERFACES or len(set(names)) < len(names):
+        raise UsageError(
+            f"link {text!r}: name an interface, or up to {MAX_INTERFACES} different ones that hear "
+            "one network, for example net:eth0,eth1"
+        )
+    if ANY_INTERFACE in names[1:] or names[0] == ANY_INTERFACE != rest:
+        raise UsageError(f"link {text!r}: any is all interfaces; name it alone, or those you mean")
+    return InterfaceLink(names)
 
 
 def _parse_endpoint(text: str, part: str) -> Endpoint:

@@ -2,7 +2,8 @@
 
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
 from mbtool.devices.difference import Difference, DifferenceKind, Side
-from mbtool.devices.findings import RULES, finding_text
+from mbtool.devices.dumping import dump_profile
+from mbtool.devices.findings import finding_text
 from mbtool.devices.loading import (
     builtin_profiles,
     load_profile,
@@ -13,6 +14,7 @@ from mbtool.devices.model import (
     Access,
     AnswerWord,
     Area,
+    ByteOrder,
     Exceptions,
     FunctionRule,
     Point,
@@ -25,22 +27,25 @@ from mbtool.devices.model import (
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
 from mbtool.devices.references import parse_reference, write_reference
+from mbtool.devices.schema import profile_schema
 from mbtool.devices.spans import Span, parse_span
+from mbtool.devices.values import Place, registers_of
 from mbtool.devices.wording import describe, describe_points
 
 __all__ = [
-    "RULES",
     "Access",
     "AnswerWord",
     "Area",
     "Assignment",
     "Assignments",
+    "ByteOrder",
     "Difference",
     "DifferenceKind",
     "Exceptions",
     "FunctionRule",
     "NamedTransaction",
     "Namer",
+    "Place",
     "Point",
     "PointType",
     "PointValue",
@@ -54,6 +59,7 @@ __all__ = [
     "builtin_profiles",
     "describe",
     "describe_points",
+    "dump_profile",
     "finding_text",
     "load_profile",
     "parse_assignment",
@@ -61,6 +67,8 @@ __all__ = [
     "parse_span",
     "parse_who",
     "profile_from_json",
+    "profile_schema",
     "profile_to_json",
+    "registers_of",
     "write_reference",
 ]

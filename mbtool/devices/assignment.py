@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from mbtool.core.errors import UsageError
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Profile
+from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -47,6 +48,12 @@ class Who:
             and (self.port is None or self.port == port)
             and (self.unit is None or self.unit == unit)
         )
+
+    def fits_slave(self, destination: str | None, unit: int) -> bool:
+        """The same for a slave as a transaction names it."""
+        host, port = _split_endpoint(destination) if destination is not None else (None, None)
+        number = int(port) if port is not None and port.isdigit() else None
+        return self.fits(host, number, unit)
 
     def __str__(self) -> str:
         if self.host is None:
@@ -103,7 +110,11 @@ class Assignments:
         """Raises UsageError where one WHO has two profiles."""
         # Most specific first, so that the first that fits is the answer.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
-        self._remembered: dict[tuple[str | None, int], Profile | None] = {}
+        self._remembered: dict[tuple[str | None, int, bool], Profile | None] = {}
+        # Made once, since a namer knows a profile by its identity.
+        self._in_ascii = {
+            each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
+        }
         seen: dict[Who, Profile] = {}
         for each in self._assignments:
             first = seen.setdefault(each.who, each.profile)
@@ -133,22 +144,37 @@ class Assignments:
         return list({each.profile.name: each.profile for each in self._assignments}.values())
 
     def profile_for(self, transaction: Transaction) -> Profile | None:
-        """The profile of the slave of a transaction, if the user named one."""
-        key = (transaction.destination, transaction.unit)
+        """The profile of the slave of a transaction, if the user named one.
+
+        On an ASCII line it is the profile in that mode.
+        """
+        in_ascii = transaction.transport is Transport.ASCII
+        key = (transaction.destination, transaction.unit, in_ascii)
         try:
             return self._remembered[key]
         except KeyError:
             pass
         if len(self._remembered) >= _MAX_REMEMBERED:
             self._remembered.clear()
-        profile = self._remembered[key] = self._find(*key)
+        profile = self._find(transaction.destination, transaction.unit)
+        if profile is not None and in_ascii:
+            profile = self._in_ascii[profile.name]
+        self._remembered[key] = profile
         return profile
 
-    def _find(self, destination: str | None, unit: int) -> Profile | None:
-        host, port = _split_endpoint(destination) if destination is not None else (None, None)
+    def profiles_at(self, destination: str) -> list[Profile]:
+        """The profiles of all units that an endpoint may have."""
+        host, port = _split_endpoint(destination)
         number = int(port) if port is not None and port.isdigit() else None
+        return [
+            each.profile
+            for each in self._assignments
+            if each.who.fits(host, number, each.who.unit or 0)
+        ]
+
+    def _find(self, destination: str | None, unit: int) -> Profile | None:
         for each in self._assignments:
-            if each.who.fits(host, number, unit):
+            if each.who.fits_slave(destination, unit):
                 return each.profile
         return None
 

@@ -1,68 +1,82 @@
-"""Rules of a device that one transaction can break, with stable codes."""
+"""Rules of a device's manual and of the standard that one transaction can break, as codes."""
 
-# A code is the profile's prefix, a letter for the rule and a number: FT1A-Q16. The number is the
-# function code in decimal (Q16 is function 10H, "FC16" in the manuals), for E the exception code.
-# The prefix tells whose manual is broken, the letter stays when a limit changes, and the number
-# makes each of them something to filter for.
+# checking/rules.py has the table of all codes, and how a code is made. What takes more than one
+# transaction to see is found in checking/.
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
+import msgspec
+
+from mbtool.devices.checking.rules import DeviceCode, rule_of
+from mbtool.devices.form import is_quantity_wrong, request_codes
+from mbtool.devices.values import places_of
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from mbtool.devices.model import Profile
+    from mbtool.devices.model import Point, Profile
+    from mbtool.devices.named import PointValue
+    from mbtool.modbus.tables import Table
     from mbtool.modbus.transaction import Transaction
 
-RULES = {
-    "F": "The device's manual does not list the function.",
-    "Q": "The quantity is 0 or more than the device's manual allows for the function.",
-    "A": "The function addresses what the device's manual does not have, or does not let it write.",
-    "E": "The device gave an exception code that its manual does not list.",
-}
-"""What each letter stands for, for docs/devices.md."""
-
-_CODE = re.compile(r"(?P<prefix>.+)-(?P<letter>[FQAE])(?P<number>\d{1,3})", re.ASCII)
+Ranges = dict[str, tuple[float | None, float | None]]
+"""The least and the greatest value of the points that have them, by their names."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
     """A code in words, with the figures of its profile where that is given: `limit is 100`."""
-    match = _CODE.fullmatch(code)
-    if match is None:
-        return code
-    number = int(match["number"])
+    parsed = DeviceCode.parse(code)
+    if parsed is None:
+        rule = rule_of(code)
+        return code if rule is None else rule.meaning[0].lower() + rule.meaning[1:].rstrip(".")
+    number = parsed.number
     function = FUNCTIONS.get(number)
-    match match["letter"]:
+    match parsed.rule.code:
         case "F":
             return f"the device has no {function_name(number)}"
         case "Q":
-            rule = profile.rule(number) if profile is not None else None
+            rule_ = profile.rule(number) if profile is not None else None
             return (
-                f"limit is {rule.limit}" if rule and rule.limit else "the quantity is not allowed"
+                f"limit is {rule_.limit}"
+                if rule_ and rule_.limit
+                else "the quantity is not allowed"
             )
         case "A":
             verb = "write" if function is not None and function.writes else "read"
             return f"not an address that one can {verb}"
+        case "W":
+            return "one may only read there"
+        case "V":
+            return "a value outside its range"
         case _:
-            return f"exception {number:02X} ({exception_name(number)}) is not documented"
+            name = exception_name(number) if profile is None else profile.exception_name(number)
+            return f"exception {number:02X} ({name}) is not documented"
 
 
-def request_findings(profile: Profile, transaction: Transaction) -> Iterator[str]:
-    """Codes for what a request asks of its device."""
+def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
+    """Codes for what a request asks of its device, by function, addresses and quantities alone."""
+    function = transaction.function
+    written = _written_by_17h(transaction)
+    standard = request_codes(function, transaction.address, transaction.quantity, written)
+    if profile is None:
+        yield from standard
+        return
     prefix = finding_prefix(profile)
-    function, quantity = transaction.function, transaction.quantity
     rule = profile.rule(function)
     if rule is None:
         yield f"{prefix}-F{function}"
         return
-    if rule.limit is not None and quantity is not None and not 1 <= quantity <= rule.limit:
+    if rule.limit is None:
+        # Where its areas end the device's manual says, and where all end goes without saying.
+        yield from (code for code in standard if code != "MB-106")
+    elif _is_beyond(rule.limit, transaction) or is_quantity_wrong(function, None, written):
         yield f"{prefix}-Q{function}"
-    if not _may_reach(profile, transaction):
-        yield f"{prefix}-A{function}"
+    letter = _unreachable(profile, transaction, written)
+    if letter is not None:
+        yield f"{prefix}-{letter}{function}"
 
 
 def exception_finding(profile: Profile, exception: int) -> str | None:
@@ -72,19 +86,81 @@ def exception_finding(profile: Profile, exception: int) -> str | None:
     return f"{finding_prefix(profile)}-E{exception}"
 
 
+def value_ranges(profile: Profile) -> Ranges:
+    """The ranges that a manual gives for what can be written."""
+    return {
+        place.name: (point.minimum, point.maximum)
+        for point in profile.points
+        if point.minimum is not None or point.maximum is not None
+        for place in places_of(_with_only(profile, point), point.table, writing=True)
+    }
+
+
+def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointValue]:
+    """Those of the values to be written that the manual does not allow."""
+    return [point for point in points if _is_outside(point.value, ranges.get(point.name))]
+
+
+def value_finding(profile: Profile, function: int) -> str:
+    """The code for a value outside its range."""
+    return f"{finding_prefix(profile)}-V{function}"
+
+
 def finding_prefix(profile: Profile) -> str:
     return profile.finding_prefix or profile.name.upper()
 
 
-def _may_reach(profile: Profile, transaction: Transaction) -> bool:
-    """Whether the device has every address that is asked for, and lets it be written."""
+def _is_beyond(limit: int, transaction: Transaction) -> bool:
+    return transaction.quantity is not None and not 1 <= transaction.quantity <= limit
+
+
+def _unreachable(
+    profile: Profile, transaction: Transaction, written: tuple[int, int] | None
+) -> str | None:
+    """The letter for a range that the device does not have, or lets nobody write."""
     known = FUNCTIONS.get(transaction.function)
     if known is None or known.table is None or transaction.address is None:
-        return True
+        return None
     first = transaction.address
     span = range(first, first + max(transaction.quantity or 1, 1))
+    if written is not None:
+        if not profile.allows(known.table, span):
+            return "A"
+        span = range(written[0], written[0] + max(written[1], 1))
+    elif not known.writes:
+        return None if profile.allows(known.table, span) else "A"
+    if profile.allows(known.table, span, writing=True):
+        return "W" if holds_read_only_point(profile, known.table, span) else None
+    return "W" if profile.allows(known.table, span) else "A"
+
+
+def holds_read_only_point(profile: Profile, table: Table, span: range) -> bool:
+    """Whether a range to be written holds a point that one can only read."""
+    fitting = [point for point in profile.points if point.table is table]
+    barred = [point for point in fitting if not point.allows(writing=True)]
+    if not barred:
+        return False
+    open_ = {address for point in fitting if point.allows(writing=True) for address in _held(point)}
+    return any(at in span and at not in open_ for point in barred for at in _held(point))
+
+
+def _held(point: Point) -> Iterator[int]:
+    for address in point.addresses:
+        yield from range(address, address + point.words)
+
+
+def _written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
     if transaction.write_address is None:
-        return profile.allows(known.table, span, writing=known.writes)
-    first = transaction.write_address
-    written = range(first, first + max(len(transaction.request_values or ()), 1))
-    return profile.allows(known.table, span) and profile.allows(known.table, written, writing=True)
+        return None
+    return transaction.write_address, len(transaction.request_values or ())
+
+
+def _with_only(profile: Profile, point: Point) -> Profile:
+    return msgspec.structs.replace(profile, points=[point])
+
+
+def _is_outside(value: float | None, limits: tuple[float | None, float | None] | None) -> bool:
+    if limits is None or value is None:
+        return False
+    least, greatest = limits
+    return (least is not None and value < least) or (greatest is not None and value > greatest)

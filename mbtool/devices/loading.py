@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import functools
 import json
@@ -30,6 +31,7 @@ import msgspec
 
 from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
+from mbtool.devices.schema import docstrings
 from mbtool.devices.validation import validate
 
 MAX_FILE_BYTES = 1 << 20
@@ -38,6 +40,17 @@ MAX_EXTENDED = 8
 _BUILT_IN = Path(__file__).parent / "profiles"
 
 _T = TypeVar("_T", bound=msgspec.Struct)
+
+_TOML_ADVICE = (
+    ("Invalid value", "; a value is a number, a text in quotes, true, false, a list or a table"),
+    ("Expected newline", "; a line has one key and its value"),
+    ("Cannot overwrite a value", "; the key of this line stands further up already"),
+    ("Cannot declare", "; a table is begun once, and [[...]] adds one to a list"),
+    ("Illegal character", "; a text ends in the line where it begins: is a quote missing?"),
+    ("Invalid statement", "; write key = value, or [table]"),
+    ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
+)
+"""What to add to a message of the TOML parser, by how it begins."""
 
 
 def builtin_profiles() -> list[str]:
@@ -54,7 +67,7 @@ def load_profile(name_or_path: str) -> Profile:
     if name_or_path in builtin_profiles():
         return _load_builtin(name_or_path)
     path = Path(name_or_path)
-    if path.suffix == ".toml" or len(path.parts) > 1:
+    if path.suffix == ".toml" or any(separator in name_or_path for separator in "/\\"):
         return _load_file(path)
     raise UsageError(_unknown_name(name_or_path))
 
@@ -81,7 +94,7 @@ def _load_builtin(name: str) -> Profile:
 
 
 def _load_file(path: Path) -> Profile:
-    return _finish(_read(path, depth=1), str(path))
+    return _finish(_read(path), str(path))
 
 
 def _finish(keys: dict[str, Any], file: str) -> Profile:
@@ -91,18 +104,22 @@ def _finish(keys: dict[str, Any], file: str) -> Profile:
 
 
 def _unknown_name(name: str) -> str:
-    known = builtin_profiles()
-    near = difflib.get_close_matches(name.lower(), known, n=2, cutoff=0.5)
-    guess = f"; did you mean {' or '.join(near)}?" if near else "."
     return (
-        f"profile {name!r}: there is none of that name{guess} "
-        f"The built-in ones are {', '.join(known)}; "
+        f"profile {name!r}: there is none of that name{_guess(name) or '.'} "
+        f"The built-in ones are {', '.join(builtin_profiles())}; "
         "a file of your own is named by its path, for example ./pump.toml"
     )
 
 
-def _read(path: Path, depth: int) -> dict[str, Any]:
-    """The parts of a file and of all that it extends."""
+def _guess(name: str) -> str:
+    known = builtin_profiles()
+    near = difflib.get_close_matches(name.lower(), known, n=2, cutoff=0.5)
+    near = near or [each for each in known if name and each.startswith(name.lower())]
+    return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """The parts of a file and of all that it extends; `extending` are those that lead to it."""
     file = str(path)
     keys = _read_toml(path)
     extends = keys.pop("extends", None)
@@ -113,20 +130,24 @@ def _read(path: Path, depth: int) -> dict[str, Any]:
         raise ProfileError(
             file, "extends", f"expected a profile's name or path, not {_shown(extends)}"
         )
-    if depth == MAX_EXTENDED:
-        raise ProfileError(
-            file, "extends", f"more than {MAX_EXTENDED} files extend one another; is it a circle?"
-        )
     extended = _BUILT_IN / f"{extends}.toml"
     if "/" in extends or not extended.is_file():
         extended = path.parent / extends
     if not extended.is_file():
+        advice = _guess(extends) or "; name a built-in one or a file beside this one"
+        raise ProfileError(file, "extends", f"no profile {extends!r}{advice}")
+    chain = (*extending, path)
+    if any(extended.samefile(each) for each in chain):
         raise ProfileError(
             file,
             "extends",
-            f"no profile {extends!r}; name a built-in one or a file beside this one",
+            f"{extends!r} is this file, or extends it in turn; one of them must stand alone",
         )
-    return _merge(_read(extended, depth + 1), own)
+    if len(chain) == MAX_EXTENDED:
+        raise ProfileError(
+            file, "extends", f"more than {MAX_EXTENDED} files extend one another; put some together"
+        )
+    return _merge(_read(extended, chain), own)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -139,17 +160,19 @@ def _read_toml(path: Path) -> dict[str, Any]:
     if len(data) > MAX_FILE_BYTES:
         raise ProfileError(str(path), "size", f"more than {MAX_FILE_BYTES} bytes are no profile")
     try:
-        return tomllib.loads(data.decode())
+        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors begin with a byte order mark.
     except UnicodeDecodeError as error:
-        raise ProfileError(str(path), f"byte {error.start}", "not UTF-8, so not TOML") from error
+        raise ProfileError(
+            str(path), f"byte {error.start}", "not UTF-8, so not TOML; save it as UTF-8"
+        ) from error
     except RecursionError as error:
         raise ProfileError(str(path), "TOML", "nested too deep") from error
     except ValueError as error:
         problem, at, place = str(error).rpartition(" (at ")
+        problem = problem if at else str(error)
+        advice = next((hint for known, hint in _TOML_ADVICE if problem.startswith(known)), "")
         raise ProfileError(
-            str(path),
-            place.rstrip(")") if at else "TOML",
-            f"not TOML: {problem if at else error}",
+            str(path), place.rstrip(")") if at else "TOML", f"not TOML: {problem}{advice}"
         ) from error
 
 
@@ -160,9 +183,12 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            by_name = {part.name: part for part in extended[key]}
-            by_name.update((part.name, part) for part in own[key])
-            merged[key] = list(by_name.values())
+            # What stands twice in one file stays, for validation to tell.
+            places = {part.name: index for index, part in enumerate(extended[key])}
+            merged[key] = list(extended[key])
+            for part in own[key]:
+                at = places.pop(part.name, len(merged[key]))
+                merged[key][at : at + 1] = [part]
     if "notes" in extended and "notes" in own:
         merged["notes"] = extended["notes"] + own["notes"]
     return merged
@@ -179,17 +205,21 @@ def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
     if "functions" in keys:
         parts["functions"] = _parse_functions(keys["functions"], file)
     if "exceptions" in keys:
-        _convert(Exceptions, keys["exceptions"], file, "exceptions")
+        exceptions = _convert(Exceptions, keys["exceptions"], file, "exceptions")
+        parts["exceptions"] = dict(keys["exceptions"])
+        if exceptions.texts:
+            parts["exceptions"]["texts"] = exceptions.texts
     if "timing" in keys:
         _convert(Timing, keys["timing"], file, "timing")
     if not isinstance(keys.get("notes", []), list):
-        raise ProfileError(file, "notes", f"expected a list, not {_shown(keys['notes'])}")
+        raise ProfileError(file, "notes", _expected_list(keys["notes"], []))
     return parts
 
 
 def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
     if not isinstance(value, list):
-        raise ProfileError(file, key, f"expected [[{key}]] tables, not {_shown(value)}")
+        what = f"one [{key}]" if isinstance(value, dict) else _shown(value)
+        raise ProfileError(file, key, f"expected [[{key}]] tables, not {what}")
     parts = []
     for index, item in enumerate(value):
         name = item.get("name") if isinstance(item, dict) else None
@@ -200,7 +230,7 @@ def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
 
 def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
     if not isinstance(value, dict):
-        raise ProfileError(file, "functions", f"expected a table, not {_shown(value)}")
+        raise ProfileError(file, "functions", f"expected a table, [functions], not {_shown(value)}")
     rules = {}
     for code, rule in value.items():
         if re.fullmatch("[0-7][0-9A-Fa-f]", code) is None or int(code, 16) == 0:
@@ -209,6 +239,8 @@ def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
                 f"functions.{code}",
                 "a function code is two hexadecimal digits, 01 to 7F, for example 10 for 16",
             )
+        if code.upper() in rules:
+            raise ProfileError(file, f"functions.{code}", "the function has its key already")
         rules[code.upper()] = _convert(FunctionRule, rule, file, f"functions.{code}")
     return rules
 
@@ -216,14 +248,18 @@ def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
 def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
     """Make one part of a profile, or say which of its keys is wrong and why."""
     if not isinstance(value, dict):
-        raise ProfileError(file, key, f"expected a table, not {_shown(value)}")
+        raise ProfileError(file, key, f"expected a table, {{ key = value }}, not {_shown(value)}")
     _refuse_unknown(cls, value, file, key)
-    for field in msgspec.structs.fields(cls):
-        if field.required and field.name not in value:
-            raise ProfileError(file, _join(key, field.name), "this key is missing")
+    for name in _required(cls):
+        if name not in value:
+            about = docstrings(cls)[name].partition("\n")[0].removesuffix(".")
+            raise ProfileError(
+                file, _join(key, name), f"this key is missing: {about[0].lower()}{about[1:]}"
+            )
     fields = dict(value)
-    if "texts" in value:
-        fields["texts"] = _parse_texts(value["texts"], file, _join(key, "texts"))
+    for name in ("texts", "bits"):
+        if name in value:
+            fields[name] = _parse_texts(value[name], file, _join(key, name))
     if cls is FunctionRule and "answer" in value:
         fields["answer"] = _convert(AnswerWord, value["answer"], file, _join(key, "answer"))
     try:
@@ -231,6 +267,11 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
     except msgspec.ValidationError as error:
         where, problem = _explain(str(error), cls, fields)
         raise ProfileError(file, _join(key, where), problem) from error
+
+
+@functools.cache
+def _required(cls: type[msgspec.Struct]) -> list[str]:
+    return [field.name for field in msgspec.structs.fields(cls) if field.required]
 
 
 def _refuse_unknown(cls: type[msgspec.Struct], value: dict[str, Any], file: str, key: str) -> None:
@@ -248,13 +289,16 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
     texts = {}
     for number, text in value.items():
         try:
-            texts[int(number, 0)] = text
+            parsed = int(number, 0)
         except ValueError:
             raise ProfileError(
                 file, f"{key}.{number}", "the key is no number; write 3 or 0x0E30"
             ) from None
+        if parsed in texts:
+            raise ProfileError(file, f"{key}.{number}", f"{parsed} has its text already")
         if not isinstance(text, str):
             raise ProfileError(file, f"{key}.{number}", f"expected a text, not {_shown(text)}")
+        texts[parsed] = text
     return texts
 
 
@@ -264,6 +308,7 @@ _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 _WORDS = {
     "int": "a whole number",
     "float": "a number",
+    "int | float": "a number",
     "str": "a text",
     "bool": "true or false",
     "array": "a list",
@@ -279,12 +324,19 @@ def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, 
     for name, index in _STEP.findall(match["path"]):
         value = value[name] if name else value[int(index)]
     choices = _choices(cls, match["path"])
+    if match["problem"] == "Expected `array`":
+        return match["path"], _expected_list(value, choices)
     if choices:
         return match["path"], f"expected one of {', '.join(choices)}, not {_shown(value)}"
     problem = re.sub(
-        r"`(\w+)( \| null)?`", lambda type_: _WORDS.get(type_[1], type_[1]), match["problem"]
+        r"`([\w| ]+?)( \| null)?`", lambda type_: _WORDS.get(type_[1], type_[1]), match["problem"]
     )
     return match["path"], f"{problem[0].lower()}{problem[1:]}, not {_shown(value)}"
+
+
+def _expected_list(value: object, choices: list[str]) -> str:
+    example = choices[0] if choices and value not in choices else value
+    return f"expected a list, for example [{_shown(example)}], not {_shown(value)}"
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
@@ -292,7 +344,7 @@ def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
     hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
     for kind in (hint, *typing.get_args(hint)):
         if isinstance(kind, type) and issubclass(kind, StrEnum):
-            return list(kind)
+            return [member.value for member in kind]
     return []
 
 
@@ -303,4 +355,6 @@ def _join(key: str, name: str) -> str:
 def _shown(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, datetime.date | datetime.time):
+        return str(value)
     return reprlib.repr(value)

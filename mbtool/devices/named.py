@@ -7,7 +7,8 @@ import msgspec
 from mbtool.modbus.transaction import Outcome, Transaction
 
 
-class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+# No cycle passes through one, so the garbage collector need not visit the many that are kept.
+class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """The value of a named point."""
 
     name: str
@@ -16,7 +17,8 @@ class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     value: int | float | None = None
     """An integer, unless the point has a scale or is a float.
 
-    Absent where it is no number: a 32-bit value that is infinite or not a number.
+    Absent where it is no number: a float that is infinite or not a number, a string, digits that
+    are not BCD.
     """
     text: str
     """The value as the manual would put it: `CH1 CH2 CH6 CH8 enabled`, `27.5 s`."""

@@ -17,14 +17,25 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.devices.assignment import Assignments
-from mbtool.devices.findings import exception_finding, request_findings
+from mbtool.devices.findings import (
+    Ranges,
+    exception_finding,
+    request_findings,
+    value_finding,
+    value_ranges,
+    values_outside,
+)
+from mbtool.devices.form import form_codes
+from mbtool.devices.identity import identity_points
 from mbtool.devices.model import AnswerWord, Point, PointType, Profile
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
-from mbtool.devices.values import Place
+from mbtool.devices.values import Place, places_of
 from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.pdu import pdu_of
 from mbtool.modbus.tables import Table
+from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,40 +89,55 @@ class _Vocabulary:
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
-        self._places: dict[Table, list[Place]] = {}
-        self._addresses: dict[Table, list[int]] = {}
+        self._places: dict[tuple[Table, bool], list[Place]] = {}
+        """By table, and whether it is written."""
+        self._addresses: dict[tuple[Table, bool], list[int]] = {}
         self._remembered: dict[tuple[int, ...], _Meaning] = {}
+        self._ranges: Ranges = {}
         if profile is not None:
             self._compile(profile)
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._meaning(transaction)
-        findings = meaning.findings
-        if transaction.exception is not None and self.profile is not None:
-            extra = exception_finding(self.profile, transaction.exception)
-            findings = (*findings, extra) if extra is not None else findings
+        points = _points(meaning, transaction)
         fields = msgspec.structs.asdict(transaction)
+        if transaction.exception is not None and self.profile is not None:
+            fields["exception_name"] = self.profile.exception_name(transaction.exception)
         if meaning.function_name is not None:
             fields["function_name"] = meaning.function_name
         return NamedTransaction(
             **fields,
             device=self.profile.name if self.profile is not None else None,
             reference=meaning.reference,
-            points=_points(meaning, transaction),
-            findings=list(findings),
+            points=points,
+            findings=self._findings(meaning, transaction, points),
         )
 
+    def _findings(
+        self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
+    ) -> list[str]:
+        # What nobody asked for was not asked for wrongly.
+        asked = transaction.outcome is not Outcome.UNSOLICITED
+        findings = [*meaning.findings] if asked else []
+        findings += form_codes(transaction)
+        profile = self.profile
+        if profile is not None:
+            if transaction.exception is not None:
+                undocumented = exception_finding(profile, transaction.exception)
+                findings += [undocumented] if undocumented is not None else []
+            if self._ranges and transaction.request_values and points:
+                written = points[: len(meaning.written)]
+                if meaning.written and values_outside(self._ranges, written):
+                    findings.append(value_finding(profile, transaction.function))
+        return findings
+
     def _compile(self, profile: Profile) -> None:
+        self._ranges = value_ranges(profile)
         for table in Table:
-            places = [
-                Place(point, address, write_reference(profile, table, address, point.type.words))
-                for point in profile.points
-                if point.table is table
-                for address in point.addresses
-            ]
-            places.sort(key=lambda place: place.address)
-            self._places[table] = places
-            self._addresses[table] = [place.address for place in places]
+            for writing in (False, True):
+                places = places_of(profile, table, writing=writing)
+                self._places[table, writing] = places
+                self._addresses[table, writing] = [place.address for place in places]
 
     def _meaning(self, transaction: Transaction) -> _Meaning:
         # -1 stands for what a transaction does not have; no field on a wire is negative.
@@ -135,11 +161,10 @@ class _Vocabulary:
             transaction.address,
             transaction.quantity,
         )
-        findings: tuple[str, ...] = ()
+        findings = tuple(request_findings(self.profile, transaction))
         title: str | None = None
         answer: Place | None = None
         if self.profile is not None:
-            findings = tuple(request_findings(self.profile, transaction))
             rule = self.profile.rule(function)
             if rule is not None:
                 title = rule.title
@@ -147,15 +172,16 @@ class _Vocabulary:
         known = FUNCTIONS.get(function)
         if known is None or known.table is None or address is None:
             return _Meaning(title, answer=answer, findings=findings)
-        reference = write_reference(self.profile, known.table, address, quantity)
-        places = self._between(known.table, address, max(quantity or 1, 1))
+        writes = known.writes and function != _READ_WRITE
+        reference = write_reference(self.profile, known.table, address, quantity, writing=writes)
+        places = self._between(known.table, address, max(quantity or 1, 1), writing=writes)
         if function == _READ_WRITE and transaction.write_address is not None:
             start, count = transaction.write_address, len(transaction.request_values or ())
-            written = write_reference(self.profile, known.table, start, count)
+            written = write_reference(self.profile, known.table, start, count, writing=True)
             return _Meaning(
                 title,
                 reference=f"{reference}, write {written}",
-                written=self._between(known.table, start, count),
+                written=self._between(known.table, start, count, writing=True),
                 read=places,
                 findings=findings,
             )
@@ -169,16 +195,39 @@ class _Vocabulary:
             findings=findings,
         )
 
-    def _between(self, table: Table, address: int, quantity: int) -> tuple[tuple[int, Place], ...]:
-        """The places whose registers or bits are all in a range, each with its index there."""
-        addresses = self._addresses.get(table, [])
+    def _between(
+        self, table: Table, address: int, quantity: int, *, writing: bool
+    ) -> tuple[tuple[int, Place], ...]:
+        """The places whose registers or bits are all in a range, each with its index there.
+
+        What has no name beside others that have one goes by its reference.
+        """
+        addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)
         last = bisect_left(addresses, address + quantity)
-        return tuple(
-            (place.address - address, place)
-            for place in (self._places[table][first:last] if last > first else ())
-            if place.address + place.words <= address + quantity
-        )
+        places = self._places[table, writing][first:last] if last > first else []
+        # What a block holds is there for who asks from its beginning, and then nothing else is.
+        block = address if any(place.block == address for place in places) else None
+        whole = [
+            place
+            for place in places
+            if place.block == block and place.address + place.words <= address + quantity
+        ]
+        if whole and sum(place.words for place in whole) < quantity:
+            whole = self._with_unnamed(whole, table, range(address, address + quantity), writing)
+        return tuple((place.address - address, place) for place in whole)
+
+    def _with_unnamed(
+        self, places: list[Place], table: Table, span: range, writing: bool
+    ) -> list[Place]:
+        named = {word for each in places for word in range(each.address, each.address + each.words)}
+        kind = PointType.BIT if table.is_bits else PointType.UINT16
+        for address in span:
+            if address not in named:
+                reference = write_reference(self.profile, table, address, writing=writing)
+                point = Point(name=reference, table=table, address=address, type=kind)
+                places.append(Place(point, address, reference))
+        return sorted(places, key=lambda place: place.address)
 
 
 def _answer_place(answer: AnswerWord, function: int) -> Place:
@@ -202,13 +251,15 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
         word = _answer_word(transaction)
         if word is not None:
             points.append(meaning.answer.value([word]))
+    if transaction.function in (REPORT_SERVER_ID, ENCAPSULATED):
+        points += identity_points(transaction)
     return points
 
 
 def _values(places: Sequence[tuple[int, Place]], values: Sequence[int]) -> list[PointValue]:
     # A response may bring less than was asked for.
     return [
-        place.value(values[index : index + place.words])
+        place.value_in(values, index)
         for index, place in places
         if index + place.words <= len(values)
     ]

@@ -4,14 +4,19 @@
 # field's word for its table: `holding 107..109`, `coil 0`. So `holding 107` is what older documents
 # call 40108, and no vendor's reference can be mistaken for it.
 #
-# A range that leaves the areas of its profile keeps the vendor's notation if the table has only
-# one; else nothing says which would be meant, and it is written the neutral way.
+# A range that leaves its area keeps the vendor's notation if it ends in an area of the same one, or
+# if the table has only one; else nothing says which would be meant, and it is written the neutral
+# way.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from mbtool.core.errors import UsageError
-from mbtool.devices.model import Area, Profile, Radix
 from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from mbtool.devices.model import Area, Profile
 
 _NEUTRAL = {
     Table.COILS: "coil",
@@ -22,16 +27,24 @@ _NEUTRAL = {
 
 
 def write_reference(
-    profile: Profile | None, table: Table, address: int, quantity: int | None = 1
+    profile: Profile | None,
+    table: Table,
+    address: int,
+    quantity: int | None = 1,
+    *,
+    writing: bool = False,
 ) -> str:
     """A range in the notation of its device: `HR400001..400002`, `X0..XF`, `holding 107..109`.
 
-    A quantity of 0 or None is written as the address alone.
+    A quantity of 0 or None is written as the address alone. `writing` chooses between two areas at
+    one address, of which one is read and the other written.
     """
     last = address + max(quantity or 1, 1) - 1
-    area = _area_to_write_with(profile, table, address, last) if profile is not None else None
-    if area is not None:
-        return area.span(address, last)
+    if profile is not None:
+        area = profile.area(table, address, last - address + 1, writing=writing)
+        area = area or _shared_notation(profile, table, (address, last), writing=writing)
+        if area is not None and area.base + address >= 0:
+            return area.span(address, last)
     word = _NEUTRAL[table]
     return f"{word} {address}..{last}" if last > address else f"{word} {address}"
 
@@ -51,11 +64,14 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
     )
 
 
-def _area_to_write_with(profile: Profile, table: Table, first: int, last: int) -> Area | None:
+def _shared_notation(
+    profile: Profile, table: Table, ends: tuple[int, int], *, writing: bool
+) -> Area | None:
+    """An area with the notation of both ends of a range, else with the only one of its table."""
+    first, last = (profile.area(table, end, writing=writing) for end in ends)
+    if first is not None and last is not None and first.notation == last.notation:
+        return first
     areas = [area for area in profile.areas if area.table is table]
-    for area in areas:
-        if area.holds(table, first, last - first + 1):
-            return area
     return areas[0] if len({area.notation for area in areas}) == 1 else None
 
 
@@ -64,9 +80,11 @@ def _address_in(area: Area, wanted: str) -> int | None:
     if not (wanted.startswith(prefix) and wanted.endswith(suffix)):
         return None
     digits = wanted[len(prefix) : len(wanted) - len(suffix)]
-    valid = "0123456789ABCDEF" if area.radix is Radix.HEX else "0123456789"
     # No reference has more digits; int() of thousands of them would be slow.
-    if not 0 < len(digits) <= 8 or not set(digits) <= set(valid):
+    if len(digits) > 8:
         return None
-    address = int(digits, 16 if area.radix is Radix.HEX else 10) - area.base
+    try:
+        address = area.radix.read(digits) - area.base
+    except ValueError:
+        return None
     return address if area.first <= address <= area.last else None

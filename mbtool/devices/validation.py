@@ -1,23 +1,27 @@
 """What must hold between the keys of a profile."""
 
-# loading.py sees to each key alone. Here: areas that end before they begin or overlap, points
-# outside every area or on top of one another, texts and limits that fit their type.
+# loading.py sees to each key alone. Here: areas that end before they begin or overlap, limits that
+# no frame could carry, points outside every area or on top of one another. What a point says of
+# itself is validated in validation_of_points.py.
 
 from __future__ import annotations
 
-import math
 import re
 from typing import TYPE_CHECKING, NoReturn
 
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.silence import Silence
-from mbtool.devices.model import WORD_BITS, Area, Point, PointType, Profile
+from mbtool.devices.model import Access, Area, Point, Profile
+from mbtool.devices.validation_of_points import Accused, validate_point
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.functions import FUNCTIONS, function_name
 
 if TYPE_CHECKING:
     from mbtool.modbus.tables import Table
 
+_MAX_CODE = 0xFF
+_MAX_SPANS = 5
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-_PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
 
 def validate(profile: Profile, file: str) -> None:
@@ -29,52 +33,97 @@ def validate(profile: Profile, file: str) -> None:
     if not profile.transports:
         raise ProfileError(file, "transports", "is empty; name rtu, ascii or tcp")
     _validate_areas(profile, file)
+    _validate_functions(profile, file)
     _validate_exceptions(profile, file)
     _validate_timing(profile, file)
     _validate_points(profile, file)
 
 
 def _validate_areas(profile: Profile, file: str) -> None:
-    before: dict[Table, Area] = {}
+    before: list[Area] = []
+    names: set[str] = set()
     for area in sorted(profile.areas, key=lambda area: area.first):
-        key = f'areas "{area.name}"'
+        accused = Accused(file, f'areas "{area.name}"')
+        if area.name in names:
+            accused.wrong("name", "another area has this name; give it one of its own")
+        names.add(area.name)
         if area.last < area.first:
-            raise ProfileError(
-                file,
-                f"{key}.last",
-                f"{area.last} (0x{area.last:04X}) ends before it begins, "
-                f"at {area.first} (0x{area.first:04X})",
+            accused.wrong(
+                "last", f"{_address(area.last)} ends before it begins, at {_address(area.first)}"
             )
-        other = before.get(area.table)
-        if other is not None and area.first <= other.last:
-            raise ProfileError(
-                file,
-                f"{key}.first",
-                f'{area.first} (0x{area.first:04X}) lies in area "{other.name}" of the same table, '
-                f"which ends at {other.last} (0x{other.last:04X})",
+        if area.access is not Access.READ and not area.table.is_writable:
+            accused.wrong("access", f"no function writes {area.table}; 'r' would be right")
+        if area.base + area.first < 0:
+            accused.wrong(
+                "base",
+                f"{area.base} gives its first address, {area.first}, the number "
+                f"{area.base + area.first}; {-area.first} or more would be right",
             )
-        if area.access == "rw" and not area.table.is_writable:
-            raise ProfileError(
-                file, f"{key}.access", f"no function writes {area.table}; 'r' would be right"
+        for other in before:
+            if _collide(area, other):
+                accused.wrong(
+                    "first",
+                    f'{_address(area.first)} lies in area "{other.name}" of the same table, which '
+                    f"ends at {_address(other.last)}; only an 'r' and a 'w' area may overlap",
+                )
+        before.append(area)
+
+
+def _collide(area: Area, other: Area) -> bool:
+    # One is read and the other written: two meanings of one address, both beyond doubt.
+    apart = {area.access, other.access} == {Access.READ, Access.WRITE}
+    overlap = area.first <= other.last and other.first <= area.last
+    return area.table is other.table and overlap and not apart
+
+
+def _validate_functions(profile: Profile, file: str) -> None:
+    for digits, rule in profile.functions.items():
+        code = int(digits, 16)
+        accused = Accused(file, f"functions.{digits}")
+        known = FUNCTIONS.get(code)
+        standard = known.limit if known is not None and known.table is not None else None
+        for name in ("limit", "ascii_limit"):
+            limit = getattr(rule, name)
+            if limit is not None and standard is not None and limit > standard:
+                accused.wrong(
+                    name,
+                    f"{limit} is more than the {standard} that the standard allows for "
+                    f"{function_name(code)}",
+                )
+        if rule.ascii_limit is not None and Transport.ASCII not in profile.transports:
+            accused.wrong(
+                "ascii_limit", "the device is on no ASCII line; add 'ascii' to the transports"
             )
-        before[area.table] = area
+        if rule.answer is not None and not rule.answers:
+            accused.wrong("answers", "false, but 'answer' says what it answers; leave one out")
 
 
 def _validate_exceptions(profile: Profile, file: str) -> None:
     codes = profile.exceptions
+    documented = ", ".join(map(str, codes.documented)) or "there are none"
     for key in ("function", "address", "value"):
         code = getattr(codes, key)
         if code not in codes.documented:
             raise ProfileError(
                 file,
                 f"exceptions.{key}",
-                f"{code} is not among the documented codes "
-                f"({', '.join(map(str, codes.documented))})",
+                f"{code} is not among the documented codes ({documented}); add it there, or give "
+                "another",
+            )
+    for code in codes.texts:
+        if not 1 <= code <= _MAX_CODE:
+            raise ProfileError(file, "exceptions.texts", f"{code} is no code; 1 to 255 are")
+        if code not in codes.documented:
+            raise ProfileError(
+                file,
+                "exceptions.texts",
+                f"{code} (0x{code:02X}) is not among the documented codes ({documented}); add it "
+                "there",
             )
 
 
 def _validate_timing(profile: Profile, file: str) -> None:
-    for key in ("t1_5", "t3_5"):
+    for key in ("t1_5", "t3_5", "request_interval"):
         text = getattr(profile.timing, key)
         try:
             if text is not None:
@@ -85,78 +134,64 @@ def _validate_timing(profile: Profile, file: str) -> None:
 
 def _validate_points(profile: Profile, file: str) -> None:
     names: set[str] = set()
-    taken: dict[tuple[Table, int], str] = {}
+    taken: dict[tuple[Table, int | None, int, bool], str] = {}
     for point in profile.points:
-        place = _Place(file, f'points "{point.name}"')
-        _validate_point(point, place)
+        accused = Accused(file, f'points "{point.name}"')
+        validate_point(point, accused)
         if point.name in names:
-            place.wrong("name", "another point has this name")
+            accused.wrong("name", "another point has this name; give it one of its own")
         names.add(point.name)
-        for address in point.addresses:
-            if profile.area(point.table, address, point.type.words) is None:
-                place.wrong(
-                    "address",
-                    f"{point.table} {address} (0x{address:04X}) is outside every area",
-                )
-            for word in range(address, address + point.type.words):
-                other = taken.setdefault((point.table, word), point.name)
-                if other != point.name:
-                    place.wrong(
-                        "address", f'{point.table} {word} (0x{word:04X}) is "{other}" already'
-                    )
-
-
-class _Place:
-    """The point that is looked at, for errors."""
-
-    def __init__(self, file: str, key: str) -> None:
-        self._file = file
-        self._key = key
-
-    def wrong(self, key: str, problem: str) -> NoReturn:
-        raise ProfileError(self._file, f"{self._key}.{key}", problem)
-
-
-def _validate_point(point: Point, place: _Place) -> None:
-    if point.table.is_bits != (point.type is PointType.BIT):
-        right = "bit" if point.table.is_bits else "a type of registers, for example uint16"
-        place.wrong("type", f"{point.type} does not fit {point.table}; {right} would be right")
-    if point.count > 1 and point.stride < point.type.words:
-        place.wrong("stride", f"{point.stride} is less than the {point.type.words} that each takes")
-    if "{" in _PLACEHOLDER.sub("", point.name):
-        place.wrong("name", "only {n} and {reference} are filled in")
-    if point.count > 1 and _PLACEHOLDER.search(point.name) is None:
-        place.wrong("name", f"{point.count} points need {{n}} or {{reference}} in their name")
-    if not math.isfinite(point.scale) or point.scale == 0:
-        place.wrong("scale", f"{point.scale} scales nothing; 0.1 would be right for tenths")
-    _validate_field(point, place)
-    _validate_range(point, place)
-
-
-def _validate_field(point: Point, place: _Place) -> None:
-    bits = point.type.channel_bits
-    if bits == 0:
-        if point.channels is not None:
-            place.wrong(
-                "channels", f"only bit-field and nibble-field have channels, not {point.type}"
+        if point.block is not None and point.block > point.address:
+            accused.wrong(
+                "block",
+                f"{_address(point.block)} is behind the point itself, at {_address(point.address)}",
             )
-        return
-    if point.channels is not None and point.channels * bits > WORD_BITS:
-        place.wrong(
-            "channels", f"{point.channels} do not fit a register; {WORD_BITS // bits} at most do"
+        for address in point.addresses:
+            access = _access(profile, point, address, accused)
+            for word in range(address, address + point.words):
+                for writing in (False, True):
+                    if not access.allows(writing=writing):
+                        continue
+                    place = (point.table, point.block, word, writing)
+                    other = taken.setdefault(place, point.name)
+                    if other != point.name:
+                        accused.wrong(
+                            "address", f'{point.table} {_address(word)} is "{other}" already'
+                        )
+
+
+def _access(profile: Profile, point: Point, address: int, accused: Accused) -> Access:
+    """What a master may do with a point."""
+    areas = [area for area in profile.areas if area.holds(point.table, address, point.words)]
+    if not areas:
+        there = [area for area in profile.areas if area.table is point.table]
+        _wrong_address(point, address, there, accused)
+    if point.access is None:
+        if len(areas) > 1:
+            accused.wrong(
+                "access",
+                f"this key is missing; {point.table} {_address(address)} is read in one area and "
+                "written in another: write 'r' or 'w'",
+            )
+        return areas[0].access
+    if len(areas) == 1 and areas[0].access not in (Access.READ_WRITE, point.access):
+        accused.wrong(
+            "access",
+            f"'{point.access}' is not what its area \"{areas[0].name}\" allows: "
+            f"'{areas[0].access}'",
         )
-    for value in point.texts:
-        if not 0 <= value < 1 << bits:
-            place.wrong("texts", f"{value} does not fit the {bits} bit of each channel")
+    return point.access
 
 
-def _validate_range(point: Point, place: _Place) -> None:
-    low, high = point.minimum, point.maximum
-    if low is not None and high is not None and low > high:
-        place.wrong("minimum", f"{low} is more than the maximum, {high}")
-    if point.default is None:
-        return
-    if point.type is PointType.BIT and point.default > 1:
-        place.wrong("default", f"{point.default} is no bit; 0 or 1 would be right")
-    if (low is not None and point.default < low) or (high is not None and point.default > high):
-        place.wrong("default", f"{point.default} is outside {low}..{high}")
+def _wrong_address(point: Point, address: int, there: list[Area], accused: Accused) -> NoReturn:
+    last = address + point.words - 1
+    where = _address(address) if last == address else f"{address}..{last}"
+    verb = "is in no area" if last == address else "are not in one area"
+    spans = [f"{area.first}..{area.last}" for area in there[:_MAX_SPANS]]
+    spans += ["..."] if len(there) > _MAX_SPANS else []
+    have = f"there are {', '.join(spans)}" if spans else "there is none of that table"
+    accused.wrong("address", f"{point.table} {where} {verb}; {have}")
+
+
+def _address(address: int) -> str:
+    return f"{address} (0x{address:04X})"

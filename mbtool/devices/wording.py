@@ -25,6 +25,8 @@ def describe(transaction: NamedTransaction) -> str:
     phrases = "; ".join(describe_points(transaction.points))
     if not phrases:
         return reference
+    if phrases.startswith(f"{reference} "):
+        return phrases  # A name may begin with its reference: T5 current value.
     joint = ": " if transaction.points[0].name == transaction.points[0].reference else " "
     return f"{reference}{joint}{phrases}" if reference else phrases
 

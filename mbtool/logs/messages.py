@@ -79,6 +79,7 @@ class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     destination: str = ""
     raw: bytes = b""
     missing: int = 0
+    packets: int = 0
 
     @classmethod
     def of(cls, event: WireEvent) -> EventMessage:
@@ -91,6 +92,7 @@ class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
             destination=event.destination,
             raw=event.raw,
             missing=event.missing,
+            packets=event.packets,
         )
 
     def item(self) -> WireEvent:
@@ -103,6 +105,7 @@ class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
             destination=self.destination,
             raw=self.raw,
             missing=self.missing,
+            packets=self.packets,
         )
 
 

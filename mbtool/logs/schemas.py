@@ -107,7 +107,8 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "source": "The sender's endpoint, on a network",
         "destination": "The receiver's endpoint, on a network",
         "raw": "The bytes concerned",
-        "missing": "How many bytes a gap lost",
+        "missing": "How many bytes are lost, as far as that is known",
+        "packets": "How many packets of an interface are lost",
     },
     PointMessage: {
         "ts_ns": "When the transaction that shows it was complete, UTC nanoseconds",

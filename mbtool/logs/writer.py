@@ -22,6 +22,7 @@ from mcap.records import Header
 from mbtool import __version__
 from mbtool.core import Chunk, OutputError, Packet
 from mbtool.devices import NamedTransaction, finding_text
+from mbtool.devices.checking.rules import Severity, severity_of
 from mbtool.logs import schemas
 from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
@@ -175,12 +176,19 @@ class LogWriter:
         return topic
 
 
+_LEVELS = {
+    Severity.ERROR: Level.ERROR,
+    Severity.WARNING: Level.WARNING,
+    Severity.NOTE: Level.INFO,
+}
+
+
 def _finding(code: str, item: NamedTransaction, ts_ns: int) -> LogMessage:
     sec, nsec = divmod(max(ts_ns, 0), 1_000_000_000)
     about = f"{item.function_name} {item.reference}" if item.reference else item.function_name
     return LogMessage(
         timestamp=LogTime(sec=sec, nsec=nsec),
-        level=Level.WARNING,
+        level=_LEVELS[severity_of(code)],
         message=f"{code} {finding_text(code)}: {item.link} unit {item.unit} {about}",
         name=code,
         file=item.link,

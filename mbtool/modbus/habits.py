@@ -7,22 +7,28 @@ from math import log2
 
 _PACE = 1 / 32
 """How much one frame counts: after a few dozen the line's own habit prevails."""
+STEADY = 1 / 96
+"""How much it counts in the end where what is as rare as one in twenty is to be known well."""
+_SLOWER = 31 / 32
 
 
 class Habit:
     """How often something is seen at a frame, as what it costs to suppose it."""
 
-    __slots__ = ("_least", "_most", "_often", "bits")
+    __slots__ = ("_least", "_most", "_often", "_pace", "_slowest", "bits")
 
-    def __init__(self, bits: float, limits: tuple[float, float]) -> None:
+    def __init__(self, bits: float, limits: tuple[float, float], *, slowest: float = _PACE) -> None:
         """`bits` is what it costs before anything was heard."""
         self._least, self._most = limits
         self._often: float = 2**-bits
+        self._pace, self._slowest = _PACE, slowest
         self.bits = bits
 
     def learn(self, *, seen: bool) -> None:
         """Note one more frame."""
-        self._often += (seen - self._often) * _PACE
+        self._often += (seen - self._often) * self._pace
+        if self._pace > self._slowest:
+            self._pace *= _SLOWER
         self.bits = (
             min(max(-log2(self._often), self._least), self._most) if self._often else self._most
         )
@@ -33,6 +39,7 @@ class Habits:
     """What a line does often at its frames."""
 
     skip: Habit
+    noise: Habit
     glue: Habit
     tear: Habit
 
@@ -57,6 +64,10 @@ class Latency:
         self._heard += 1
         self._longest_ns = max(latency_ns, self._longest_ns * 0.998, self.LEAST_NS)
 
+    def learn_warily(self, latency_ns: int) -> None:
+        """The same of what may be none: one alone does no more than double the longest."""
+        self.learn(min(latency_ns, 2 * int(self._longest_ns)))
+
     @property
     def is_known(self) -> bool:
         """Whether enough responses were heard to say."""
@@ -64,5 +75,8 @@ class Latency:
 
     def octaves_late(self, silence_ns: int) -> float:
         """How many doublings a silence is above the longest latency; below 0 for a shorter one."""
-        longest_ns = max(self._longest_ns, 0 if self.is_known else self.FIRST_NS)
+        longest_ns = self._longest_ns
+        if not self.is_known and longest_ns < self.FIRST_NS:
+            # Each response makes what was heard so far count more against what is supposed.
+            longest_ns *= (self.FIRST_NS / longest_ns) ** (1 - self._heard / self.FEW)
         return log2(max(silence_ns, 1) / longest_ns)

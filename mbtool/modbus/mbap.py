@@ -51,6 +51,11 @@ class MbapSplitter:
         self._behind_gap = False
         """Out of step, and no byte has been looked at since the gap."""
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether it is in step and holds nothing: what comes next begins with a header."""
+        return self._in_step and not self._buffer
+
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one segment."""
         self._buffer.append(data, ts_ns)

@@ -20,6 +20,8 @@
 #   after CONTRADICTING ADUs without the structure of their function; where Modbus is expected,
 #   after one that begins like a message of another protocol: the lengths of LDAP, in BER's long
 #   form, look like headers;
+#   where what was seen first of both directions is a record of TLS, also when joined in the middle
+#   (but where it may be RTU: a request for register 0100H of unit 17H looks like one);
 #   after ENOUGH_BYTES that did not suffice.
 # It is one FOREIGN event, which names the other protocol where it is known by how it begins; its
 # further bytes are not looked at.
@@ -28,7 +30,8 @@
 # expected, it is tried both ways.
 #
 # Holds, while undecided, what ENOUGH_BYTES gave at most, in up to four readings. A gap counts for
-# GAP_COUNTS bytes.
+# GAP_COUNTS bytes. Of what is told of the connection meanwhile, the first MAX_TOLD events, each
+# with ENOUGH_BYTES at most.
 
 from __future__ import annotations
 
@@ -53,13 +56,19 @@ ENOUGH = 3
 CONTRADICTING = 3
 ENOUGH_BYTES = 2048
 GAP_COUNTS = 64
+MAX_TOLD = 8
 
 _MBAP = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
 _MBAP_SEEN = 6
 
+TLS = "TLS"
+_TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-\x48].)")
+"""RFC 8446, 5.1, and RFC 5246, 6.2.3: content type, version, at most 2^14 + 2048 bytes."""
+_TLS_SEEN = 5
+
 _OTHERS = {
-    # RFC 8446, 5.1: content type, then version 3.1 to 3.4.
-    "TLS": re.compile(rb"[\x14-\x17]\x03[\x01-\x04]"),
+    # The same.
+    TLS: re.compile(rb"[\x14-\x17]\x03[\x01-\x04]"),
     "HTTP": re.compile(rb"(?:GET|HEAD|POST|PUT|OPTIONS|CONNECT|DELETE|TRACE) |HTTP/"),
     "SSH": re.compile(rb"SSH-"),
     # RFC 4511, 4.1.1: a SEQUENCE that begins with an INTEGER of 1 to 4 bytes.
@@ -101,11 +110,14 @@ class Recognition:
         self.connection = connection
         self._is_expected = expected
         self._demands_beginning = tcp or not expected
+        self._may_be_rtu = rtu
         self._heads: dict[Direction, bytes | None] = dict.fromkeys(
             (Direction.REQUEST, Direction.RESPONSE), None if joined else b""
         )
         """The first bytes of each direction; None where they were not captured."""
         self._first = b""
+        self._seen_first = dict.fromkeys((Direction.REQUEST, Direction.RESPONSE), b"")
+        """What came first of each direction, captured from its beginning or not."""
         self._first_ns = 0
         self._seen = 0
         self._held: list[WireEvent] = []
@@ -120,7 +132,8 @@ class Recognition:
 
     def hold(self, event: WireEvent) -> None:
         """Keep an event that comes out before all else, should this be Modbus."""
-        self._held.append(event)
+        if len(self._held) < MAX_TOLD:
+            self._held.append(replace(event, raw=event.raw[:ENOUGH_BYTES]))
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
         """Take the payload of one segment."""
@@ -136,7 +149,7 @@ class Recognition:
         self._seen += len(now)
         self._first = (self._first + now)[: MAX_RTU_ADU + 1]
         self._look_at_beginning(direction, now)
-        if not self._readings:
+        if not self._readings or self._is_tls(direction, now):
             return self._refuse()
         for reading in self._readings:
             reading.take(reading.feed(direction, now, ts_ns))
@@ -157,7 +170,8 @@ class Recognition:
         self._seen += GAP_COUNTS
         for reading in self._readings:
             reading.take(reading.gap(direction, missing, ts_ns, kind))
-        if self._is_expected:
+        is_tls = not self._may_be_rtu and _name_of(self._first) == TLS
+        if self._is_expected and not is_tls:
             return self._believe(self._readings[-1])
         return self._decide() if self._seen < ENOUGH_BYTES else self._refuse()
 
@@ -199,6 +213,15 @@ class Recognition:
             reading.look_at_beginning(head, direction)
         self._readings = [one for one in self._readings if not one.is_dead]
 
+    def _is_tls(self, direction: Direction, data: bytes) -> bool:
+        """Whether what came first of both directions begins a record of TLS."""
+        if self._may_be_rtu:
+            return False
+        seen = self._seen_first
+        if len(seen[direction]) < _TLS_SEEN:
+            seen[direction] = (seen[direction] + data)[:_TLS_SEEN]
+        return all(_TLS_RECORD.match(first) for first in seen.values())
+
     def _decide(self) -> list[Decoded]:
         """Believe a reading, or refuse all, if what they gave so far suffices for that."""
         for reading in self._readings:
@@ -222,12 +245,18 @@ class Recognition:
         self._held.clear()
         name = self._name()
         what = f"{name}, not Modbus" if name is not None else "not Modbus"
+        message = f"the connection is {what}; its bytes are not looked at"
+        if name == TLS:
+            message = (
+                "the connection is TLS: only its ends can read it; "
+                "a tap with --tls-cert and --tls-target-ca records it in clear"
+            )
         return [
             WireEvent(
                 ts_ns=self._first_ns,
                 link=self.connection.link,
                 kind=EventKind.FOREIGN,
-                message=f"the connection is {what}; its bytes are not looked at",
+                message=message,
                 source=str(self.connection.master),
                 destination=str(self.connection.slave),
                 raw=self._first,
@@ -292,10 +321,14 @@ class _Reading:
                 self._in_a_row = 0
 
     def seen_from_here(self, event: WireEvent) -> WireEvent:
-        """An event of the connection with the ends in the roles that they have here."""
+        """An event of the connection with the ends in the roles that they have here.
+
+        One about bytes names who sent them, whatever the roles.
+        """
         if not self._is_turned:
             return event
-        ends = event.destination, event.source
+        ends = event.source, event.destination
+        ends = ends if event.raw else ends[::-1]
         return replace(event, link=self._connection.link, source=ends[0], destination=ends[1])
 
     def _weigh(self, adu: Adu) -> None:

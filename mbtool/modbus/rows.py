@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import takewhile
+from itertools import groupby, takewhile
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
@@ -43,6 +43,11 @@ class Piece:
     confidence: float = 1.0
     """How sure it is that no other row of pieces explains these bytes."""
 
+    @property
+    def form(self) -> tuple[Kind, int, int, Direction]:
+        """What it is, however sure that is."""
+        return self.kind, self.place, self.size, self.role
+
 
 @dataclass(slots=True, eq=False)
 class Row:
@@ -54,6 +59,8 @@ class Row:
     piece: Piece | None
     skipped: int = 0
     """How many bytes were skipped up to here."""
+    is_noise: bool = False
+    """Whether these stand right behind a frame, and are all such as a line makes that turns."""
     runs: int = 0
     """How often bytes were skipped before: each time makes the next likelier."""
     is_anchored: bool = False
@@ -87,10 +94,14 @@ def _back(end: Row) -> Iterator[Row]:
         row = row.before
 
 
-def agreed_on(pieces: list[Piece], open_row: Row, end: int) -> list[Piece]:
-    """The first pieces, as far as they are right also if more is to come; the rest is open."""
-    laid = {row.piece for row in _back(open_row)}
-    agreed = list(takewhile(lambda piece: replace(piece, confidence=1.0) in laid, pieces))
+def agreed_on(ends: list[Row], open_row: Row, end: int) -> list[Piece]:
+    """The first pieces, as far as they are right also if more is to come; the rest is open.
+
+    How sure they are is what the open row says, which is cheaper than those without it.
+    """
+    laid = {row.piece.form for row in _back(ends[0]) if row.piece} if ends else set()
+    pieces = with_doubts([open_row, *ends])
+    agreed = list(takewhile(lambda piece: piece.form in laid, pieces))
     while agreed and agreed[-1].kind is Kind.SKIPPED:
         agreed.pop()  # There may be more of them.
     place = agreed[-1].place + agreed[-1].size if agreed else 0
@@ -112,13 +123,9 @@ def _differences(best: list[Row], row: Row, rival: Row) -> list[int]:
 
 def merged(pieces: Iterable[Piece]) -> Iterator[Piece]:
     """Join skipped bytes that stand side by side."""
-    run: Piece | None = None
-    for piece in pieces:
-        if run is not None and run.kind is piece.kind is Kind.SKIPPED:
-            run = replace(run, size=run.size + piece.size)
+    for kind, group in groupby(pieces, key=lambda piece: piece.kind):
+        if kind is Kind.SKIPPED:
+            first = next(group)
+            yield Piece(kind, first.place, first.size + sum(piece.size for piece in group))
         else:
-            if run is not None:
-                yield run
-            run = piece
-    if run is not None:
-        yield run
+            yield from group

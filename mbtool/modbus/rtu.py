@@ -33,16 +33,16 @@ from mbtool.modbus.adu import (
     Verdict,
 )
 from mbtool.modbus.framing import crc
-from mbtool.modbus.habits import Habit, Habits
+from mbtool.modbus.habits import STEADY, Habit, Habits
 from mbtool.modbus.rows import Kind, Piece
 from mbtool.modbus.rtu_structure import MIN_FRAME, frame_size, why_skipped
-from mbtool.modbus.tiling import LONG_SKIP, Tiling, Window
+from mbtool.modbus.tiling import LONG_SKIP, NOISE, Tiling, Window
 from mbtool.modbus.turns import ROLES, SURE, Judgement, Turns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
-WINDOW = 1024
+WINDOW = 512
 HOLD_NS = 300_000_000
 """A little more than the longest latency timer of an FTDI adapter, 255 ms."""
 MAX_TEARS = 16
@@ -51,6 +51,7 @@ MAX_TEARS = 16
 _RARELY = 0.8
 """Bits: from so rarely glued frames on, the silences between them tell who speaks."""
 _ALMOST_CERTAIN = 0.98
+_NEARLY_CERTAIN = 0.95
 _LIKELY = weights.REQUEST + weights.NEW_REQUEST
 """What a frame may cost to be taken without a search."""
 
@@ -79,6 +80,7 @@ class RtuSplitter:
         self._turns = turns or Turns(timed=timed)
         self._habits = Habits(
             skip=Habit(weights.SKIP, weights.SKIP_LIMITS),
+            noise=Habit(weights.NOISE, weights.NOISE_LIMITS, slowest=STEADY),
             glue=Habit(weights.GLUED if timed else 0.0, weights.GLUED_LIMITS),
             tear=Habit(weights.TORN, weights.TORN_LIMITS),
         )
@@ -90,6 +92,8 @@ class RtuSplitter:
         """The silences since something was last given out."""
         self._awaited = MIN_FRAME
         """How many bytes there have to be before the front can tell more."""
+        self._was_noise = False
+        """Whether the bytes skipped last were all such as a line makes that turns around."""
         self._given: tuple[int, Verdict] | None = None
         """When the last byte given out arrived, and what that makes of a frame close behind it."""
 
@@ -202,17 +206,24 @@ class RtuSplitter:
         cost = self._turns.weigh(turn, unit, pdu, judgement.direction, start_ns)
         if cost > _LIKELY:
             return None
-        if len(roles) > 1 and not self._is_told(judgement):
+        if len(roles) > 1 and not self._is_told(judgement, head, found):
             return None
         return found, judgement
 
-    def _is_told(self, judgement: Judgement) -> bool:
+    def _is_told(self, judgement: Judgement, head: bytes, size: int) -> bool:
         """Whether the direction of a frame that has the form of both is beyond doubt."""
         if self._turns.trusts_silences:
             return judgement.confidence >= SURE
+        if judgement.direction is Direction.REQUEST:
+            return judgement.confidence >= _ALMOST_CERTAIN
         # Without silences the same frame twice may be a request and its echo, or one that was
-        # repeated. What comes behind them tells.
-        return judgement.direction is Direction.REQUEST and judgement.confidence >= _ALMOST_CERTAIN
+        # repeated. What comes behind them tells, and how long the line was silent in all.
+        behind = head[size : 2 * size]
+        return (
+            judgement.confidence >= _NEARLY_CERTAIN
+            and not head.startswith(behind)
+            and not self._turns.pause_cost(self._turns.turn)
+        )
 
     def _search(self, events: list[Adu | Skipped], *, may_go_on: bool, keep: int = 0) -> None:
         """Explain all that is held, and give it out but for a frame that has only begun.
@@ -273,7 +284,7 @@ class RtuSplitter:
         unit, pdu = raw[0], raw[1:-2]
         self._learn(size, before_ns, longest_ns)
         if self._speaker is None:
-            self._turns.hear(judgement, unit, pdu, start_ns, end_ns)
+            self._turns.hear(judgement, unit, pdu, start_ns, end_ns, longest_ns)
         self._drop(size, Verdict.GLUED)
         check = int.from_bytes(raw[-2:], "little")
         events.append(
@@ -306,6 +317,7 @@ class RtuSplitter:
         """Note what the frame at the front tells of the line and its adapter."""
         was_skipped = self._is_behind_noise
         self._habits.skip.learn(seen=was_skipped)
+        self._habits.noise.learn(seen=was_skipped and self._was_noise)
         if self._timed:
             if before_ns is not None and not was_skipped:
                 self._habits.glue.learn(seen=before_ns < self._t3_5_ns)
@@ -342,6 +354,8 @@ class RtuSplitter:
                 cut = next((each for each in range(1, size) if self._is_silent(each)), size)
                 kind, reason, check = why_skipped(bytes(self._data[:cut]), self._roles)
             raw, first_ns = bytes(self._data[:cut]), self._times[0]
+            goes_on = self._is_behind_noise
+            self._was_noise = NOISE.issuperset(raw) and (self._was_noise or not goes_on)
             self._drop(cut, Verdict.NOISE_BEFORE)
             events.append(Skipped(first_ns, kind, reason, raw, check))
             size -= cut

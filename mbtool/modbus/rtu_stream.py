@@ -29,6 +29,11 @@ class RtuStreamSplitter:
         self._buffer = TimedBuffer()
         self._skips = SkipRun(partial(why_skipped, directions=(direction,)))
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether it holds no beginning of a frame."""
+        return not self._buffer
+
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one segment."""
         self._buffer.append(data, ts_ns)

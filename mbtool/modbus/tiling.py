@@ -23,10 +23,12 @@ from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
+from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.oddities import is_counted
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.modbus.rows import DOUBT, Kind, Piece, Row, agreed_on, merged, with_doubts
 from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
-from mbtool.modbus.turns import ROLES, Turn, Turns, is_counted
+from mbtool.modbus.turns import ROLES, Turn, Turns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +44,7 @@ LOST_BYTES = (1, 2)
 LONG_SKIP = 4
 """Skipped bytes after which the turn is in doubt: a damaged frame may be among them."""
 
-_NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
+NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 _QUERY_DATA = b"\x08\x00\x00"
 """Sub-function 0 of 08 may be longer than usual, and nothing tells how long (V1.1b3, 6.8.1)."""
 
@@ -71,6 +73,8 @@ class _Frame:
     role: Direction
     roles: tuple[Direction, ...]
     cost: float
+    is_unbound: bool = False
+    """Whether its CRC alone tells where it ends."""
 
 
 class Tiling:
@@ -91,6 +95,8 @@ class Tiling:
         self._lowest = [float("inf")] * (self._end + 1)
         self._open_row: Row | None = None
         """The cheapest that ends in a frame which is still to be completed."""
+        self._open_limit = float("inf")
+        """What such a row has to be cheaper than."""
         self._reach = float("inf")
         """What a row may cost at most beside one that has come further."""
         self._found: dict[int, list[_Frame]] = {}
@@ -101,23 +107,25 @@ class Tiling:
     def pieces(self) -> list[Piece]:
         """The cheapest explanation, in order, without a hole."""
         skipped = int(self._window.is_behind_noise)
-        self._rows[0] = [Row(0.0, self._turns.turn, None, None, skipped, 0, not skipped)]
+        self._rows[0] = [Row(0.0, self._turns.turn, None, None, skipped, is_anchored=not skipped)]
         for place in range(self._end):
             rows = self._rows[place]
             if rows:
                 ahead = min(self._lowest[place + 1 : place + MAX_RTU_ADU + 1])
                 self._reach = ahead + weights.MARGIN
-                if self._open_row is not None:
-                    self._reach = min(self._reach, self._open_row.cost + weights.OPEN_MARGIN)
+                self._reach = min(self._reach, self._open_limit + weights.OPEN_MARGIN)
                 rows = [row for row in rows if row.cost <= self._reach]
                 if rows:
                     self._go_on(place, rows)
                 self._rows[place] = []
-        ends = sorted(self._rows[self._end], key=lambda row: row.cost)
-        pieces = list(with_doubts(ends)) if ends else []
-        if self._open_row is not None and (not ends or self._open_row.cost <= ends[0].cost):
-            pieces = agreed_on(pieces, self._open_row, self._end)
-        return list(merged(pieces))
+        ends = self._rows[self._end]
+        for row in ends:
+            row.cost += self._turns.pause_cost(row.turn, is_last=True)
+        ends.sort(key=lambda row: row.cost)
+        opened = self._open_row
+        if opened is not None and (not ends or opened.cost <= ends[0].cost):
+            return list(merged(agreed_on(ends, opened, self._end)))
+        return list(merged(with_doubts(ends)))
 
     def _add(self, place: int, row: Row) -> None:
         """Keep a row, if none that leads to the same turn is cheaper."""
@@ -143,7 +151,7 @@ class Tiling:
         """Lay every piece that may begin at a place."""
         frames = self._frames(place)
         silent = self._window.silences[place]
-        anchored = [row for row in rows if silent or row.is_anchored or self._is_due(row, place)]
+        anchored = [row for row in rows if silent or self._is_anchored(row, place)]
         unknown = list(self._unknown(place)) if anchored and not frames else []
         starts = 0.0 if silent else self._habits.glue.bits
         for row in rows:
@@ -160,6 +168,12 @@ class Tiling:
             self._lay_open(place, row, turn, starts, is_unknown=bool(unknown))
             self._lay_skip(place, row, bool(frames), bool(unknown))
 
+    def _is_anchored(self, row: Row, place: int) -> bool:
+        """Whether a frame is likely to begin at a place: behind another, or as it is due."""
+        if row.is_anchored or (row.is_noise and row.skipped < LONG_SKIP):
+            return True
+        return self._is_due(row, place)
+
     def _is_due(self, row: Row, place: int) -> bool:
         """Whether a row leads to a request whose response may begin at a place."""
         waiting = row.turn.waiting
@@ -174,61 +188,87 @@ class Tiling:
         unit, pdu = raw[0], raw[1:-2]
         start_ns = self._window.start_ns(place)
         cost = frame.cost + starts + self._tears(place, frame.size)
+        if frame.is_unbound and self._is_due(row, place):
+            cost += weights.UNKNOWN_DUE - weights.UNKNOWN
         follows = turn
         if not self._is_known:
             end_ns = self._window.times[place + frame.size - 1]
             cost += self._turns.weigh(turn, unit, pdu, frame.role, start_ns)
-            follows = self._turns.follow(turn, unit, pdu, frame.role, start_ns, end_ns)
+            inside_ns = self._longest_ns(place, frame.size)
+            if self._turns.ends_pause(turn, frame.role, start_ns, inside_ns):
+                cost += self._turns.pause_cost(turn)
+            follows = self._turns.follow(turn, unit, pdu, frame.role, start_ns, end_ns, inside_ns)
         piece = Piece(Kind.FRAME, place, frame.size, frame.role, frame.roles)
         total = row.cost + cost
-        self._add(place + frame.size, Row(total, follows, row, piece, 0, row.runs, True))
+        self._add(
+            place + frame.size, Row(total, follows, row, piece, runs=row.runs, is_anchored=True)
+        )
 
     def _lay_open(
         self, place: int, row: Row, turn: Turn, starts: float, *, is_unknown: bool
     ) -> None:
+        least = row.cost + starts + weights.OPEN + weights.FORESEEN + weights.WAIT
+        if least >= self._open_limit:
+            return
         expected, cost = self._open(place, turn)
         if cost is None:
             return
         size = self._end - place
+        is_foreseen = cost < 0.0
         cost += row.cost + starts
         if self._frames(place) or is_unknown:
             cost += weights.OPEN_OVER_FRAME_DUE if expected else weights.OPEN_OVER_FRAME
         is_zero = size == 1 and self._data[place] == 0  # Noise, or the end of what was laid before.
-        if (row.is_anchored or self._window.silences[place]) and not is_zero:
-            cost += weights.WAIT + self._inside(place, size, known=expected)
+        is_likely = row.is_anchored or self._window.silences[place] or is_foreseen
+        if is_likely and not is_zero:
+            cost += weights.WAIT
+            if cost >= self._open_limit:
+                return
+            cost += self._inside(place, size, known=expected)
         else:
             cost += self._tears(place, size) + size * weights.SKIP_MORE
         opened = Row(cost, turn, row, Piece(Kind.OPEN, place, size))
         if not self._window.silences[self._end]:  # A full window is decided but for its end.
             self._add(self._end, opened)
-        elif self._open_row is None or cost < self._open_row.cost:
-            self._open_row = opened
+        elif cost < self._open_limit:
+            self._open_row, self._open_limit = opened, cost
 
     def _lay_damaged(self, place: int, row: Row, turn: Turn, starts: float) -> None:
         for size, cost in self._damaged(place, turn):
             cost += starts + size * weights.SKIP_MORE
             piece = Piece(Kind.DAMAGED, place, size)
             lost = turn if self._is_known else turn.behind_damage()
-            self._add(place + size, Row(row.cost + cost, lost, row, piece, 0, row.runs))
+            self._add(place + size, Row(row.cost + cost, lost, row, piece, runs=row.runs))
 
     def _lay_skip(self, place: int, row: Row, is_frame: bool, is_unknown: bool) -> None:
-        if row.skipped:
+        is_noise = self._data[place] in NOISE and (row.is_anchored or row.is_noise)
+        goes_on = row.skipped and is_noise is row.is_noise
+        if goes_on:
             cost = weights.SKIP_MORE
-        else:
+        elif is_noise:
+            often = self._habits.noise.bits
+            cost = min(often, max(often - row.runs, weights.NOISE_AT_ONCE))
+        else:  # Noise, and what is no noise behind it, are two troubles.
             cost = max(self._habits.skip.bits - row.runs, weights.SKIP_LIMITS[0])
-            if self._data[place] in _NOISE:
-                cost += weights.SKIP_NOISE
         if is_frame:
             cost += weights.COINCIDENCE
         elif is_unknown:
             cost += weights.UNKNOWN_COINCIDENCE
         piece = Piece(Kind.SKIPPED, place, 1)
-        runs = row.runs + (not row.skipped)
-        self._add(place + 1, Row(row.cost + cost, row.turn, row, piece, row.skipped + 1, runs))
+        runs = row.runs + (not goes_on)
+        skipped = row.skipped + 1
+        self._add(place + 1, Row(row.cost + cost, row.turn, row, piece, skipped, is_noise, runs))
 
     def _tears(self, place: int, size: int) -> float:
         torn = self._torn[place + size] - self._torn[place + 1]
         return self._habits.tear.bits + (torn - 1) * weights.TORN_MORE if torn else 0.0
+
+    def _longest_ns(self, place: int, size: int) -> int:
+        """The longest silence inside a piece, if there is one of t3.5."""
+        if self._torn[place + size] == self._torn[place + 1]:
+            return 0
+        times = self._window.times[place : place + size]
+        return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
     def _inside(self, place: int, size: int, *, known: bool) -> float:
         """What it costs that silences stand inside a piece, and that frames begin there."""
@@ -275,6 +315,8 @@ class Tiling:
             for role in self._roles:
                 odd = weights.MALFORMED if frame_size(head, role) else 0.0
                 cost = weights.UNKNOWN_BETWEEN_SILENCES + odd
+                if head[burst - 1] == 0:
+                    cost += self._ends_in_zero(place, burst)
                 yield _Frame(burst, role, self._roles, cost)
         unsized = [role for role in self._roles if head[1] and frame_size(head, role) == 0]
         if head[1:4] == _QUERY_DATA:
@@ -284,11 +326,24 @@ class Tiling:
         for size in crc_ends(head, MOST_UNKNOWN_ENDS):
             if size == burst:
                 continue
-            cost = weights.UNKNOWN + self._swallowed(place, size, known=False)
+            cost = self._swallowed(place, size, known=False)
+            is_burst = size < burst and not any(head[size:burst])  # But for the 00 behind it.
+            cost += weights.UNKNOWN_BETWEEN_SILENCES if is_burst else weights.UNKNOWN
+            is_unbound = not is_burst
             if head[size - 1] == 0:
-                cost += weights.ENDS_IN_ZERO
+                cost += self._ends_in_zero(place, size)
             for role in unsized:
-                yield _Frame(size, role, self._roles, cost)
+                yield _Frame(size, role, self._roles, cost, is_unbound)
+
+    def _ends_in_zero(self, place: int, size: int) -> float:
+        """What it costs that a frame which no known form bounds ends in 00."""
+        raw = self._data[place : place + size]
+        zeros = size - max(len(raw.rstrip(b"\x00")), MIN_FRAME)
+        if not zeros:
+            return 0.0
+        more = (zeros - 1) * weights.ENDS_IN_ZERO_MORE
+        is_last = self._window.silences[place + size]
+        return weights.ENDS_IN_ZERO + more - (weights.ADHERES if is_last else 0.0)
 
     def _burst(self, place: int) -> int:
         """How many bytes there are up to the next silence; 0 where none stands near."""
@@ -347,8 +402,13 @@ class Tiling:
             size = frame_size(head, role)
             if size is None or rest < size <= MAX_RTU_ADU:
                 expected, cost = self._expected(head, size or 0, role, turn)
+                if role is Direction.REQUEST and is_counted(head[1:]):
+                    cost = weights.FORESEEN
             elif size == 0 or head[1:4] == _QUERY_DATA[: rest - 1]:
-                expected, cost = False, weights.UNKNOWN_BETWEEN_SILENCES
+                expected = self._turns.expects(turn, head[0], head[1], 0, role)
+                cost = weights.UNKNOWN_BETWEEN_SILENCES
+                if role is Direction.REQUEST and head[1] & EXCEPTION_BIT:
+                    cost += weights.ODD_REQUEST
             else:
                 continue
             if expected:

@@ -23,7 +23,8 @@ class Outcome(StrEnum):
     """Answered, but the answer does not have the form it must have."""
 
 
-class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+# No cycle passes through one, so the garbage collector need not visit the many that are kept.
+class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """A request and its response. A field that does not apply is None, and absent in JSON.
 
     Times are UTC nanoseconds. Registers are integers 0..65535, bits 0 or 1.

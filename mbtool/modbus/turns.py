@@ -6,6 +6,10 @@
 # the form of a request is one. Requests and answers of 05, 06, 08, 15H and 16H look alike, so there
 # only the turn decides, and the silences: masters wait longer for an answer than slaves take.
 #
+# Where an adapter hands over several frames at once, all silences among them come out as one before
+# them. Then a silence does not tell which answer was late, but a longer one than is usual here says
+# that some answer was missing: an explanation in which none is pays for it (pause_cost).
+#
 # A `Turn` is a value, so that the search for frames (tiling.py) can suppose one. `Turns` keeps the
 # turn that has come about, and what the line has taught: bounded by MAX_KNOWN requests.
 
@@ -20,7 +24,8 @@ from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.expectation import Expectation
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
-from mbtool.modbus.habits import Latency
+from mbtool.modbus.habits import Habit, Latency
+from mbtool.modbus.oddities import READ_BITS, is_odd_request, is_odd_response, is_padded
 from mbtool.modbus.packing import bit_bytes
 from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
 
@@ -39,12 +44,10 @@ SURE = 0.8
 
 CERTAIN = frozenset((DirectionBy.FORM, DirectionBy.PORT))
 ROLES = (Direction.REQUEST, Direction.RESPONSE)
-READ_BITS = (0x01, 0x02)
-READ_REGISTERS = (0x03, 0x04, 0x17)
 ECHOED = ("address", "value", "sub_function", "and_mask", "or_mask", "mei_type", "quantity")
 """The numbers that a response has only to repeat them."""
-COUNTS = frozenset((2, *range(11, 19)))
-"""Sub-functions of 08 that ask for a register or a count (V1.1b3, 6.8.1)."""
+TIMER_NS = 255_000_000
+"""The longest latency timer of an FTDI adapter."""
 MARGIN_OCTAVES = 0.25
 """A response is late when it takes a fifth longer than the longest latency of the line."""
 MAX_UNIT = 247
@@ -72,6 +75,10 @@ class Waiting:
     before_ns: int | None
     """The silence before it, where something was heard before."""
 
+    def since(self, since_ns: int) -> Waiting:
+        """The same, as if it had been asked at another time."""
+        return Waiting(self.unit, self.pdu, self.expected, since_ns, self.before_ns)
+
     def fits(self, unit: int, pdu: bytes) -> bool:
         return unit == self.unit and self.expected.fits(pdu)
 
@@ -85,7 +92,7 @@ class Turn:
 
     waiting: Waiting | None = None
     owed: Waiting | None = None
-    """A request that the master repeated, or whose answer was damaged: it may still come."""
+    """A request that the master gave up, or whose answer was damaged: it may still come."""
     answered: Waiting | None = None
     """The request that the last frame answered."""
     lost: bool = False
@@ -94,10 +101,14 @@ class Turn:
     """Whether a frame was heard that is surely a request, or surely a response."""
     last_ns: int | None = None
     """The time of the last frame's last byte; None at the start of a capture."""
+    pause_ns: int = 0
+    """On a line whose frames are glued, the last silence heard, if no missing answer explains it:
+    it may have been anywhere among the frames glued behind it."""
 
     def behind_damage(self) -> Turn:
         """The turn after bytes that could not be read."""
-        return replace(self, waiting=None, owed=self.waiting or self.owed, lost=True)
+        owed = self.waiting or self.owed
+        return Turn(None, owed, self.answered, lost=True, sure=self.sure, last_ns=self.last_ns)
 
 
 class Turns:
@@ -111,7 +122,11 @@ class Turns:
         self._known: dict[tuple[int, bytes], None] = {}
         self._asked: set[tuple[int, int]] = set()
         """Units with the functions that they were asked."""
+        self._timed = timed
         self._latency = Latency()
+        self._pauses = Latency()
+        """The silences among glued frames in which no answer was missing."""
+        self._again = Habit(weights.ASKED_AGAIN, weights.ASKED_AGAIN_LIMITS)
         self._doubted: tuple[int, bytes] | None = None
         """The last frame, if it was ambiguous: its echo is no surer than `_doubt`."""
         self._doubt = 1.0
@@ -175,11 +190,46 @@ class Turns:
         """Whether a request was heard before."""
         return (unit, pdu) in self._known
 
-    def hear(self, judgement: Judgement, unit: int, pdu: bytes, start_ns: int, end_ns: int) -> None:
-        """Note a frame that was given out, and learn from it."""
+    def pause_cost(self, turn: Turn, *, is_last: bool = False) -> float:
+        """What it costs that in the last silence no answer was missing.
+
+        `is_last` says that nothing is heard behind it as yet.
+        """
+        if not turn.pause_ns:
+            return 0.0
+        octaves = self._pauses.octaves_late(turn.pause_ns)
+        late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
+        if octaves <= MARGIN_OCTAVES:
+            return 0.0
+        cost = min(late, weights.MOST_FOR_LATENESS)
+        # An adapter that waits for more before it hands over makes such a silence, too.
+        return cost / 2 if is_last and turn.pause_ns <= TIMER_NS else cost
+
+    def ends_pause(self, turn: Turn, role: Direction, start_ns: int, inside_ns: int) -> bool:
+        """Whether a frame leaves the last silence to what came before it."""
+        if not turn.pause_ns or (role is Direction.REQUEST and turn.answered is None):
+            return False
+        return inside_ns > 0 or start_ns - (turn.last_ns or start_ns) > 0
+
+    def hear(
+        self,
+        judgement: Judgement,
+        unit: int,
+        pdu: bytes,
+        start_ns: int,
+        end_ns: int,
+        inside_ns: int = 0,
+    ) -> None:
+        """Note a frame that was given out, and learn from it.
+
+        `inside_ns` is the longest silence in it.
+        """
         role = judgement.direction
         if role is Direction.REQUEST:
             self._remember(unit, pdu)
+            answered = self.turn.answered
+            if answered is not None and judgement.confidence >= SURE:
+                self._again.learn(seen=(answered.unit, answered.pdu) == (unit, pdu))
         elif self.trusts_silences and judgement.confidence >= SURE:
             waiting = self.turn.waiting
             if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
@@ -187,7 +237,9 @@ class Turns:
         sure = judgement.by in CERTAIN
         is_doubtful = judgement.confidence < SURE and self._doubted != (unit, pdu)
         self._doubted, self._doubt = ((unit, pdu) if is_doubtful else None), judgement.confidence
-        self.turn = self.follow(self.turn, unit, pdu, role, start_ns, end_ns, sure=sure)
+        if self.ends_pause(self.turn, role, start_ns, inside_ns):
+            self._pauses.learn_warily(self.turn.pause_ns)
+        self.turn = self.follow(self.turn, unit, pdu, role, start_ns, end_ns, inside_ns, sure=sure)
 
     def begin_anew(self) -> None:
         """Forget whose turn it was: the clock was set back."""
@@ -206,24 +258,35 @@ class Turns:
         role: Direction,
         start_ns: int,
         end_ns: int,
+        inside_ns: int = 0,
         *,
         sure: bool = False,
     ) -> Turn:
         """The turn after a frame."""
         waiting, sure = turn.waiting, sure or turn.sure
+        pause_ns = self._pause_ns(turn, role, start_ns, inside_ns)
         if role is Direction.REQUEST:
             expected = Expectation.of(pdu) if unit else None  # Nobody answers a broadcast.
             if expected is None:
-                return Turn(sure=sure, last_ns=end_ns)
-            repeated = waiting is not None and (waiting.unit, waiting.pdu) == (unit, pdu)
+                return Turn(sure=sure, last_ns=end_ns, pause_ns=pause_ns)
             before_ns = None if turn.last_ns is None else start_ns - turn.last_ns
             request = Waiting(unit, pdu, expected, end_ns, before_ns)
-            owed = waiting if repeated else None
-            return Turn(waiting=request, owed=owed, sure=sure, last_ns=end_ns)
-        if waiting is not None and waiting.unit != unit:
-            return Turn(waiting=waiting, owed=turn.owed, sure=sure, last_ns=end_ns)
-        owed = turn.owed if waiting else None
-        return Turn(owed=owed, answered=waiting or turn.owed, sure=sure, last_ns=end_ns)
+            owed = waiting and waiting.since(end_ns)
+            return Turn(waiting=request, owed=owed, sure=sure, last_ns=end_ns, pause_ns=pause_ns)
+        owed, answered = turn.owed, None
+        if waiting is None or waiting.unit == unit:
+            owed, answered, waiting = (owed if waiting else None), waiting or owed, None
+        return Turn(waiting, owed, answered, sure=sure, last_ns=end_ns, pause_ns=pause_ns)
+
+    def _pause_ns(self, turn: Turn, role: Direction, start_ns: int, inside_ns: int) -> int:
+        """The last silence after a frame, if it is not explained."""
+        if self.trusts_silences or not self._timed:
+            return 0
+        if inside_ns:
+            return inside_ns
+        if role is Direction.REQUEST and turn.answered is None:
+            return 0  # None has answered what came before: that is what the silence was.
+        return start_ns - (turn.last_ns or start_ns) or turn.pause_ns
 
     def _cost(
         self, turn: Turn, unit: int, pdu: bytes, role: Direction, at_ns: int
@@ -232,20 +295,17 @@ class Turns:
         waiting = self._waiting(turn, at_ns)
         odd = weights.UNLIKELY_UNIT if unit > MAX_UNIT else 0.0
         if role is Direction.REQUEST:
-            cost, by_time = self._request_cost(waiting, unit, pdu, at_ns)
+            cost, by_time = self._request_cost(waiting, turn.owed, unit, pdu, at_ns)
             answered = turn.answered
-            if (
-                not self.trusts_silences
-                and answered
-                and (answered.unit, answered.pdu) == (unit, pdu)
-            ):
-                cost += weights.ASKED_AGAIN
+            is_told = self.trusts_silences and turn.owed is None
+            if not is_told and answered and (answered.unit, answered.pdu) == (unit, pdu):
+                cost += self._again.bits
         else:
             cost, by_time = self._response_cost(turn, waiting, unit, pdu, at_ns)
         return cost + odd, by_time if self.trusts_silences else 0.0
 
     def _request_cost(
-        self, waiting: Waiting | None, unit: int, pdu: bytes, at_ns: int
+        self, waiting: Waiting | None, owed: Waiting | None, unit: int, pdu: bytes, at_ns: int
     ) -> tuple[float, float]:
         cost = weights.REQUEST
         if (unit, pdu) not in self._known:
@@ -255,7 +315,10 @@ class Turns:
         if waiting is None:
             return cost, 0.0
         same = (waiting.unit, waiting.pdu) == (unit, pdu)
-        cost += weights.REPEATED if same else weights.UNANSWERED
+        if same and owed is not None and (owed.unit, owed.pdu) == (unit, pdu):
+            cost += weights.REPEATED_AGAIN
+        else:
+            cost += weights.REPEATED if same else weights.UNANSWERED
         latency = self._latency
         is_early = latency.is_known and latency.octaves_late(at_ns - waiting.since_ns) < 0
         return cost, weights.EARLY_REPEAT if is_early else 0.0
@@ -272,7 +335,13 @@ class Turns:
             return weights.WRONG_ANSWER + odd, 0.0
         owed = turn.owed
         if owed is not None and at_ns - owed.since_ns <= TURN_NS and owed.fits(unit, pdu):
-            return weights.LATE_ANSWER, 0.0
+            is_elsewhere = waiting is not None and (waiting.unit, waiting.pdu) != (
+                owed.unit,
+                owed.pdu,
+            )
+            return (weights.LATE_ELSEWHERE if is_elsewhere else weights.LATE_ANSWER), 0.0
+        if turn.lost and (unit, pdu[0] & ~EXCEPTION_BIT) not in self._asked:
+            odd += weights.UNASKED
         if waiting is None and (turn.lost or turn.last_ns is None):
             return (weights.ANSWER_WHEN_LOST if turn.lost else weights.ANSWER_AT_START) + odd, 0.0
         return weights.STRAY_ANSWER + odd, 0.0
@@ -321,40 +390,6 @@ def roles_of(pdu: bytes) -> tuple[Direction, ...]:
     return fitting or ROLES
 
 
-def is_odd_request(pdu: bytes) -> bool:
-    """Whether a PDU has the form of a request and says what none does.
-
-    One for a register or a count of 08 has 0000 in its data (V1.1b3, 6.8.1).
-    """
-    if pdu[0] & EXCEPTION_BIT:
-        return True
-    return pdu[0] == 0x08 and int.from_bytes(pdu[1:3]) in COUNTS and any(pdu[3:])
-
-
-def is_odd_response(pdu: bytes) -> bool:
-    """Whether a PDU has the form of a response and says what none does: half a register."""
-    return pdu[0] in READ_REGISTERS and len(pdu) % 2 == 1
-
-
-def is_counted(pdu: bytes) -> bool:
-    """Whether a PDU begins as a write whose byte count agrees with its quantity."""
-    match pdu[0]:
-        case 0x0F:
-            return len(pdu) > 5 and pdu[5] == bit_bytes(int.from_bytes(pdu[3:5]))
-        case 0x10:
-            return len(pdu) > 5 and pdu[5] == 2 * int.from_bytes(pdu[3:5])
-        case 0x17:
-            return len(pdu) > 9 and pdu[9] == 2 * int.from_bytes(pdu[7:9])
-        case _:
-            return False
-
-
-def is_padded(request: bytes, response: bytes) -> bool:
-    """Whether the bits behind those that a read asked for are 0 (V1.1b3, 6.1)."""
-    used = int.from_bytes(request[3:5]) % 8
-    return not used or response[-1] >> used == 0
-
-
 def answers(request_code: int, response_code: int) -> bool:
     """Whether a function code answers another, as its response or as its exception response."""
     return response_code in (request_code, request_code | EXCEPTION_BIT)
@@ -380,4 +415,8 @@ def mismatch(request: Pdu, response: Pdu) -> str | None:
         asked, answered = request.number(echoed), response.number(echoed)
         if asked is not None and answered is not None and asked != answered:
             return f"{echoed.replace('_', ' ')} {answered} for {asked}"
+    if request.code == 0x08 and request.number("sub_function") == 0:
+        asked_for, echo = request.numbers("values"), response.numbers("values")
+        if asked_for is not None and echo is not None and asked_for != echo:
+            return f"data {echo} for {asked_for}"  # It is returned as it is (V1.1b3, 6.8.1).
     return None

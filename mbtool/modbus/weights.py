@@ -15,14 +15,21 @@ NEW_REQUEST = 2.0
 """More for a request that this line has not heard before: masters repeat a list."""
 ANSWER = 0.0
 """The response that the waiting request asks for."""
+REPEATED_AGAIN = 2.0
+"""The same of one that had been repeated already: what does not answer twice seldom does then."""
 UNANSWERED = 5.0
 """A request while another waits: about one in thirty on a bad line."""
 REPEATED = 4.0
 """The same, with the very request that waits: a retry is the usual reason."""
 ASKED_AGAIN = 5.0
-"""A request right behind its answer, where no times tell it from a late second answer."""
+"""A request right behind its own answer: a master goes on to the next of its list, and asks again
+only where it has a list of one. Where silences do not tell it from a late second answer. Learned,
+from 0 to 9."""
+ASKED_AGAIN_LIMITS = (0.0, 9.0)
 LATE_ANSWER = 2.0
 """The response to a request that the master has already repeated."""
+LATE_ELSEWHERE = 5.0
+"""The same where the master has gone on to another request: about as rare as no answer at all."""
 WRONG_ANSWER = 10.0
 """A response of the unit and function that wait, which does not fit what was asked."""
 STRAY_ANSWER = 12.0
@@ -31,6 +38,9 @@ ANSWER_WHEN_LOST = 4.0
 """The same behind damage, in which its request may have gone unheard."""
 ANSWER_AT_START = 6.0
 """The same as the first frame of a capture."""
+UNASKED = 4.0
+"""More for one behind damage of a function that its unit was not asked for as long as this line is
+heard: masters repeat a list."""
 ECHO_OF_A_READ = 16.0
 """A response of bits whose bytes are its very request: 24 bits would have to agree."""
 ECHO_OF_UNKNOWN = 4.0
@@ -56,8 +66,12 @@ BACKWARDS = 6.0
 SKIP = 8.0
 """Bytes that belong to no frame begin: rare on a line that works. Learned, from 3 to 10."""
 SKIP_LIMITS = (3.0, 10.0)
-SKIP_NOISE = -1.0
-"""Less for 00, F8, FC, FE, FF: what a line that turns around makes a receiver hear."""
+NOISE = 7.0
+"""The same behind a frame, of 00, F8, FC, FE or FF: what a line that turns around makes a receiver
+hear. Learned, from 2 to 9."""
+NOISE_LIMITS = (2.0, 9.0)
+NOISE_AT_ONCE = 4.0
+"""As often as one run after another can make it seem, before it is learned."""
 SKIP_MORE = 0.25
 """Each further such byte, and each of a damaged frame."""
 COINCIDENCE = 16.0
@@ -70,7 +84,8 @@ DAMAGED_SIZE = 3.0
 """More where it has lost bytes, or its size is that of its burst."""
 FORESEEN = -6.0
 """Less for a damaged or incomplete frame of which more than two bytes are as foreseen: a request
-that was heard before up to its CRC, a response with the byte count that was asked for."""
+that was heard before up to its CRC, a response with the byte count that was asked for, and as
+long as it is incomplete a write whose byte count agrees with its quantity."""
 UNEXPECTED = 3.0
 """More for a damaged frame that the turn does not expect."""
 OPEN = 0.5
@@ -101,8 +116,15 @@ UNKNOWN_BETWEEN_SILENCES = 2.0
 """A frame of no known form whose CRC is right, which is a whole burst."""
 UNKNOWN = 6.0
 """The same, found by its CRC alone among 253 lengths: 8 bits of its 16 are used up."""
+UNKNOWN_DUE = 2.0
+"""The same where it begins with the unit and function that wait: 16 bits speak for it at once."""
 ENDS_IN_ZERO = 5.0
-"""More for such a frame that ends in 00: without that byte its CRC is right too."""
+"""More for such a frame that ends in 00: without that byte its CRC is right too. One frame in 256
+ends so, and one stray byte in four is 00; so it is the line's habit of stray bytes that decides."""
+ENDS_IN_ZERO_MORE = 6.0
+"""Each further 00: 8 bits of chance in a CRC, 2 in stray bytes."""
+ADHERES = 1.5
+"""Less for such an end that a silence follows: a stray byte seldom comes without one before it."""
 
 MARGIN = 12.0
 """Explanations that are so much worse than another are given up."""

@@ -8,6 +8,7 @@ from mbtool.packets.serial_packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, se
 from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,
+    StreamEvent,
     StreamGap,
     StreamItem,
     StreamOpened,
@@ -22,6 +23,7 @@ __all__ = [
     "USER_LINK_TYPES",
     "CloseReason",
     "StreamClosed",
+    "StreamEvent",
     "StreamGap",
     "StreamItem",
     "StreamOpened",

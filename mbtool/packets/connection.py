@@ -34,6 +34,7 @@ from mbtool.packets.stream import LEAD, Piece, Stream
 from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,
+    StreamEvent,
     StreamGap,
     StreamItem,
     StreamOpened,
@@ -224,17 +225,16 @@ class TcpConnection:
             self._tell(sender, EventKind.OVERLAP, message, piece.ts_ns, piece.data)
 
     def _tell(self, sender: Stream, kind: EventKind, text: str, ts_ns: int, raw: bytes) -> None:
-        self._out.append(
-            WireEvent(
-                ts_ns=ts_ns,
-                link=self.identity.link,
-                kind=kind,
-                message=text,
-                source=str(sender.source),
-                destination=str(sender.destination),
-                raw=raw,
-            )
+        event = WireEvent(
+            ts_ns=ts_ns,
+            link=self.identity.link,
+            kind=kind,
+            message=text,
+            source=str(sender.source),
+            destination=str(sender.destination),
+            raw=raw,
         )
+        self._out.append(StreamEvent(self.identity, event))
 
     def _follows(self, piece: Piece, other: Stream) -> bool:
         """What a piece acknowledges has been delivered, or is no longer waited for."""

@@ -182,7 +182,7 @@ class Fragments:
     """The packets whose fragments are coming."""
 
     def __init__(self) -> None:
-        self._datagrams: OrderedDict[Key, Datagram] = OrderedDict()
+        self._datagrams: OrderedDict[tuple[str, Key], Datagram] = OrderedDict()
         """In the order of their first fragments."""
         self._cost = 0
 
@@ -191,10 +191,13 @@ class Fragments:
         """What is held, as MAX_FRAGMENT_BYTES counts it."""
         return self._cost
 
-    def feed(self, fragment: Fragment, ts_ns: int, link: str) -> list[Datagram]:
-        """Take a fragment. Gives the packets that are done with, whole or not, in order."""
+    def feed(self, fragment: Fragment, ts_ns: int, link: str, among: str = "") -> list[Datagram]:
+        """Take a fragment. Gives the packets that are done with, whole or not, in order.
+
+        Only those that come with the same `among` are put together.
+        """
         done = self.advance(ts_ns)
-        key = fragment.key
+        key = (among, fragment.key)
         datagram = self._datagrams.get(key)
         if datagram is not None and datagram.ending is Ending.WHOLE:
             if datagram.is_copy(fragment):
@@ -202,7 +205,7 @@ class Fragments:
             self._forget(key)
             datagram = None
         if datagram is None:
-            datagram = Datagram(key, link, ts_ns, fragment.following)
+            datagram = Datagram(fragment.key, link, ts_ns, fragment.following)
             self._datagrams[key] = datagram
             self._cost += PIECE_COST
         before = datagram.held
@@ -230,14 +233,14 @@ class Fragments:
             one for key in list(self._datagrams) for one in self._give_up(key, Ending.INCOMPLETE)
         ]
 
-    def _give_up(self, key: Key, ending: Ending) -> list[Datagram]:
+    def _give_up(self, key: tuple[str, Key], ending: Ending) -> list[Datagram]:
         datagram = self._forget(key)
         if datagram.ending is Ending.WHOLE:
             return []
         datagram.ending = ending
         return [datagram]
 
-    def _forget(self, key: Key) -> Datagram:
+    def _forget(self, key: tuple[str, Key]) -> Datagram:
         datagram = self._datagrams.pop(key)
         self._cost -= (1 + len(datagram.pieces)) * PIECE_COST + datagram.held
         return datagram

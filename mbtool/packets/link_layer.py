@@ -2,7 +2,9 @@
 
 # Link types are the LINKTYPE_ values of tcpdump.org/linktypes.html; those not in IP_FINDERS cannot
 # be looked into. A finder gives the offset of the IP header, or NOT_IP: for other protocols and
-# for packets that are too short. VLAN tags (802.1Q, 802.1ad and the older 9100H) may be stacked.
+# for packets that are too short. VLAN tags (802.1Q, 802.1ad and the older 9100H) may be stacked,
+# and so may the tag of HSR (IEC 62439-3: 6 bytes), PPPoE (RFC 2516: 6 bytes, then PPP's protocol)
+# and the labels of MPLS (RFC 3032: 4 bytes each, the last is marked).
 
 from __future__ import annotations
 
@@ -15,6 +17,11 @@ NOT_IP = -1
 
 _IP = (b"\x08\x00", b"\x86\xdd")
 _VLAN = (b"\x81\x00", b"\x88\xa8", b"\x91\x00")
+_HSR = b"\x89\x2f"
+_TAGGED = (*_VLAN, _HSR)
+_PPPOE = b"\x88\x64"
+_IP_IN_PPP = (b"\x00\x21", b"\x00\x57")
+_MPLS = (b"\x88\x47", b"\x88\x48")
 
 # The address families of IP in the capturing machine's byte order: 2 is IPv4 everywhere; IPv6 is
 # 10 on Linux, 23 on Windows, 24 on NetBSD and OpenBSD, 28 on FreeBSD, 30 on macOS.
@@ -29,11 +36,30 @@ def _ethernet(data: bytes) -> int:
     return _behind_tags(data, 12)
 
 
+def behind_ethernet(data: bytes, at: int) -> int:
+    """The same for an Ethernet frame that begins at an offset."""
+    return _behind_tags(data, at + 12)
+
+
 def _behind_tags(data: bytes, at: int) -> int:
-    """Look from an EtherType through VLAN tags to IP."""
-    while (kind := data[at : at + 2]) in _VLAN:
+    """Look from an EtherType through tags to IP."""
+    while (kind := data[at : at + 2]) in _TAGGED:
+        at += 6 if kind == _HSR else 4
+    at += 2
+    if kind in _IP:
+        return at
+    if kind == _PPPOE and data[at + 6 : at + 8] in _IP_IN_PPP:
+        return at + 8
+    return _behind_labels(data, at) if kind in _MPLS else NOT_IP
+
+
+def _behind_labels(data: bytes, at: int) -> int:
+    """Look through MPLS labels: what they are before only its first half byte tells."""
+    while len(data) > at + 4:
         at += 4
-    return at + 2 if kind in _IP else NOT_IP
+        if data[at - 2] & 1:
+            return at if data[at] >> 4 in (4, 6) else NOT_IP
+    return NOT_IP
 
 
 def _cooked(data: bytes) -> int:

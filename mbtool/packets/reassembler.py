@@ -12,6 +12,11 @@
 # wait first gives up its holes. State is dropped after IDLE_NS of capture time, which RFC 1122,
 # 4.2.3.6, names as the least before a living connection sends a keep-alive probe.
 #
+# What another interface saw of the same ends is another connection, unless the flows are followed
+# across interfaces: then it is a second copy, or what the first one did not see.
+#
+# What tunnels carry, as switches do that mirror over a network, is followed (tunnels.py).
+#
 # Packets in fragments are put together first (fragments.py). One that cannot be is an event where
 # its ports are wanted; where they are not known, one event for each interface.
 
@@ -32,7 +37,8 @@ from mbtool.packets.fragments import (
 )
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
 from mbtool.packets.segment import ACK, RST, SYN, Segment, find_tcp, read_segment
-from mbtool.packets.stream_events import CloseReason, StreamItem
+from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
+from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
@@ -43,14 +49,17 @@ _MAX_TOLD = 4096
 _TCP_HEADER_SEEN = 14
 """Bytes of the TCP header up to its flags."""
 
-_Key = tuple[bytes, int, bytes, int]
+_Key = tuple[str, bytes, int, bytes, int]
+"""The interface, or nothing where it does not matter; the lower end, the other end."""
 
 
 class TcpReassembler:
     """Follows the connections of some ports."""
 
-    def __init__(self, ports: frozenset[int] = MODBUS_PORTS) -> None:
+    def __init__(self, ports: frozenset[int] = MODBUS_PORTS, *, across: bool = False) -> None:
+        """`across` is whether flows are followed across interfaces."""
         self._ports = ports
+        self._across = across
         self._connections: OrderedDict[_Key, TcpConnection] = OrderedDict()
         self._waiting: dict[_Key, TcpConnection] = {}
         self._opened = 0
@@ -71,10 +80,21 @@ class TcpReassembler:
         if at == NOT_IP:
             return []
         length = packet.original_length
-        if not self._feed_ip(data, at, length, packet.ts_ns, packet.link):
+        for _ in range(1 + MAX_TUNNELS):
+            if self._feed_ip(data, at, length, packet.ts_ns, packet.link):
+                break
             fragment = find_fragment(data, at, length)
             if fragment is not None:
-                self._end(self._fragments.feed(fragment, packet.ts_ns, packet.link), packet.ts_ns)
+                among = self._among(packet.link)
+                done = self._fragments.feed(fragment, packet.ts_ns, packet.link, among)
+                self._end(done, packet.ts_ns)
+                break
+            at = find_inner(data, at, length)
+            if at == GRE_IN_FRAGMENTS:
+                message = "fragments of packets that carry others (GRE), which are not put together"
+                self._tell(packet.ts_ns, packet.link, EventKind.UNREADABLE, message)
+            if at < 0:
+                break
         return self._take_out()
 
     def advance(self, now_ns: int) -> list[StreamItem]:
@@ -116,28 +136,52 @@ class TcpReassembler:
         if source_port in ports or destination_port in ports:
             segment = read_segment(data, at, place, length)
             if segment is not None:
-                self._follow(segment, ts_ns)
+                self._follow(segment, ts_ns, self._among(link))
         return True
+
+    def _among(self, link: str) -> str:
+        """Among whose packets those of a link are seen."""
+        return "" if self._across else link
 
     def _end(self, datagrams: list[Datagram], ts_ns: int) -> None:
         """Take packets whose fragments are done with."""
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)
+            if datagram.ending is Ending.WHOLE:  # First, so that its connection is known.
+                self._feed_ip(data, 0, length, ts_ns, datagram.link)
             if place is not None and len(data) >= place.start + 4:
                 source_port, destination_port = struct.unpack_from(">HH", data, place.start)
                 if source_port in self._ports or destination_port in self._ports:
-                    self._out += fragment_events(datagram, ts_ns, source_port, destination_port)
+                    self._tell_fragments(datagram, ts_ns, source_port, destination_port)
             elif datagram.ending is not Ending.WHOLE:
                 message = "fragments of packets whose first one is not in the capture"
                 self._tell(ts_ns, datagram.link, EventKind.UNREADABLE, message)
-            if datagram.ending is Ending.WHOLE:
-                self._feed_ip(data, 0, length, ts_ns, datagram.link)
 
-    def _follow(self, segment: Segment, ts_ns: int) -> None:
+    def _tell_fragments(
+        self, datagram: Datagram, ts_ns: int, source_port: int, destination_port: int
+    ) -> None:
+        events = fragment_events(datagram, ts_ns, source_port, destination_port)
+        if not events:
+            return
+        source, destination, *_ = datagram.key
+        key, _ = _key(
+            self._among(datagram.link), source, source_port, destination, destination_port
+        )
+        known = self._connections.get(key)
+        identity = (
+            Connection(
+                Endpoint(_host(source), source_port), Endpoint(_host(destination), destination_port)
+            )
+            if known is None
+            else known.identity
+        )
+        self._out += (StreamEvent(identity, event) for event in events)
+
+    def _follow(self, segment: Segment, ts_ns: int, among: str) -> None:
         if not -PATIENCE_NS < ts_ns - self._checked_ns < PATIENCE_NS:
             self._advance(ts_ns)
-        key, from_lower = _key(segment)
+        key, from_lower = _key(among, *segment[:4])
         connection = self._connections.get(key)
         if connection is None or connection.is_replaced_by(segment, from_lower=from_lower):
             opens = segment.flags & SYN or segment.payload or segment.missing
@@ -196,12 +240,13 @@ class TcpReassembler:
             self._out.append(WireEvent(ts_ns=ts_ns, link=link, kind=kind, message=message))
 
 
-def _key(segment: Segment) -> tuple[_Key, bool]:
-    """Name a connection the same from both ends; True where the segment is the lower end's."""
-    source, source_port, destination, destination_port = segment[:4]
+def _key(
+    among: str, source: bytes, source_port: int, destination: bytes, destination_port: int
+) -> tuple[_Key, bool]:
+    """Name a connection the same from both ends; True where the source is the lower end."""
     if (source_port, source) < (destination_port, destination):
-        return (source, source_port, destination, destination_port), True
-    return (destination, destination_port, source, source_port), False
+        return (among, source, source_port, destination, destination_port), True
+    return (among, destination, destination_port, source, source_port), False
 
 
 def _is_from_master(segment: Segment, ports: frozenset[int]) -> bool:

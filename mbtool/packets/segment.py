@@ -31,6 +31,8 @@ _TCP_HEADER = struct.Struct(">HHIIBB")
 IPV6_EXTENSIONS = frozenset((0, 43, 60, 135, 139, 140))
 IPV6_FRAGMENT = 44
 IPV6_AUTHENTICATION = 51
+BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_FRAGMENT, IPV6_AUTHENTICATION}
+"""All that may follow an IPv6 header where TCP comes in the end."""
 
 
 class TcpPlace(NamedTuple):

@@ -33,6 +33,8 @@ class StreamOpened:
     connection: Connection
     joined: bool
     """Its beginning is not in the capture, so its first byte may be the middle of an ADU."""
+    note: str = ""
+    """What else is known of it: of a tap's connection, who its ends are by their certificates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,4 +62,16 @@ class StreamClosed:
     """How many keep-alive probes both ends have sent."""
 
 
-StreamItem = Chunk | StreamOpened | StreamGap | StreamClosed | WireEvent
+@dataclass(frozen=True, slots=True)
+class StreamEvent:
+    """What is told of a connection's packets; of fragments also before or without its opening."""
+
+    connection: Connection
+    event: WireEvent
+
+    @property
+    def ts_ns(self) -> int:
+        return self.event.ts_ns
+
+
+StreamItem = Chunk | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent

@@ -11,6 +11,7 @@ from mbtool.slave.tcp_shell import TcpSlave
 
 if TYPE_CHECKING:
     from mbtool.modbus.answer import Responder
+    from mbtool.slave.connection_rules import ConnectionRules
     from mbtool.slave.shell import OnExchange, Shell
 
 
@@ -28,10 +29,16 @@ def open_shell(
     responder: Responder,
     *,
     allow_remote: bool = False,
+    rules: ConnectionRules | None = None,
     on_exchange: OnExchange | None = None,
 ) -> Shell:
-    """A shell that will play a responder on a link, not yet started. Raises UsageError."""
+    """A shell that will play a responder on a link, not yet started. Raises UsageError.
+
+    `rules` are those of a device for its connections; a serial line has none.
+    """
     where = slave_link(link)
     if isinstance(where, SerialLink):
         return SerialSlave(where, responder, on_exchange=on_exchange)
-    return TcpSlave(where, responder, allow_remote=allow_remote, on_exchange=on_exchange)
+    return TcpSlave(
+        where, responder, allow_remote=allow_remote, rules=rules, on_exchange=on_exchange
+    )

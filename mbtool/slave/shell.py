@@ -41,6 +41,10 @@ class Shell(ABC):
         """How many masters it takes at once: a line has one."""
         return 1
 
+    def notes(self) -> list[str]:
+        """What it has done by the device's rules since the last time, in sentences for the user."""
+        return []
+
     def start(self) -> None:
         """Open the link and begin to answer. Raises LinkError or UsageError."""
         if self._thread is not None:

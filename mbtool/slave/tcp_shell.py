@@ -1,19 +1,20 @@
 """Plays slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
 
-# Each connection has a splitter and a queue of answers that wait for their time. Answers leave in
-# the order of their requests; one that waits holds up those behind it, on its connection only.
+# Each master has a Connection (tcp_connection.py). Who may stay, and how long, is for the rules of
+# the device played here (connection_rules.py); without a device's own they are those of Bounds.
 #
 # Not answered: a request whose protocol id is not 0, bytes that are no request, and whatever the
 # responder keeps silent about. What one peer sends harms no other connection.
 #
-# Bounds, of which Bounds has the first three:
+# Bounds, of which Bounds has the first three, or the device's rules the first two:
 #
 #     connections   more are closed as soon as they are made, and counted
 #     idle          a connection without a whole request for so long is closed
-#     waiting       with so many answers in its queue a connection is not read from; a read that
-#                   came just before may add READ_BYTES / 8 more, with RTU frames READ_BYTES / 4
-#                   (the shortest ADU has 8 bytes, or 4)
+#     waiting       with so many answers in its queue a connection is not read from
 #     unread        while a peer does not take its answers it is not read from either
+#
+# While a device takes no connections its port stays bound, but nobody listens: who calls is
+# refused, as by a device that is starting.
 #
 # A socket that others could reach is opened only with leave: what is checked is the address that
 # the host's name stands for, not the name.
@@ -23,23 +24,22 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
+import os
 import socket
-from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, Endpoint, LinkError, TcpLink, UsageError
-from mbtool.modbus.adu import Adu
-from mbtool.modbus.framing import mbap_adu, rtu_adu
-from mbtool.modbus.mbap import MbapSplitter
-from mbtool.modbus.rtu_stream import RtuStreamSplitter
+from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 from mbtool.slave.clock import steady_clock
+from mbtool.slave.connection_rules import ConnectionRules
 from mbtool.slave.shell import OnExchange, Shell
+from mbtool.slave.tcp_connection import Connection
 
 if TYPE_CHECKING:
     from mbtool.modbus.answer import Responder
+    from mbtool.slave.connection_rules import Peer
 
-READ_BYTES = 2048
 BACKLOG = 64
 
 
@@ -63,18 +63,23 @@ class TcpSlave(Shell):
         *,
         allow_remote: bool = False,
         bounds: Bounds | None = None,
+        rules: ConnectionRules | None = None,
         on_exchange: OnExchange | None = None,
     ) -> None:
+        """`rules` are those of the device played here, where it has its own."""
         super().__init__()
         self.link = link
         self.responder = responder
         self.bounds = bounds or Bounds()
+        self.rules = rules or ConnectionRules(self.bounds.connections, self.bounds.idle_s)
         self.on_exchange = on_exchange
-        self.connections: set[_Connection] = set()
+        self.connections: set[Connection] = set()
         self.clock = steady_clock()
         self._allow_remote = allow_remote
         self._endpoint = link.endpoint
-        self._stopping = asyncio.Event()
+        self._woken = asyncio.Event()
+        """It is to stop, or the rules want no connections for a while."""
+        self._is_stopping = False
 
     @property
     def endpoint(self) -> Endpoint:
@@ -87,7 +92,44 @@ class TcpSlave(Shell):
 
     @property
     def places(self) -> int:
-        return self.bounds.connections
+        return self.rules.places
+
+    def notes(self) -> list[str]:
+        return [self.rules.notes.popleft() for _ in range(len(self.rules.notes))]
+
+    # What its connections ask.
+
+    @property
+    def is_rtu(self) -> bool:
+        return self.link.rtu
+
+    @property
+    def waiting(self) -> int:
+        return self.bounds.waiting
+
+    def arrived(self, connection: Connection, host: str) -> Peer | None:
+        admission = self.rules.admit(host, self.clock())
+        if admission.leaves is not None:
+            for other in self.connections:
+                if other.peer is admission.leaves:
+                    other.abort()
+        if admission.peer is None:
+            self.turned_away += 1
+        else:
+            self.connections.add(connection)
+        return admission.peer
+
+    def left(self, connection: Connection) -> None:
+        self.connections.discard(connection)
+
+    def follow_rules(self) -> None:
+        self.rules.changed = False
+        for connection in self.connections:
+            connection.keep_alive(self.rules.keep_alive)
+        if self._closed_s() > 0:
+            self._woken.set()
+
+    # How it runs.
 
     def _open(self) -> None:
         self._socket = _listen(self.link, allow_remote=self._allow_remote)
@@ -100,121 +142,44 @@ class TcpSlave(Shell):
             runner.run(self._serve())
 
     def _interrupt(self) -> None:
-        self._loop.call_soon_threadsafe(self._stopping.set)
+        self._loop.call_soon_threadsafe(self._stop)
+
+    def _stop(self) -> None:
+        self._is_stopping = True
+        self._woken.set()
 
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
-        server = await loop.create_server(lambda: _Connection(self), sock=self._socket)
-        await self._stopping.wait()
-        server.close()
+        while not self._is_stopping:
+            server = await loop.create_server(
+                lambda: Connection(self), sock=self._socket, backlog=BACKLOG
+            )
+            await self._woken.wait()
+            address = self._socket.getsockname()
+            server.close()
+            await self._close_connections()
+            await server.wait_closed()
+            if not self._is_stopping:
+                self._socket = _bind(self._socket.family, address)
+                await self._stay_closed()
+
+    async def _close_connections(self) -> None:
         while self.connections:
             for connection in list(self.connections):
                 connection.abort()
             await asyncio.sleep(0)  # An aborted connection is lost in the loop's next round.
-        await server.wait_closed()
 
+    async def _stay_closed(self) -> None:
+        self._woken.clear()
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._woken.wait(), self._closed_s())
+        if self._is_stopping:
+            self._socket.close()
 
-class _Connection(asyncio.BufferedProtocol):
-    """One master."""
-
-    _transport: asyncio.Transport
-
-    def __init__(self, slave: TcpSlave) -> None:
-        self._slave = slave
-        self._loop = asyncio.get_running_loop()
-        self._buffer = memoryview(bytearray(READ_BYTES))
-        rtu = slave.link.rtu
-        self._splitter: MbapSplitter | RtuStreamSplitter
-        self._splitter = (RtuStreamSplitter if rtu else MbapSplitter)(Direction.REQUEST)
-        self._waiting: deque[tuple[float, bytes]] = deque()
-        """Answers and when they are due, in the loop's time."""
-        self._peer_is_slow = False
-        self._last_request = self._loop.time()
-        self._send_timer: asyncio.TimerHandle | None = None
-        self._idle_timer: asyncio.TimerHandle | None = None
-
-    def abort(self) -> None:
-        self._transport.abort()
-
-    # What asyncio calls.
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        if len(self._slave.connections) >= self._slave.bounds.connections:
-            self._slave.turned_away += 1
-            transport.abort()
-            return
-        self._slave.connections.add(self)
-        self._watch_idle()
-
-    def get_buffer(self, sizehint: int) -> memoryview:
-        return self._buffer
-
-    def buffer_updated(self, nbytes: int) -> None:
-        slave = self._slave
-        now_ns, now = slave.clock(), self._loop.time()
-        for event in self._splitter.feed(bytes(self._buffer[:nbytes]), now_ns):
-            if not isinstance(event, Adu):
-                continue
-            self._last_request = now
-            answer = slave.responder.respond(event.unit, event.pdu, now_ns)
-            if answer is not None:
-                due = now + answer.delay_ns / 1e9
-                self._waiting.append((due, self._framed(event, answer.pdu)))
-            if slave.on_exchange is not None:
-                slave.on_exchange(event, answer)
-        self._send_due()
-
-    def pause_writing(self) -> None:
-        self._peer_is_slow = True
-        self._pause_or_resume_reading()
-
-    def resume_writing(self) -> None:
-        self._peer_is_slow = False
-        self._pause_or_resume_reading()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._slave.connections.discard(self)
-        for timer in (self._send_timer, self._idle_timer):
-            if timer is not None:
-                timer.cancel()
-
-    # Their parts.
-
-    def _framed(self, request: Adu, pdu: bytes) -> bytes:
-        if request.transaction_id is None:
-            return rtu_adu(request.unit, pdu)
-        return mbap_adu(request.transaction_id, request.unit, pdu)
-
-    def _send_due(self) -> None:
-        """Send the answers whose time has come, and come back for the next."""
-        if self._send_timer is not None:
-            self._send_timer.cancel()
-            self._send_timer = None
-        now = self._loop.time()
-        due = []
-        while self._waiting and self._waiting[0][0] <= now:
-            due.append(self._waiting.popleft()[1])
-        if due:
-            self._transport.write(b"".join(due))
-        if self._waiting:
-            self._send_timer = self._loop.call_at(self._waiting[0][0], self._send_due)
-        self._pause_or_resume_reading()
-
-    def _pause_or_resume_reading(self) -> None:
-        if self._peer_is_slow or len(self._waiting) >= self._slave.bounds.waiting:
-            self._transport.pause_reading()
-        else:
-            self._transport.resume_reading()
-
-    def _watch_idle(self) -> None:
-        """Close a connection that has been idle too long, else look again when it could be."""
-        ends = self._last_request + self._slave.bounds.idle_s
-        if ends <= self._loop.time():
-            self._transport.abort()
-        else:
-            self._idle_timer = self._loop.call_at(ends, self._watch_idle)
+    def _closed_s(self) -> float:
+        """How long the rules want no connections."""
+        until_ns = self.rules.closed_until_ns
+        return 0.0 if until_ns is None else max(until_ns - self.clock(), 0) / 1e9
 
 
 def _listen(link: TcpLink, *, allow_remote: bool) -> socket.socket:
@@ -234,6 +199,21 @@ def _listen(link: TcpLink, *, allow_remote: bool) -> socket.socket:
         return socket.create_server((str(address[0]), port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise LinkError(f"{link}: {_why_not_listening(error)}") from error
+
+
+def _bind(family: int, address: tuple[str | int, ...]) -> socket.socket:
+    """A socket that holds an address again, without listening. Raises LinkError."""
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        sock.bind(address)
+    except OSError as error:
+        sock.close()
+        raise LinkError(f"{address[0]}:{address[1]}: {_why_not_listening(error)}") from error
+    return sock
 
 
 def _why_not_listening(error: OSError) -> str:

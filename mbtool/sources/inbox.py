@@ -10,6 +10,11 @@
 # event for each link says how much was lost, and a StreamGap for each direction of a connection
 # that lost bytes, so that no decoder joins what stood before it to what comes after.
 #
+# In one interpreter a busy consumer would keep a capture from its packets: each call of the kernel
+# lets go of the interpreter's lock, and gets it back milliseconds later. So a source that takes
+# what waits in a kernel does it `first`: meanwhile the consumer stands still, unless half of the
+# bound is held, and no longer than STANDSTILL_S at a time.
+#
 # StreamOpened and StreamClosed get through up to twice the bound, so that a consumer keeps its
 # books; the end of a source always does. A Quiet that follows a Quiet of the same link replaces
 # it, and one that does not fit is no loss.
@@ -17,9 +22,10 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from threading import Condition
-from typing import Protocol
+from threading import Condition, Event
+from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import (
     Chunk,
@@ -31,9 +37,13 @@ from mbtool.core import (
     Quiet,
     WireEvent,
 )
-from mbtool.packets import StreamClosed, StreamGap, StreamItem, StreamOpened
+from mbtool.packets import StreamClosed, StreamEvent, StreamGap, StreamItem, StreamOpened
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 DEFAULT_LIMIT = 64 * 2**20
+STANDSTILL_S = 0.05
 ITEM_COST = 256
 """What an item is counted for beside its bytes: about what Python needs for it."""
 
@@ -65,6 +75,10 @@ class Inbox:
         self._held = 0
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
+        self._first = 0
+        """How many sources go before the consumer."""
+        self._calm = Event()
+        self._calm.set()
 
     @property
     def held(self) -> int:
@@ -82,8 +96,24 @@ class Inbox:
             self._append(item)
             self._changed.notify()
 
+    @contextmanager
+    def first(self) -> Iterator[None]:
+        """While the context is open, the consumer waits for what this source will put."""
+        with self._changed:
+            self._first += 1
+            self._calm.clear()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._first -= 1
+                if not self._first:
+                    self._calm.set()
+
     def get(self, timeout: float | None = None) -> Item | None:
         """The next item, or None where none has come within the timeout in seconds."""
+        if not self._calm.is_set() and self._held <= self._limit // 2:
+            self._calm.wait(STANDSTILL_S)
         with self._changed:
             if not self._items:
                 self._changed.wait_for(lambda: bool(self._items), timeout)
@@ -114,8 +144,13 @@ class Inbox:
             return
         loss = self._losses.setdefault(_link(item), _Loss())
         loss.ts_ns = item.ts_ns
+        if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
+            loss.size += item.missing  # What it tells as lost stays told.
+            loss.dropped += item.packets
+            return
         loss.items += 1
         loss.size += _size(item)
+        loss.packets += isinstance(item, Packet)
         if isinstance(item, Chunk) and item.connection is not None:
             stream = (item.connection, item.direction)
             loss.streams[stream] = loss.streams.get(stream, 0) + len(item.data)
@@ -128,8 +163,9 @@ class Inbox:
                     link=link,
                     kind=EventKind.DISCARDED,
                     message=f"decoding fell behind: {loss.items} pieces with {loss.size} bytes "
-                    "were not recorded",
+                    f"were not recorded{loss.dropped_text}",
                     missing=loss.size,
+                    packets=loss.packets + loss.dropped,
                 )
             )
             for (connection, direction), size in loss.streams.items():
@@ -144,11 +180,19 @@ class _Loss:
     ts_ns: int = 0
     items: int = 0
     size: int = 0
+    packets: int = 0
+    """How many of the items were packets of an interface."""
+    dropped: int = 0
+    """How many packets the interface had lost itself meanwhile."""
     streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
+
+    @property
+    def dropped_text(self) -> str:
+        return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
 
 
 def _link(item: StreamItem | Packet) -> str:
-    if isinstance(item, StreamOpened | StreamClosed | StreamGap):
+    if isinstance(item, StreamOpened | StreamClosed | StreamGap | StreamEvent):
         return item.connection.link
     return item.link
 

@@ -15,6 +15,9 @@
 # packets of kinds that cannot be read are left out, with one event for each kind. None of the
 # interfaces is made promiscuous.
 #
+# net:A,B has a socket for each, and gives their packets in the order of their times: each holds
+# back, at most _FETCH packets, what another may yet precede.
+#
 # scapy takes a tenth of a second to import, so only a capture that starts imports it.
 
 from __future__ import annotations
@@ -28,19 +31,22 @@ import socket
 import struct
 import sys
 import warnings
+from bisect import bisect_right
 from contextlib import suppress
+from dataclasses import dataclass, field
+from operator import attrgetter
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
 from mbtool.core.here import Trouble
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.port_filter import drop_everything, port_filter
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 # LINKTYPE_ (tcpdump.org/linktypes.html) by the kernel's ARPHRD_ (linux/if_arp.h): Ethernet,
 # loopback; tunnels and PPP, whose packets begin with the IP header.
@@ -55,7 +61,8 @@ _FETCH = 1000
 _LAST_FETCHES = 100
 """How often the last packets are asked for when the capture ends."""
 _TICK_S = 0.1
-ANY = "any"
+_SOON_S = 0.002
+"""As long as it takes until what is held back is let go."""
 _SETTLE_NS = 1_000_000
 """A packet may be stamped this long before it can be fetched."""
 _STATISTICS_NS = 1_000_000_000
@@ -70,6 +77,26 @@ _PACKET_STATISTICS = 6
 _PACKET_AUXDATA = 8
 
 
+@dataclass(slots=True)
+class _Ear:
+    """An interface that is listened to."""
+
+    name: str
+    capture: Any
+    link_type: int | None = None
+    """None where each packet has its own."""
+    held: list[Packet] = field(default_factory=list)
+    """What packets of other interfaces may precede, in the order of their times."""
+
+    def release(self, horizon_ns: int | None = None) -> list[Packet]:
+        """Take what was held up to a time."""
+        count = len(self.held)
+        if horizon_ns is not None:
+            count = bisect_right(self.held, horizon_ns, key=attrgetter("ts_ns"))
+        released, self.held = self.held[:count], self.held[count:]
+        return released
+
+
 class InterfaceSource:
     """Listens to an interface while its context is open. Entering raises LinkError."""
 
@@ -79,9 +106,7 @@ class InterfaceSource:
         self._link = link
         self._inbox = inbox
         self._ports = ports
-        self._capture: Any = None
-        self._link_type: int | None = None
-        """None where each packet has its own."""
+        self._ears: list[_Ear] = []
         self._told: set[int] = set()
         """The hardware types that were said to be unreadable."""
         self._alarm: tuple[int, int] | None = None
@@ -96,19 +121,13 @@ class InterfaceSource:
         return str(self._link)
 
     def __enter__(self) -> Self:
-        self._capture = _open(self._link)
         try:
-            is_loopback: bool | None = None
-            if self._link.interface != ANY:
-                hardware = self._capture.ins.getsockname()[3]
-                unreadable = hardware_trouble(hardware)
-                if unreadable is not None:
-                    raise LinkError(f"{self._link}: {unreadable}")
-                self._link_type = _LINK_TYPES[hardware]
-                is_loopback = hardware == _ARPHRD_LOOPBACK
-            _prepare(self._capture.ins, port_filter(self._ports, is_loopback=is_loopback))
+            for name in self._link.interfaces:
+                capture = _open(self._link, name)
+                self._ears.append(_Ear(name, capture))
+                self._ears[-1].link_type = self._prepare(name, capture.ins)
         except Exception:
-            self._capture.close()
+            self._close_ears()
             raise
         self._alarm = os.pipe()
         self._thread = Thread(target=self._run, name=f"capture {self.link}", daemon=True)
@@ -127,22 +146,41 @@ class InterfaceSource:
         os.close(tell)
         self._thread.join()
         os.close(told)
-        self._capture.close()
+        self._close_ears()
+
+    def _close_ears(self) -> None:
+        for ear in self._ears:
+            ear.capture.close()
+
+    def _prepare(self, name: str, listener: socket.socket) -> int | None:
+        """Let in what is wanted. Gives the type of the packets, None where each has its own."""
+        if name == ANY_INTERFACE:
+            _prepare(listener, port_filter(self._ports, is_loopback=None))
+            return None
+        hardware = listener.getsockname()[3]
+        unreadable = hardware_trouble(hardware)
+        if unreadable is not None:
+            raise LinkError(f"{_called(self._link, name)}: {unreadable}")
+        _prepare(listener, port_filter(self._ports, is_loopback=hardware == _ARPHRD_LOOPBACK))
+        return _LINK_TYPES[hardware]
 
     def _run(self) -> None:
         assert self._alarm is not None
         told, error = self._alarm[0], None
+        waited_for = [told, *(ear.capture.ins for ear in self._ears)]
         statistics_ns = now_ns()
         is_running = True
         try:
             while is_running:
-                ready, _, _ = select.select([self._capture.ins, told], [], [], _TICK_S)
+                held = any(ear.held for ear in self._ears)
+                ready, _, _ = select.select(waited_for, [], [], _SOON_S if held else _TICK_S)
                 is_running = told not in ready
                 asked_ns = now_ns()
-                more = self._fetch()
-                for _ in range(0 if is_running else _LAST_FETCHES):
-                    more = more and self._fetch()
-                if not ready:
+                with self._inbox.first():
+                    more = self._fetch()
+                    for _ in range(0 if is_running else _LAST_FETCHES):
+                        more = more and self._fetch()
+                if not ready and not any(ear.held for ear in self._ears):
                     self._inbox.put(Quiet(asked_ns - _SETTLE_NS, self.link))
                 if not is_running or asked_ns - statistics_ns > _STATISTICS_NS:
                     statistics_ns = asked_ns
@@ -150,21 +188,51 @@ class InterfaceSource:
         except OSError as os_error:
             error = LinkError(f"{self._link}: capture ended: {os_error.strerror}; is it still up?")
         finally:
+            self._put(held for ear in self._ears for held in ear.release())
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
         """Take what waits; the answer is whether there may be more."""
+        if len(self._ears) == 1:
+            (ear,) = self._ears
+            packets, more = self._receive(ear)
+            self._put(packets)
+            return more
+        horizon_ns = now_ns() - _SETTLE_NS
+        more = False
+        for ear in self._ears:
+            may_have_more = bool(ear.held)
+            if not ear.held:
+                ear.held, may_have_more = self._receive(ear)
+            if may_have_more and ear.held:
+                more = True
+                horizon_ns = min(horizon_ns, ear.held[-1].ts_ns)
+        self._put(held for ear in self._ears for held in ear.release(horizon_ns))
+        return more
+
+    def _put(self, packets: Iterable[Packet]) -> None:
+        if len(self._ears) > 1:
+            packets = sorted(packets, key=attrgetter("ts_ns"))
+        for packet in packets:
+            self._inbox.put(packet)
+
+    def _receive(self, ear: _Ear) -> tuple[list[Packet], bool]:
+        """At most _FETCH packets that wait in the kernel, and whether there may be more."""
+        packets: list[Packet] = []
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
-                # recv_raw, but with what kind of interface heard the packet.
-                data, heard_by, seconds = self._capture._recv_raw(self._capture.ins, _MAX_PACKET)
-                link_type = self._link_type
-                if link_type is None:
+                link_type = ear.link_type
+                if link_type is not None:
+                    _, data, seconds = ear.capture.recv_raw(_MAX_PACKET)
+                else:
+                    # recv_raw does not tell which interface heard the packet, and of what kind it
+                    # is; what it calls does, and scapy has no public name for that.
+                    data, heard_by, seconds = ear.capture._recv_raw(ear.capture.ins, _MAX_PACKET)
                     link_type = _LINK_TYPES.get(heard_by[3])
                     if link_type is None:
                         self._tell_unreadable(heard_by[0], heard_by[3], round(seconds * 1e9))
                         continue
-                self._inbox.put(
+                packets.append(
                     Packet(
                         ts_ns=round(seconds * 1e9),
                         link=self.link,
@@ -173,22 +241,24 @@ class InterfaceSource:
                         original_length=len(data),
                     )
                 )
-            return True
-        return False
+            return packets, True
+        return packets, False
 
     def _report_drops(self, ts_ns: int) -> None:
-        raw = self._capture.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
-        _, drops = struct.unpack("=II", raw)
-        if drops:
-            self._inbox.put(
-                WireEvent(
-                    ts_ns=ts_ns,
-                    link=self.link,
-                    kind=EventKind.DISCARDED,
-                    message=f"capture fell behind: the kernel dropped {drops} packets",
-                    missing=drops,
+        for ear in self._ears:
+            raw = ear.capture.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
+            _, drops = struct.unpack("=II", raw)
+            if drops:
+                where = f" of {ear.name}" if len(self._ears) > 1 else ""
+                self._inbox.put(
+                    WireEvent(
+                        ts_ns=ts_ns,
+                        link=self.link,
+                        kind=EventKind.DISCARDED,
+                        message=f"capture fell behind: the kernel dropped {drops} packets{where}",
+                        packets=drops,
+                    )
                 )
-            )
 
     def _tell_unreadable(self, interface: str, hardware: int, ts_ns: int) -> None:
         if hardware in self._told:
@@ -242,11 +312,12 @@ def hardware_trouble(hardware: int) -> Trouble | None:
     )
 
 
-def _open(link: InterfaceLink) -> Any:
+def _open(link: InterfaceLink, name: str) -> Any:
     interfaces = [name for _, name in socket.if_nameindex()]
-    is_any = link.interface == ANY
-    if sys.platform == "linux" and not is_any and link.interface not in interfaces:
-        raise LinkError(f"{link}: no such interface; here are: {', '.join(interfaces)}")
+    is_any = name == ANY_INTERFACE
+    of = _called(link, name)
+    if sys.platform == "linux" and not is_any and name not in interfaces:
+        raise LinkError(f"{of}: no such interface; here are: {', '.join(interfaces)}")
     # Asked before scapy is there: it would take the time to import and say less.
     trouble = capture_trouble()
     if trouble is not None:
@@ -257,7 +328,7 @@ def _open(link: InterfaceLink) -> Any:
         from scapy.arch.linux import L2ListenSocket
     try:
         if not is_any:
-            return L2ListenSocket(iface=link.interface)
+            return L2ListenSocket(iface=name)
         # scapy binds its socket to an interface; one that is bound to none hears all of them.
         capture = L2ListenSocket(iface="lo" if "lo" in interfaces else interfaces[0], promisc=False)
         capture.ins.close()
@@ -265,7 +336,12 @@ def _open(link: InterfaceLink) -> Any:
         return capture
     except OSError as error:
         why = "is it up?" if error.errno == errno.ENETDOWN else error.strerror
-        raise LinkError(f"{link}: cannot listen: {why}") from error
+        raise LinkError(f"{of}: cannot listen: {why}") from error
+
+
+def _called(link: InterfaceLink, name: str) -> str:
+    """How a message names an interface of a link."""
+    return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 
 
 def _hearing_all() -> socket.socket:

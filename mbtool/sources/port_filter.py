@@ -8,7 +8,10 @@
 #   TCP over IPv4 or IPv6 from or to one of the ports; any TCP where no port is named
 #   IPv4 fragments of TCP, since only the first one carries ports
 #   IPv6 with an extension header before TCP, or instead of it
-#   packets that still have a VLAN tag after the outer one is off (802.1ad)
+#   packets that still have a VLAN tag after the outer one is off (802.1ad), or the tag of HSR
+#   ERSPAN over IPv4: what a switch mirrors to this machine over a network
+# Other tunnels, PPPoE and MPLS are read from files only: live they would bring all that they carry.
+#
 # On the loopback every packet is seen twice, going out and coming in: the first is dropped there.
 # A capture of all interfaces asks of each packet whether it is the loopback's.
 #
@@ -21,6 +24,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError
+from mbtool.packets.segment import BEFORE_TCP, TCP
+from mbtool.packets.tunnels import ERSPAN, GRE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,9 +43,8 @@ _PROTOCOL, _PACKET_TYPE, _HARDWARE = -0x1000, -0x1000 + 4, -0x1000 + 28
 
 _PACKET_OUTGOING = 4
 _ARPHRD_LOOPBACK = 772
-_ETHERTYPE_IPV4, _ETHERTYPE_IPV6, _ETHERTYPE_VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
-_TCP = 6
-_IPV6_EXTENSIONS = (0, 43, 44, 51, 60)
+_ETHERTYPE_IPV4, _ETHERTYPE_IPV6 = 0x0800, 0x86DD
+_ETHERTYPE_TAGS = (0x8100, 0x88A8, 0x892F)
 _MORE_FRAGMENTS_OR_OFFSET = 0x3FFF
 _WHOLE_PACKET = 0x40000
 
@@ -76,20 +80,21 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
     lines += [
         "wanted",
         Instruction(_LD_WORD, _PROTOCOL),
-        *(Instruction(_JUMP_EQUAL, vlan, "keep") for vlan in _ETHERTYPE_VLANS),
+        *(Instruction(_JUMP_EQUAL, tag, "keep") for tag in _ETHERTYPE_TAGS),
         Instruction(_JUMP_EQUAL, _ETHERTYPE_IPV4, "ipv4"),
         Instruction(_JUMP_EQUAL, _ETHERTYPE_IPV6, "ipv6", "drop"),
         "ipv4",
         Instruction(_LD_BYTE, _NET + 9),
-        Instruction(_JUMP_EQUAL, _TCP, "", "drop"),
+        Instruction(_JUMP_EQUAL, GRE, "gre"),
+        Instruction(_JUMP_EQUAL, TCP, "", "drop"),
         Instruction(_LD_HALF, _NET + 6),
         Instruction(_JUMP_ANY_BIT, _MORE_FRAGMENTS_OR_OFFSET, "keep"),
         Instruction(_LDX_HEADER_LENGTH, _NET),
         Instruction(_JUMP, then="ports"),
         "ipv6",
         Instruction(_LD_BYTE, _NET + 6),
-        *(Instruction(_JUMP_EQUAL, header, "keep") for header in _IPV6_EXTENSIONS),
-        Instruction(_JUMP_EQUAL, _TCP, "", "drop"),
+        *(Instruction(_JUMP_EQUAL, header, "keep") for header in sorted(BEFORE_TCP)),
+        Instruction(_JUMP_EQUAL, TCP, "", "drop"),
         Instruction(_LDX_IMMEDIATE, 40),
         "ports",
     ]
@@ -99,6 +104,10 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
         lines += [Instruction(_JUMP_EQUAL, port, "keep") for port in ports]
     lines += [
         Instruction(_JUMP, then="drop" if ports else "keep"),
+        "gre",
+        Instruction(_LDX_HEADER_LENGTH, _NET),
+        Instruction(_LD_HALF_X, _NET + 2),
+        *(Instruction(_JUMP_EQUAL, protocol, "keep") for protocol in ERSPAN),
         "drop",
         Instruction(_RETURN, 0),
         "keep",

@@ -5,6 +5,12 @@
 # (asyncio's transport holds 64 KiB for each side before it says stop, and one read of at most 256
 # KiB may exceed that).
 #
+# Each side may have TLS (tls.py); the bytes recorded are those inside. The target is called when
+# the master has completed its handshake; what came right behind that, at most two reads, is kept
+# until the target has answered, and counts as received then. asyncio's TLS knows no half-close: the
+# end of one direction ends both, once what waits for the other side is sent. Received and not yet
+# opened it holds 256 KiB and one read more.
+#
 # Each piece is one chunk. Its time is taken right after it was received, then it is passed on, then
 # recorded; an answer can only come later, so the record keeps the order of cause and effect. A
 # side that dies takes nothing out of the record: what came of it was recorded when it came.
@@ -15,6 +21,7 @@ import asyncio
 import os
 import re
 import socket
+import ssl
 import struct
 import sys
 from contextlib import suppress
@@ -23,6 +30,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.sources.clock import now_ns
+from mbtool.sources.tls import failure
+from mbtool.sources.tls_peer import described
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +39,9 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Sink
 
 CALL_S = 10.0
-"""How long the target may take to accept."""
+"""How long the target may take to accept, and the master for a TLS handshake."""
+MAX_WAITING = 2**16
+"""How much waits for a side before the other must stop. asyncio's TLS would take more."""
 
 _ERRNO = re.compile(r"\[Errno (\d{1,5})\]")
 
@@ -47,13 +58,18 @@ class Relay:
         inbox: Sink,
         on_accept: Callable[[Relay, asyncio.Transport, Endpoint], bool],
         on_end: Callable[[Relay], None],
+        listen_tls: ssl.SSLContext | None = None,
+        target_tls: tuple[ssl.SSLContext, str] | None = None,
     ) -> None:
+        """`target_tls` comes with the name that the target's certificate must have."""
         self._link = link
         self._target = target
         self._number = number
         self._inbox = inbox
         self._on_accept = on_accept
         self._on_end = on_end
+        self._listen_tls = listen_tls
+        self._target_tls = target_tls
         self._connection: Connection | None = None
         self._call: asyncio.Task[None] | None = None
         self._reason: CloseReason | None = None
@@ -85,7 +101,7 @@ class Relay:
             # Up to Python 3.11.3 asyncio adds the reader after connection_made, whatever that did,
             # so a pause must come later than that.
             loop.call_soon(transport.pause_reading)
-            self._call = loop.create_task(self._call_target(self._connection))
+            self._call = loop.create_task(self._begin(transport, self._connection))
 
     def received(self, side: _Side, ts_ns: int, data: bytes) -> None:
         self.active_s = asyncio.get_running_loop().time()
@@ -104,44 +120,88 @@ class Relay:
         """A side's transport is closed; the other's follows."""
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
+        why = failure(error, side.who) if isinstance(error, OSError) else None
+        if why is not None:
+            self._tell_refused(why)
         peer = side.peer
         if peer.transport is not None and not peer.is_lost:
             if error is not None:
                 reset(peer.transport)
             else:
-                peer.transport.close()
+                peer.close()
         if side is self.master and self._call is not None:
             self._call.cancel()
         if self.master.is_lost and (self.slave.is_lost or self.slave.transport is None):
             self._close()
 
+    async def _begin(self, transport: asyncio.Transport, connection: Connection) -> None:
+        if self._listen_tls is None or await self._greet(transport, self._listen_tls):
+            await self._call_target(connection)
+
+    async def _greet(self, transport: asyncio.Transport, tls: ssl.SSLContext) -> bool:
+        """Have TLS with the master; whether that came about."""
+        inner = None
+        try:
+            inner = await asyncio.get_running_loop().start_tls(
+                transport, self.master, tls, server_side=True, ssl_handshake_timeout=CALL_S
+            )
+        except OSError as error:
+            self._tell_refused(failure(error, self.master.who) or f"TLS: {_why(error)}")
+        finally:
+            # Of a connection that ends in its handshake asyncio may tell the protocol nothing.
+            if inner is None and not self.master.is_lost:
+                self.master.connection_lost(None)
+        if inner is None or self.master.is_lost:
+            return False
+        inner.pause_reading()
+        self.master.transport = inner
+        return True
+
     async def _call_target(self, connection: Connection) -> None:
         loop = asyncio.get_running_loop()
+        tls, name = self._target_tls or (None, None)
         try:
             async with asyncio.timeout(CALL_S):
                 await loop.create_connection(
-                    lambda: self.slave, self._target.host, self._target.port
+                    lambda: self.slave,
+                    self._target.host,
+                    self._target.port,
+                    ssl=tls,
+                    server_hostname=name,
                 )
         except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name.
-            self._inbox.put(
-                WireEvent(
-                    ts_ns=now_ns(),
-                    link=self._link,
-                    kind=EventKind.REFUSED,
-                    message=f"{self._target} cannot be reached: {_why(error)}",
-                    source=str(connection.master),
-                    destination=str(self._target),
-                )
-            )
+            why = failure(error, self.slave.who) if isinstance(error, OSError) else None
+            why = why or _why(error)
+            if tls is not None and isinstance(error, TimeoutError):
+                why += "; perhaps it speaks no TLS"
+            self._tell_refused(f"{self._target} cannot be reached: {why}")
             if self.master.transport is not None:
                 reset(self.master.transport)
+
+    def _tell_refused(self, message: str) -> None:
+        assert self._connection is not None
+        self._inbox.put(
+            WireEvent(
+                ts_ns=now_ns(),
+                link=self._link,
+                kind=EventKind.REFUSED,
+                message=message,
+                source=str(self._connection.master),
+                destination=str(self._target),
+            )
+        )
 
     def _open(self, slave: asyncio.Transport) -> None:
         if self.master.is_lost or self.master.transport is None or self._connection is None:
             slave.abort()  # The master has gone while the target was called.
             return
         self._is_open = True
-        self._inbox.put(StreamOpened(now_ns(), self._connection, joined=False))
+        sides = [(side, tls) for side in (self.master, self.slave) if (tls := side.tls) is not None]
+        for side, _ in sides:
+            side.limit_waiting()
+        note = "; ".join(f"{side.who} {described(tls)}" for side, tls in sides)
+        self._inbox.put(StreamOpened(now_ns(), self._connection, joined=False, note=note))
+        self.master.pass_on_early()
         self.master.transport.resume_reading()
 
     def _close(self) -> None:
@@ -160,9 +220,28 @@ class _Side(asyncio.Protocol):
     def __init__(self, relay: Relay, direction: Direction) -> None:
         self._relay = relay
         self.direction = direction
+        self.who = "master" if direction is Direction.REQUEST else "slave"
         self.transport: asyncio.Transport | None = None
         self.is_lost = False
         self._has_ended = False
+        self._is_told_to_close = False
+        self._early = b""
+        """What came before there was a peer."""
+
+    @property
+    def tls(self) -> ssl.SSLObject | None:
+        held = None if self.transport is None else self.transport.get_extra_info("ssl_object")
+        return held if isinstance(held, ssl.SSLObject) else None
+
+    def limit_waiting(self) -> None:
+        if self.transport is not None:
+            self.transport.set_write_buffer_limits(MAX_WAITING)
+
+    def close(self) -> None:
+        """Send what waits, then the end; asyncio's TLS takes that once."""
+        if self.transport is not None and not self._is_told_to_close:
+            self._is_told_to_close = True
+            self.transport.close()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -172,22 +251,38 @@ class _Side(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         ts_ns = now_ns()
         onward = self.peer.transport
-        if onward is not None and not onward.is_closing():
+        if onward is None:
+            self._early += data
+            return
+        if not onward.is_closing():
             onward.write(data)
         self._relay.received(self, ts_ns, data)
+
+    def pass_on_early(self) -> None:
+        """Have what came before there was a peer come again, where a paused side would read it."""
+        early, self._early = self._early, b""
+        if early:
+            self.data_received(early)
 
     def eof_received(self) -> bool:
         self._has_ended = True
         onward = self.peer.transport
         if self.peer._has_ended or onward is None:
             return False
-        with suppress(OSError):  # The other side has been reset and connection_lost will say so.
-            onward.write_eof()
-        return True
+        if onward.can_write_eof():
+            with suppress(OSError):  # The other side has been reset; connection_lost will say so.
+                onward.write_eof()
+        else:
+            self.peer.close()
+        return self.transport is not None and self.transport.can_write_eof()
 
     def connection_lost(self, exc: Exception | None) -> None:
+        if self.is_lost:  # A handshake failed, and the relay knows.
+            return
         self.is_lost = True
-        self._relay.lost(self, exc)
+        # A peer may leave the end of TLS without its answer: the connection is over all the same.
+        is_over = self._is_told_to_close and isinstance(exc, ssl.SSLError | TimeoutError)
+        self._relay.lost(self, None if is_over else exc)
 
     def pause_writing(self) -> None:
         if self.peer.transport is not None and not self.peer._has_ended:

@@ -8,6 +8,9 @@
 # target has answered. If the target cannot be reached, the master's connection is reset, and a
 # REFUSED event says why.
 #
+# With TLS on a side, the bytes recorded are those inside it; the files it needs are read before the
+# tap listens.
+#
 # Bounds: 64 connections at once, one more is reset with an event; a connection without a byte for
 # an hour is closed. A master that polls less often than that is rare, and without a limit peers
 # that have vanished would fill the 64 places for good.
@@ -21,7 +24,7 @@ import socket
 from contextlib import suppress
 from functools import partial
 from threading import Event, Thread
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Endpoint, EventKind, LinkError, Quiet, TapLink, WireEvent
 from mbtool.packets import CloseReason
@@ -29,6 +32,10 @@ from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.outbox import Outbox
 from mbtool.sources.relay import Relay, reset
+from mbtool.sources.tls import client_context, server_context
+
+if TYPE_CHECKING:
+    import ssl
 
 MAX_CONNECTIONS = 64
 IDLE_S = 3600.0
@@ -53,6 +60,8 @@ class TapSource:
         self._max_connections = max_connections
         self._idle_s = idle_s
         self._endpoint = link.listen
+        self._listen_tls: ssl.SSLContext | None = None
+        self._target_tls: tuple[ssl.SSLContext, str] | None = None
         self._relays: set[Relay] = set()
         self._accepted = 0
         self._is_serving = Event()
@@ -74,6 +83,11 @@ class TapSource:
         return self._endpoint
 
     def __enter__(self) -> Self:
+        link = self._link
+        if link.listen_tls is not None:
+            self._listen_tls = server_context(link.listen_tls)
+        if link.target_tls is not None:
+            self._target_tls = client_context(link.target_tls, link.target.host)
         listener = _listen(self._link)
         host, port = listener.getsockname()[:2]
         self._endpoint = Endpoint(host, port)
@@ -129,6 +143,8 @@ class TapSource:
             inbox=outbox,
             on_accept=partial(self._admit, outbox),
             on_end=self._relays.discard,
+            listen_tls=self._listen_tls,
+            target_tls=self._target_tls,
         )
 
     def _admit(

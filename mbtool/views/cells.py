@@ -188,6 +188,13 @@ def _shortened(raw: bytes) -> str:
 
 
 def _values(transaction: NamedTransaction, values: list[int]) -> str:
+    match transaction.function, values:
+        case 0x07, [status]:
+            return f"status {status:02X}H"
+        case 0x0B, [status, events]:
+            return f"status {status:04X}H, {events} events"
+        case 0x16, [and_mask, or_mask]:
+            return f"AND {and_mask:04X}H, OR {or_mask:04X}H"
     function = FUNCTIONS.get(transaction.function)
     bits = function is not None and function.table is not None and function.table.is_bits
     return values_text(values, bits=bits)

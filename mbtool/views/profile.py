@@ -8,8 +8,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from mbtool.devices import PointType, write_reference
-from mbtool.devices.values import Place
+from mbtool.devices import Access, ByteOrder, Place, PointType, WordOrder, write_reference
 from mbtool.modbus import FUNCTIONS, function_name
 
 if TYPE_CHECKING:
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from mbtool.devices import FunctionRule, Point, Profile
+
+_ACCESS = {Access.READ: "read", Access.READ_WRITE: "read, write", Access.WRITE: "write"}
 
 
 def profile_list(profiles: Sequence[Profile]) -> RenderableType:
@@ -47,9 +48,14 @@ def profile_page(profile: Profile) -> RenderableType:
         Text(""),
         Text(_exceptions(profile)),
     ]
-    silences = [("t1.5", profile.timing.t1_5), ("t3.5", profile.timing.t3_5)]
-    if any(text for _, text in silences):
-        said = ", ".join(f"{name} {text}" for name, text in silences if text)
+    timing = profile.timing
+    silences = [
+        ("t1.5 {}", timing.t1_5),
+        ("t3.5 {}", timing.t3_5),
+        ("at least {} before each request", timing.request_interval),
+    ]
+    said = ", ".join(text.format(silence) for text, silence in silences if silence)
+    if said:
         parts.append(Text(f"timing: {said}"))
     if profile.any_unit:
         parts.append(Text("units: it answers whatever unit a request names"))
@@ -65,13 +71,12 @@ def profile_page(profile: Profile) -> RenderableType:
 def _areas(profile: Profile) -> Table:
     table = _table("area", "references", "addresses", "table", "access")
     for area in profile.areas:
-        quantity = area.last - area.first + 1
         table.add_row(
             area.name,
-            write_reference(profile, area.table, area.first, quantity),
+            area.span(area.first, area.last),
             f"{area.first:04X}..{area.last:04X}",
             area.table.value.replace("_", " "),
-            "read, write" if area.access == "rw" else "read",
+            _ACCESS[area.access],
         )
     return table
 
@@ -80,14 +85,16 @@ def _functions(profile: Profile) -> Table:
     table = _table("function", "name", "at most")
     for key, rule in sorted(profile.functions.items()):
         code = int(key, 16)
-        table.add_row(key, rule.title or function_name(code), _limit(code, rule))
+        silent = "" if rule.answers else ", without an answer"
+        table.add_row(key, f"{rule.title or function_name(code)}{silent}", _limit(code, rule))
     return table
 
 
 def _limit(code: int, rule: FunctionRule) -> str:
     known = FUNCTIONS.get(code)
     if rule.limit is not None:
-        return str(rule.limit)
+        in_ascii = "" if rule.ascii_limit is None else f", in ASCII {rule.ascii_limit}"
+        return f"{rule.limit}{in_ascii}"
     if known is None or known.table is None:
         return ""
     return "1" if known.limit == 1 else f"{known.limit}, by the standard"
@@ -95,7 +102,10 @@ def _limit(code: int, rule: FunctionRule) -> str:
 
 def _exceptions(profile: Profile) -> str:
     rules = profile.exceptions
-    documented = ", ".join(f"{code:02X}" for code in rules.documented)
+    documented = ", ".join(
+        f"{code:02X} {rules.texts[code]}" if code in rules.texts else f"{code:02X}"
+        for code in rules.documented
+    )
     return (
         f"exceptions: {rules.function:02X} for a function that it lacks, {rules.address:02X} for "
         f"an address outside its areas, {rules.value:02X} for a value or quantity that it does "
@@ -107,14 +117,15 @@ def _points(profile: Profile) -> Table:
     table = _table("reference", "point", "type", "values")
     for point in profile.points:
         name = point.name.replace("{n}", "n").replace("{reference}", "(called by its reference)")
-        table.add_row(_reference(profile, point), name, point.type.value, _values(point))
+        table.add_row(_reference(profile, point), name, _type(point), _values(profile, point))
     return table
 
 
 def _reference(profile: Profile, point: Point) -> str:
     """Where a point stands, or the first and the last of its series."""
+    writing = not point.allows(writing=False)
     first, last = (
-        write_reference(profile, point.table, address, point.type.words)
+        write_reference(profile, point.table, address, point.words, writing=writing)
         for address in (point.addresses[0], point.addresses[-1])
     )
     if first == last:
@@ -122,25 +133,58 @@ def _reference(profile: Profile, point: Point) -> str:
     return f"{first} .. {last}"
 
 
-def _values(point: Point) -> str:
-    parts = [
+def _type(point: Point) -> str:
+    parts = [point.type.value]
+    if point.type is PointType.STRING:
+        parts.append(f"{point.words} registers")
+    if point.words > 1 and point.word_order is WordOrder.LOW_FIRST:
+        parts.append("low word first")
+    if point.byte_order is ByteOrder.LOW_FIRST:
+        parts.append("low byte first")
+    return ", ".join(parts)
+
+
+def _values(profile: Profile, point: Point) -> str:
+    parts = [f"bit {bit} = {name}" for bit, name in sorted(point.bits.items())]
+    parts += [
         f"{value:04X}H = {text}" if point.type is PointType.HEX16 else f"{value} = {text}"
         for value, text in point.texts.items()
     ]
-    if point.count > 1 and point.stride != point.type.words:
+    if point.count > 1 and point.stride != point.words:
         parts.append(f"in steps of {point.stride} addresses")
-    unit = f" {point.unit}" if point.unit else ""
-    if point.minimum is not None and point.maximum is not None:
-        parts.append(f"{point.minimum}..{point.maximum}{unit}")
-    elif point.minimum is not None:
-        parts.append(f"from {point.minimum}{unit} on")
-    elif point.maximum is not None:
-        parts.append(f"up to {point.maximum}{unit}")
-    elif unit:
-        parts.append(f"in{unit}")
+    parts += [*_scale(point), *_range(point)]
     if point.default is not None:
         parts.append(f"default {_default(point, point.default)}")
+    if point.block is not None:
+        parts.append(f"in a read from {write_reference(profile, point.table, point.block)} on")
+    area = profile.area(point.table, point.address, point.words)
+    if point.access is not None and area is not None and area.access is not point.access:
+        parts.append(f"{_ACCESS[point.access]} only")
     return ", ".join(parts)
+
+
+def _scale(point: Point) -> list[str]:
+    """`number x 0.1 - 50`, `2 decimals`: how the value comes from the register."""
+    formula = "" if point.scale == 1 else f" x {point.scale:g}"
+    if point.offset:
+        formula += f" {'+' if point.offset > 0 else '-'} {abs(point.offset):g}"
+    ranged = point.minimum is not None or point.maximum is not None
+    unit = f" {point.unit}" if point.unit and not ranged else ""
+    parts = [f"number{formula}{unit}"] if formula else []
+    if point.decimals is not None:
+        parts.append(f"{point.decimals} decimal{'' if point.decimals == 1 else 's'}")
+    return parts
+
+
+def _range(point: Point) -> list[str]:
+    unit = f" {point.unit}" if point.unit else ""
+    if point.minimum is not None and point.maximum is not None:
+        return [f"{point.minimum}..{point.maximum}{unit}"]
+    if point.minimum is not None:
+        return [f"from {point.minimum}{unit} on"]
+    if point.maximum is not None:
+        return [f"up to {point.maximum}{unit}"]
+    return [f"in{unit}"] if unit and point.scale == 1 and not point.offset else []
 
 
 def _point_notes(profile: Profile) -> list[str]:
@@ -153,7 +197,7 @@ def _point_notes(profile: Profile) -> list[str]:
 
 
 def _default(point: Point, word: int) -> str:
-    if point.type.words == 1:
+    if point.words == 1:
         return Place(point, point.address, "").value([word]).text
     return str(word)
 

@@ -8,8 +8,11 @@
 # longest is closed.
 #
 # With `any_port` every TCP connection is followed, and those that are not Modbus stay out of sight:
-# their opening and end are not told, and that they are foreign once for each slave's endpoint, of
-# the first MAX_TOLD. A port that is named, and 502, is Modbus's all the same.
+# their opening and end are not told, nor what their segments and fragments lack, and that they are
+# foreign once for each slave's endpoint, of the first MAX_TOLD. A port that is named, and 502, is
+# Modbus's all the same.
+#
+# A connection that two interfaces saw is two, unless flows are followed `across` interfaces.
 
 from __future__ import annotations
 
@@ -17,6 +20,8 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING
 
 from mbtool.core import (
+    CONNECTION_JOINED,
+    CONNECTION_OPENED,
     Chunk,
     Connection,
     Direction,
@@ -37,6 +42,7 @@ from mbtool.packets import (
     USER_LINK_TYPES,
     CloseReason,
     StreamClosed,
+    StreamEvent,
     StreamGap,
     StreamItem,
     StreamOpened,
@@ -56,7 +62,9 @@ EVERY_PORT = range(1 << 16)
 _LOST = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
 """Events behind which bytes of a serial line are missing."""
 
-Evidence = Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | WireEvent
+Evidence = (
+    Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent
+)
 Record = NamedTransaction | WireEvent
 
 
@@ -73,10 +81,12 @@ class Decoder:
         ports: Iterable[int] = (),
         rtu_ports: Iterable[int] = (),
         any_port: bool = False,
+        across: bool = False,
     ) -> None:
         """`lines` are the serial links by name, `ports` and `rtu_ports` those of packets.
 
-        With `any_port` the connections of all other ports are looked into, too.
+        With `any_port` the connections of all other ports are looked into, too; with `across` what
+        several interfaces saw is one network's.
         `line` is what every other serial link is like, `timing` which silences hold on them.
         """
         self._namer = namer
@@ -87,8 +97,10 @@ class Decoder:
         self._rtu_ports = frozenset(rtu_ports)
         self._any_port = any_port
         self._ports = frozenset((*ports, *self._rtu_ports, *((MODBUS_PORT,) if any_port else ())))
-        self._reassembler = TcpReassembler(frozenset(EVERY_PORT) if any_port else self._ports)
+        followed = frozenset(EVERY_PORT) if any_port else self._ports
+        self._reassembler = TcpReassembler(followed, across=across)
         self._buses: dict[str, Bus | TwoTaps] = {}
+        self._untimed: set[str] = set()
         self._conversations: OrderedDict[Connection, Recognition] = OrderedDict()
         self._interfaces: set[str] = set()
         """Links that have brought packets."""
@@ -111,6 +123,12 @@ class Decoder:
         for piece in pieces:
             records += self._piece(piece)
         return records
+
+    def format_of(self, link: str) -> SerialFormat | None:
+        """A serial link's settings and silences; None where the times of its bytes are unknown."""
+        if link in self._untimed:
+            return None
+        return self._timing.format_of(self._lines.get(link) or self._line.on(link))
 
     def begin_line(self, line: SerialLink) -> None:
         """Learn what a serial link is like whose bytes come next."""
@@ -146,7 +164,8 @@ class Decoder:
             gap = conversation.gap(item.direction, item.missing, item.ts_ns, item.kind)
             return self._recognised(conversation, gap)
         if isinstance(item, StreamOpened):
-            text = "connection joined" if item.joined else "connection opened"
+            text = CONNECTION_JOINED if item.joined else CONNECTION_OPENED
+            text = f"{text}: {item.note}" if item.note else text
             told = _told(item, EventKind.OPENED, text)
             conversation = self._conversation(item.connection, joined=item.joined)
             if self._is_expected(item.connection):
@@ -164,15 +183,23 @@ class Decoder:
             probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
             told = _told(item, kind, f"connection closed: {item.reason}{probes}")
             return [*records, told if ended is None else ended.seen_from_here(told)]
-        if self._any_port and item.kind is EventKind.OVERLAP and not self._is_modbus(item.link):
-            return []
+        if isinstance(item, StreamEvent):
+            return self._stream_event(item)
         return [*self._broken_off(item), item]
 
-    def _is_modbus(self, link: str) -> bool:
-        return any(
-            connection.link == link and conversation.state is State.MODBUS
-            for connection, conversation in self._conversations.items()
-        )
+    def _stream_event(self, item: StreamEvent) -> list[Record]:
+        conversation = self._conversations.get(item.connection)
+        state = None if conversation is None else conversation.state
+        if conversation is not None and state is State.MODBUS:
+            return [conversation.seen_from_here(item.event)]
+        if self._is_expected(item.connection):
+            return [item.event]
+        if conversation is not None and state is State.UNDECIDED:
+            conversation.hold(item.event)
+            return []
+        # Of a connection that nothing is known of, only what a bound cost is told.
+        is_told = state is None and item.event.kind is EventKind.DISCARDED
+        return [item.event] if is_told else []
 
     def _broken_off(self, event: WireEvent) -> list[Record]:
         """What was held when bytes behind it were lost: it cannot be completed."""
@@ -226,6 +253,8 @@ class Decoder:
             format_, is_ascii = self._timing.format_of(line), line.ascii
             if chunk.direction is Direction.UNKNOWN:
                 timed = chunk.stamp is not Stamp.UNKNOWN
+                if not timed:
+                    self._untimed.add(link)
                 bus = Bus(link, format_, ascii=is_ascii, timed=timed)
             else:
                 bus = TwoTaps(link, format_, ascii=is_ascii)

@@ -45,7 +45,7 @@ from mbtool.workflows.parts import Part, Seam
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.decoding import Evidence, Record
 
@@ -105,6 +105,14 @@ class Reading:
         self._any_port = options.any_port
         self.assignments = options.assignments
         """The profiles in use: those of the options, and those of the log that is being read."""
+        self.captures = 0
+        """How many captures came to their end before the last record; parts of one are one."""
+        self.place = ""
+        """The file that the last record came from."""
+        self.is_log = False
+        """Whether the last record stood in a log as it is."""
+        self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
+        """A serial link's settings; None where the times of its bytes are not known."""
 
     @property
     def fraction(self) -> float | None:
@@ -117,7 +125,7 @@ class Reading:
         """One line for a reader where a whole pass brought nothing, not even an event."""
         if self._found or self._done < len(self._paths):
             return None
-        names = ", ".join(self._paths)
+        names = self._names
         if not self._evidence:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
         if self._any_port:
@@ -133,7 +141,12 @@ class Reading:
         """One line where all that a pass brought is that the capture cannot be looked into."""
         if self._unread is None or self._has_read or self._done < len(self._paths):
             return None
-        return f"{', '.join(self._paths)}: nothing in it could be read: {self._unread}"
+        return f"{self._names}: nothing in it could be read: {self._unread}"
+
+    @property
+    def _names(self) -> str:
+        names = ("standard input" if one == STANDARD_INPUT else one for one in self._paths)
+        return ", ".join(names)
 
     @property
     def remarks(self) -> list[str]:
@@ -161,6 +174,20 @@ class Reading:
             if place in known:
                 raise UsageError(f"{path}: named twice; what is in it would count twice")
             known.add(place)
+
+    def profiles_of_logs(self) -> list[Profile]:
+        """What the logs among the files carry; a pipe is not looked into. Raises InputError."""
+        profiles = []
+        for path in self._paths:
+            if not _place(path)[1]:
+                with open_capture(path, self._options.line) as capture:
+                    if capture.kind is CaptureKind.MCAP:
+                        log = LogReader(capture.stream, capture.name)
+                        profiles += [
+                            profile_from_json(data, f"profile {name}")
+                            for name, data in log.profiles.items()
+                        ]
+        return profiles
 
     def records(self) -> Iterator[Record]:
         """Give everything, file by file."""
@@ -201,12 +228,14 @@ class Reading:
             ports=options.ports or (DEFAULT_PORT,),
             rtu_ports=options.rtu_ports,
             any_port=options.any_port,
+            across=True,  # Who made the file put them together.
         )
 
     def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
         yield from self._end_capture()
         line, pieces = capture.serial(self._options.line)
         decoder = self._decoder = self._own_decoder()
+        self.format_of = decoder.format_of
         decoder.begin_line(line.on(capture.link))
         heard = self._hear(capture) if capture.kind is CaptureKind.MONITOR_TEXT else None
         for piece in pieces:
@@ -253,9 +282,12 @@ class Reading:
             if is_first and not self._seam.is_continued_by(item):
                 yield from self._end_capture()
                 self._part = part
+            if is_first:
+                self._enter()
             is_first = False
             if self._decoder is None:
                 self._decoder = begin()
+                self.format_of = self._decoder.format_of
             self._evidence += 1
             self._seam.note(item)
             yield from self._decoder.feed(item)
@@ -266,6 +298,13 @@ class Reading:
         self._part, self._seam = None, Seam()
         if decoder is not None:
             yield from decoder.close()
+        self.captures += 1
+        self._enter()
+
+    def _enter(self, *, is_log: bool = False) -> None:
+        """What comes next comes from the file that is open."""
+        self.place = self._current.name if self._current is not None else ""
+        self.is_log = is_log
 
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
         self._demand_line_is_open(capture)
@@ -279,9 +318,15 @@ class Reading:
                 "--t1-5 and --t3-5 go with --raw, which decodes it afresh"
             )
         else:
-            yield from self._end_capture()
+            part = Part.of_log(log)
+            if not part.follows(self._part):
+                yield from self._end_capture()
+            self._part = part
+            self._enter(is_log=True)
             with suppress(UsageError):  # The log's transactions are named; only figures lack.
                 self.assignments = _all_assignments(log, self._options.assignments)
+            lines, timing = _lines(log), LineTiming(self.assignments)
+            self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
             yield from _renamed(log, self._options.assignments)
         if not log.closed:
             end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
@@ -348,10 +393,10 @@ def _named_anew(item: Record, namer: Namer, assignments: Assignments) -> Record:
     """A transaction in the words of the profile that the user gives, where he gives one."""
     if isinstance(item, WireEvent) or assignments.profile_for(item) is None:
         return item
-    return namer.name(_bare(item))
+    return namer.name(bare(item))
 
 
-def _bare(named: NamedTransaction) -> Transaction:
+def bare(named: NamedTransaction) -> Transaction:
     return Transaction(**{name: getattr(named, name) for name in Transaction.__struct_fields__})
 
 

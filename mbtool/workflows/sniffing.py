@@ -64,7 +64,8 @@ class Sniffer:
         """`on_lost` is told when a link goes away while others stay.
 
         `on_refused` is told when a tap cannot reach its slave: once, until it could be reached or
-        cannot be for another reason. `on_discarded` is told when a bound has cost bytes or packets.
+        cannot be for another reason. `on_discarded` is told when bytes or packets that a source has
+        heard, or should have, are not in the log.
         """
         self._links = links
         self._decoder = decoder
@@ -81,8 +82,9 @@ class Sniffer:
         self.sources: list[LiveSource] = []
         """One for each link, in their order, once the context is entered."""
         self._open = 0
-        self._discarded = 0
-        """How many bytes or packets bounds have cost."""
+        self._discarded_packets = 0
+        self._discarded_bytes = 0
+        """What sources lost: those of packets that the kernel dropped are not known."""
 
     @property
     def places(self) -> list[str]:
@@ -107,7 +109,12 @@ class Sniffer:
                 pass  # Nobody looks any more, but the log wants it.
         finally:
             if self._log is not None:
-                self._log.close({"discarded": str(self._discarded)})
+                self._log.close(
+                    {
+                        "discarded_packets": str(self._discarded_packets),
+                        "discarded_bytes": str(self._discarded_bytes),
+                    }
+                )
 
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
         """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
@@ -133,6 +140,11 @@ class Sniffer:
     def _take(self, item: Evidence) -> Iterator[Record]:
         if self._log is not None and isinstance(item, Chunk | Packet):
             self._log.write(item)
+        if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
+            self._discarded_packets += item.packets
+            self._discarded_bytes += item.missing
+            if item.packets or item.missing:
+                self._on_discarded(item)
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
@@ -153,9 +165,6 @@ class Sniffer:
 
     def _note(self, event: WireEvent) -> None:
         match event.kind:
-            case EventKind.DISCARDED if event.missing:
-                self._discarded += event.missing
-                self._on_discarded(event)
             case EventKind.OPENED:
                 self._refused.pop(event.link, None)
             case EventKind.REFUSED if self._refused.get(event.link) != event.message:

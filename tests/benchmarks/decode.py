@@ -82,6 +82,9 @@ def report(measured: Sequence[Measurement]) -> str:
     lines = [f"{'stage':<12}{'ADU/s':>12}{'share':>8}"]
     lines += [f"{one.stage:<12}{one.rate:>12,.0f}{one.seconds / whole:>8.0%}" for one in measured]
     lines.append(f"{'file to jsonl':<12}{measured[0].adus / whole:>11,.0f}{1:>8.0%}")
+    seconds = {one.stage: one.seconds for one in measured}
+    before = sum(seconds[stage] for stage in ("read", "reassemble", "decode"))
+    lines.append(f"naming takes {seconds['name'] / before:.0%} of the time that decoding takes")
     return "\n".join(lines) + "\n"
 
 

@@ -1,8 +1,9 @@
 """What a decoder made of a wire, counted against the truth."""
 
 # A frame is found where its bytes come out as one frame at its own place in the stream. Any other
-# frame that comes out is false. Directions are counted over the frames found: ambiguous where the
-# decoder is not sure of it, whatever it says; right or wrong otherwise.
+# frame that comes out is false where the decoder is sure of it, and in doubt where it says itself
+# that another reading is nearly as likely. Directions are counted over the frames found: ambiguous
+# where the decoder is not sure of it, whatever it says; right or wrong otherwise.
 #
 # A transaction counts where every frame of it is undamaged. It is right where its request, its
 # response and its outcome come out together. After a damage, those that do not come out right
@@ -51,6 +52,9 @@ class Figures:
     heard: int = 0
     """All that came out."""
     false: int = 0
+    """Those that are none, and are not said to be in doubt."""
+    in_doubt: int = 0
+    """Those that are none, and are said to be in doubt."""
     right: int = 0
     ambiguous: int = 0
     wrong: int = 0
@@ -78,6 +82,10 @@ class Figures:
     @property
     def false_per_10000(self) -> float:
         return 10_000 * self.false / max(self.heard, 1)
+
+    @property
+    def in_doubt_per_10000(self) -> float:
+        return 10_000 * self.in_doubt / max(self.heard, 1)
 
     @property
     def right_share(self) -> float | None:
@@ -135,8 +143,10 @@ def figures(traffic: Traffic, wire: Wire, heard: Heard) -> Figures:
     for offset, raw, direction in heard.frames:
         place = wire.intact.get(offset)
         if place is None or traffic.frames[place].raw != raw:
-            counted.false += 1
-            counted.misses.append(f"{offset}: false {raw.hex(' ')}")
+            counted.false += direction is not None
+            counted.in_doubt += direction is None
+            called = "in doubt" if direction is None else "false"
+            counted.misses.append(f"{offset}: {called} {raw.hex(' ')}")
             continue
         missing.pop(offset, None)
         truth = traffic.frames[place].direction

@@ -1,5 +1,7 @@
 """Feeds a decoder packets that nobody sent: python -m tests.benchmarks.fuzz_packets --packets N.
 
+With --any-port it looks for Modbus at every port.
+
 Packets of conversations are mutated, or made of nothing at all, and decoded as a capture's are.
 What must hold: nothing is raised, all bounds are kept, and memory grows by no more than
 MEMORY_BOUND, however many packets there are.
@@ -29,12 +31,14 @@ from tests.packets.building import (
     SLAVE,
     End,
     Talk,
+    erspan,
     ethernet,
     in_fragments,
     ipv4,
     ipv6,
     packet,
     tcp,
+    vxlan,
 )
 
 if TYPE_CHECKING:
@@ -66,17 +70,18 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("--packets", type=int, default=100_000)
     options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--any-port", action="store_true")
     given = options.parse_args()
-    result = fuzz(given.packets, given.seed, progress=True)
+    result = fuzz(given.packets, given.seed, any_port=given.any_port, progress=True)
     sys.stdout.write(report(result))
     if result.grown is not None and result.grown > MEMORY_BOUND:
         sys.exit("memory grew beyond its bound")
 
 
-def fuzz(packets: int, seed: int, *, progress: bool = False) -> Result:
+def fuzz(packets: int, seed: int, *, any_port: bool = False, progress: bool = False) -> Result:
     """Decode so many packets. Raises what the decoder raises, with the packet's number."""
     chance = random.Random(seed)
-    decoder = Decoder(Namer(), ports=(502,), rtu_ports=(5020,))
+    decoder = Decoder(Namer(), ports=(502,), rtu_ports=(5020,), any_port=any_port)
     result, before, begin = Result(), _resident(), time.perf_counter()
     recent: list[Packet] = []
     for each in _packets(chance):
@@ -91,21 +96,20 @@ def fuzz(packets: int, seed: int, *, progress: bool = False) -> Result:
             error.add_note(f"packet {result.packets} of seed {seed}: {mutated!r}")
             raise
         if progress and result.packets % REPORT_EVERY == 0:
-            sys.stderr.write(f"{result.packets:,} packets\n")
-    after = _resident()
+            result.grown = _grown(before)
+            sys.stderr.write(f"{result.packets:,} packets, memory grew by {_size(result.grown)}\n")
+    result.grown = _grown(before)
     _count(result, decoder.close())
     result.seconds = time.perf_counter() - begin
-    result.grown = None if before is None or after is None else after - before
     return result
 
 
 def report(result: Result) -> str:
-    grown = "unknown" if result.grown is None else f"{result.grown / 2**20:.0f} MiB"
     lines = [
         f"{result.packets:,} packets in {result.seconds:.0f} s: nothing was raised",
         f"{result.transactions:,} transactions",
         *(f"{count:,} {kind} events" for kind, count in sorted(result.events.items())),
-        f"memory grew by {grown}; the bound is {MEMORY_BOUND / 2**20:.0f} MiB",
+        f"memory grew by {_size(result.grown)}; the bound is {MEMORY_BOUND / 2**20:.0f} MiB",
     ]
     return "\n".join(lines) + "\n"
 
@@ -137,6 +141,8 @@ def _packets(chance: random.Random) -> Iterator[Packet]:
                 yield from in_fragments(each, 8, 16, identification=chance.getrandbits(4))
             elif chance.random() < 0.1:
                 yield packet(ethernet(ipv6(each.data[_TCP_AT:]), 0x86DD), each.ts_ns)
+            elif chance.random() < 0.05:
+                yield packet(chance.choice((erspan, vxlan))(each.data), each.ts_ns)
             else:
                 yield each
         # Rarely a pause in which all is forgotten, so that the tables fill up in between.
@@ -187,6 +193,15 @@ def _mutated(chance: random.Random, each: Packet, recent: list[Packet]) -> Packe
             value = chance.choice((*_EDGES, chance.randrange(256)))
             changed[chance.randrange(len(changed))] = value
     return replace(each, data=bytes(changed))
+
+
+def _grown(before: int | None) -> int | None:
+    after = _resident()
+    return None if before is None or after is None else after - before
+
+
+def _size(grown: int | None) -> str:
+    return "unknown" if grown is None else f"{grown / 2**20:.0f} MiB"
 
 
 def _resident() -> int | None:

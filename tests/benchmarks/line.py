@@ -161,8 +161,8 @@ def cells(
 
 
 HEADINGS = (
-    "decoder", "adapter", "damage", "found", "false/10k", "direction", "ambiguous", "wrong",
-    "transactions", "out of step", "MB/s", "MB/s all",
+    "decoder", "adapter", "damage", "found", "false/10k", "in doubt", "direction", "ambiguous",
+    "wrong", "transactions", "out of step", "MB/s", "MB/s all",
 )  # fmt: skip
 
 
@@ -176,6 +176,7 @@ def row(cell: Cell) -> tuple[str, ...]:
         cell.damage,
         _percent(one.found_share),
         f"{one.false_per_10000:.1f}",
+        f"{one.in_doubt_per_10000:.1f}",
         _percent(one.right_share),
         _percent(one.ambiguous_share),
         _percent(one.wrong_share),
@@ -227,7 +228,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table.add_row(*row(cell))
         if asked.misses:
             sys.stdout.write("".join(f"{miss}\n" for miss in cell.figures.misses[: asked.misses]))
-    console = Console(width=160)
+    console = Console(width=180)
     console.print(table)
     for name in missing:
         console.print(f"{name}: not installed")

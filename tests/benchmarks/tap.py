@@ -3,6 +3,7 @@
     --bytes 1000000000   to pass through the tap, each way
     --polls 2000         of each way, in each of the rounds
     --rounds 5
+    --tls                end TLS on both sides of the tap: `direct` then is TLS, too
 
 First a stream: a sender pushes random bytes through the tap, and a slave sends back what it gets.
 The bytes sent, those that came back and what the tap recorded of either side are compared by their
@@ -38,12 +39,14 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from mbtool.core import Chunk, Direction, Endpoint, TapLink, WireEvent
+from mbtool.core import Chunk, Direction, Endpoint, ListenTls, TapLink, TargetTls, WireEvent
 from mbtool.modbus import mbap_adu
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.tap import TapSource
+from tests.certificates import CA, MASTER, SLAVE, master_context, slave_context
 
 if TYPE_CHECKING:
+    import ssl
     from collections.abc import Iterator, Sequence
 
 DIRECT, TAP, SNIFF = "direct", "tap", "sniff"
@@ -52,7 +55,7 @@ RESPONSE = bytes.fromhex("03 04 1234 5678")
 PATIENCE_S = 30.0
 _BLOCK = 2**16
 _ANY = Endpoint("127.0.0.1", 0)
-_ECHO, _RECORD = "--as-slave", "--as-tap"
+_ECHO, _RECORD, _TLS = "--as-slave", "--as-tap", "--tls"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ def main() -> None:
         _answer()
         return
     if sys.argv[1:2] == [_RECORD]:
-        _record(sys.argv[2])
+        _record(sys.argv[2], tls=_TLS in sys.argv)
         return
     assert __doc__ is not None
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -100,12 +103,13 @@ def main() -> None:
     parser.add_argument("--polls", type=int, default=2000)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--pause", type=float, default=2.0, metavar="MS")
+    parser.add_argument(_TLS, action="store_true")
     options = parser.parse_args()
     if options.bytes:
-        stream = measure_stream(options.bytes)
+        stream = measure_stream(options.bytes, tls=options.tls)
         sys.stdout.write(report_stream(stream))
     if options.polls:
-        polls = measure_polls(options.polls, options.rounds, options.pause / 1000)
+        polls = measure_polls(options.polls, options.rounds, options.pause / 1000, tls=options.tls)
         sys.stdout.write(report_polls(polls))
 
 
@@ -127,15 +131,17 @@ def report_polls(polls: Sequence[Polls]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def measure_stream(size: int) -> Stream:
-    with _slave("stream") as target, _tap(target) as (endpoint, tap):
-        with socket.create_connection((endpoint.host, endpoint.port), PATIENCE_S) as master:
+def measure_stream(size: int, *, tls: bool = False) -> Stream:
+    with _slave("stream", tls=tls) as target, _tap(target, tls=tls) as (endpoint, tap):
+        with _called(endpoint, tls=tls) as master:
             sent, back = hashlib.sha256(), hashlib.sha256()
             begun = time.perf_counter()
             sender = Thread(target=_send, args=(master, size, sent))
             sender.start()
-            while data := master.recv(_BLOCK):
+            received = 0
+            while received < size and (data := master.recv(_BLOCK)):
                 back.update(data)
+                received += len(data)
             seconds = time.perf_counter() - begun
             sender.join()
         assert tap.stdin is not None
@@ -146,23 +152,29 @@ def measure_stream(size: int) -> Stream:
     return Stream(size, seconds, hashes, recorded["lost"])
 
 
-def measure_polls(polls: int, rounds: int, pause_s: float = 0.0) -> list[Polls]:
+def measure_polls(
+    polls: int, rounds: int, pause_s: float = 0.0, *, tls: bool = False
+) -> list[Polls]:
     with ExitStack() as stack:
-        target = stack.enter_context(_slave("polls"))
-        ways = {DIRECT: target, TAP: stack.enter_context(_tap(target))[0]}
-        ways[SNIFF] = stack.enter_context(_sniff(target))
-        masters = {
-            way: stack.enter_context(socket.create_connection((each.host, each.port), PATIENCE_S))
-            for way, each in ways.items()
-        }
+        target = stack.enter_context(_slave("polls", tls=tls))
+        ways = {DIRECT: target, TAP: stack.enter_context(_tap(target, tls=tls))[0]}
+        ways[SNIFF] = stack.enter_context(_sniff(target, tls=tls))
+        masters = {way: stack.enter_context(_called(each, tls=tls)) for way, each in ways.items()}
         taken: dict[str, list[int]] = {way: [] for way in ways}
         for master in masters.values():
-            master.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             _poll(master, 20, pause_s)
         for _ in range(rounds):
             for way, master in masters.items():
                 taken[way] += _poll(master, polls, pause_s)
     return [Polls(way, sorted(each)) for way, each in taken.items()]
+
+
+def _called(endpoint: Endpoint, *, tls: bool) -> socket.socket:
+    master = socket.create_connection((endpoint.host, endpoint.port), PATIENCE_S)
+    master.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if not tls:
+        return master
+    return master_context().wrap_socket(master, server_hostname="localhost")
 
 
 def _poll(master: socket.socket, count: int, pause_s: float) -> list[int]:
@@ -187,7 +199,6 @@ def _send(master: socket.socket, size: int, sent: hashlib._Hash) -> None:
         sent.update(piece)
         size -= len(piece)
         block = block[1:] + block[:1]
-    master.shutdown(socket.SHUT_WR)
 
 
 @contextmanager
@@ -203,25 +214,28 @@ def _child(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def _slave(what: str) -> Iterator[Endpoint]:
-    with _child(_ECHO, what) as child:
+def _slave(what: str, *, tls: bool) -> Iterator[Endpoint]:
+    with _child(_ECHO, what, *([_TLS] if tls else [])) as child:
         assert child.stdout is not None
         yield Endpoint("127.0.0.1", int(child.stdout.readline()))
 
 
 @contextmanager
-def _tap(target: Endpoint) -> Iterator[tuple[Endpoint, subprocess.Popen[str]]]:
-    with _child(_RECORD, str(target.port)) as child:
+def _tap(target: Endpoint, *, tls: bool) -> Iterator[tuple[Endpoint, subprocess.Popen[str]]]:
+    with _child(_RECORD, str(target.port), *([_TLS] if tls else [])) as child:
         assert child.stdout is not None
         yield Endpoint("127.0.0.1", int(child.stdout.readline())), child
 
 
 @contextmanager
-def _sniff(target: Endpoint) -> Iterator[Endpoint]:
+def _sniff(target: Endpoint, *, tls: bool) -> Iterator[Endpoint]:
     with tempfile.TemporaryDirectory() as folder:
         link = str(TapLink(_ANY, target))
         log = str(Path(folder) / "tap.mcap")
         command = [sys.executable, "-m", "mbtool", "sniff", link, "-w", log]
+        if tls:
+            command += ["--tls-cert", SLAVE, "--tls-ca", CA]
+            command += ["--tls-target-ca", CA, "--tls-target-cert", MASTER]
         with subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         ) as child:
@@ -238,15 +252,18 @@ def _sniff(target: Endpoint) -> Iterator[Endpoint]:
 def _answer() -> None:
     """A slave: sends back what comes, or answers each request."""
     is_stream = sys.argv[2] == "stream"
+    tls = slave_context(ca=CA) if _TLS in sys.argv else None
     with socket.create_server(("127.0.0.1", 0)) as server:
         _say(str(server.getsockname()[1]))
         while True:
             connection, _ = server.accept()
-            Thread(target=_serve, args=(connection, is_stream), daemon=True).start()
+            Thread(target=_serve, args=(connection, is_stream, tls), daemon=True).start()
 
 
-def _serve(connection: socket.socket, is_stream: bool) -> None:
+def _serve(connection: socket.socket, is_stream: bool, tls: ssl.SSLContext | None) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if tls is not None:
+        connection = tls.wrap_socket(connection, server_side=True)
     with connection:
         while data := connection.recv(_BLOCK):
             if is_stream:
@@ -255,12 +272,18 @@ def _serve(connection: socket.socket, is_stream: bool) -> None:
                 connection.sendall(mbap_adu(int.from_bytes(data[:2], "big"), 1, RESPONSE))
 
 
-def _record(port: str) -> None:
+def _record(port: str, *, tls: bool) -> None:
     """A tap whose consumer hashes what is recorded; says so when its input ends."""
     inbox = Inbox()
     hashes = {way: hashlib.sha256() for way in (Direction.REQUEST, Direction.RESPONSE)}
     lost = 0
-    with TapSource(TapLink(_ANY, Endpoint("127.0.0.1", int(port))), inbox) as tap:
+    link = TapLink(
+        _ANY,
+        Endpoint("127.0.0.1", int(port)),
+        listen_tls=ListenTls(SLAVE, ca=CA) if tls else None,
+        target_tls=TargetTls(CA, MASTER) if tls else None,
+    )
+    with TapSource(link, inbox) as tap:
         _say(str(tap.endpoint.port))
         Thread(target=_close_at_end, args=(tap,), daemon=True).start()
         while not isinstance(item := inbox.get(), Ended):

@@ -18,6 +18,12 @@ def test_packets_that_nobody_sent_raise_nothing_and_hold_memory_within_bounds() 
     assert peak < MEMORY_BOUND
 
 
+def test_any_port_is_fuzzed_too() -> None:
+    result = fuzz(2_000, seed=4, any_port=True)
+    assert result.packets == 2_000
+    assert result.transactions > 50
+
+
 def test_the_same_seed_gives_the_same_packets() -> None:
     one, other = fuzz(300, seed=3), fuzz(300, seed=3)
     assert (one.transactions, one.events) == (other.transactions, other.events)

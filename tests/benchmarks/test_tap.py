@@ -12,8 +12,9 @@ from tests.benchmarks.tap import (
 )
 
 
-def test_a_stream_passes_unchanged_and_is_recorded() -> None:
-    stream = measure_stream(3_000_000)
+@pytest.mark.parametrize("tls", [False, True], ids=["plain", "tls"])
+def test_a_stream_passes_unchanged_and_is_recorded(tls: bool) -> None:
+    stream = measure_stream(3_000_000, tls=tls)
     assert stream.is_unchanged
     assert len(set(stream.hashes)) == 1
     assert report_stream(stream).startswith("3000000 bytes each way, unchanged, all recorded: ")
@@ -37,8 +38,9 @@ def test_a_difference_is_seen_unless_the_record_tells_its_loss(
     assert ("CHANGED" in report_stream(stream)) is not is_unchanged
 
 
-def test_each_way_is_polled_and_compared_with_the_direct_one() -> None:
-    polls = measure_polls(5, 2)
+@pytest.mark.parametrize("tls", [False, True], ids=["plain", "tls"])
+def test_each_way_is_polled_and_compared_with_the_direct_one(tls: bool) -> None:
+    polls = measure_polls(5, 2, tls=tls)
     assert [(one.way, len(one.taken_ns)) for one in polls] == [
         ("direct", 10),
         ("tap", 10),

@@ -5,9 +5,18 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction
-from mbtool.devices import Assignments, NamedTransaction, Namer, describe, load_profile
+from mbtool.devices import (
+    Assignments,
+    NamedTransaction,
+    Namer,
+    builtin_profiles,
+    describe,
+    load_profile,
+)
 from mbtool.devices.assignment import Assignment, Who
+from mbtool.modbus import Transport, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.pdu import Pdu, encode_pdu, parse_pdu
+from mbtool.views.cells import function_text, result_text, what_text
 from tests.cases.worked_examples import WorkedExample, worked_examples
 from tests.devices.transactions import transaction_of
 
@@ -34,6 +43,25 @@ def test_response_is_parsed_and_encoded_back(example: WorkedExample) -> None:
     assert _encode(parsed, Direction.RESPONSE) == example.response_pdu
 
 
+@pytest.mark.parametrize(
+    "example", [each for each in _EXAMPLES if each.transport != "pdu" and not each.foreign], ids=str
+)
+def test_adus_have_the_header_or_the_check_of_their_transport(example: WorkedExample) -> None:
+    for adu, pdu in (
+        (example.request_bytes, example.request_pdu),
+        (example.response_bytes, example.response_pdu),
+    ):
+        match Transport(example.transport):
+            case _ if not adu:
+                continue
+            case Transport.RTU:
+                assert rtu_adu(example.unit, pdu) == adu
+            case Transport.ASCII:
+                assert ascii_adu(example.unit, pdu) == adu
+            case _:
+                assert mbap_adu(0, example.unit, pdu) == adu
+
+
 def test_request_with_a_wrong_byte_count_is_read_whole() -> None:
     (wrong,) = [each for each in _EXAMPLES if not each.well_formed]
     parsed = parse_pdu(wrong.request_pdu, Direction.REQUEST)
@@ -55,9 +83,16 @@ def test_example_is_named_in_the_manuals_words(example: WorkedExample, device: s
         assert named.function_name == example.function_name
 
 
+@pytest.mark.parametrize(("example", "device"), _NAMED, ids=str)
+def test_row_of_an_example_reads_like_its_manual(example: WorkedExample, device: str) -> None:
+    named = _name(example, device)
+    profile = load_profile(device)
+    row = [function_text(named), what_text(named, profile), result_text(named)]
+    assert row == example.row
+
+
 def test_every_built_in_profile_has_an_example() -> None:
-    devices = {device for _, device in _NAMED}
-    assert len(devices) == 6
+    assert {device for _, device in _NAMED} == set(builtin_profiles())
 
 
 def _name(example: WorkedExample, device: str) -> NamedTransaction:

@@ -26,6 +26,7 @@ from mbtool.modbus import (
     pdu_of,
     rtu_adu,
 )
+from tests.cases.worked_examples import worked_examples
 from tests.feeding import Line, every_way, feed_all
 from tests.modbus.reading import adus
 
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.public_captures
 
 FORMAT = SerialFormat(9600)
+
+# Examples of no device that has a profile: of the standard, of a sister model, and made to mislead.
+OTHERS = {"modbus-spec", "chino-kp3000", "resync"}
 
 # Why an example is not what the tests expect of all others.
 EXPLAINED = {
@@ -106,6 +110,21 @@ def test_every_example_parses_and_encodes_to_its_bytes(ordinary: list[Vector]) -
                 assert mbap_adu(number, unit, encoded) == vector.raw, vector
             case _:
                 assert encoded == vector.raw, vector
+
+
+def test_every_example_of_a_manual_is_a_case_of_our_own(vectors: list[Vector]) -> None:
+    ours = {
+        (example.transport, raw)
+        for example in worked_examples()
+        for raw in (example.request_bytes, example.response_bytes)
+    }
+    assert {vector.device for vector in vectors} > OTHERS
+    missing = [
+        str(vector)
+        for vector in vectors
+        if vector.device not in OTHERS and (vector.transport, vector.raw) not in ours
+    ]
+    assert missing == []
 
 
 def test_request_with_a_wrong_byte_count_is_told(vectors: list[Vector]) -> None:

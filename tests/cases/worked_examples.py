@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -29,13 +29,17 @@ class WorkedExample:
     transport: str
     """`pdu`, or a transport: the bytes are whole ADUs."""
     request: str = ""
-    """Spaced hex; empty where only the response is known."""
+    """Spaced hex, of ASCII its characters; empty where only the response is known."""
     response: str = ""
-    """Spaced hex; empty where nobody answers, or no answer is given."""
+    """The same; empty where nobody answers, or no answer is given."""
     well_formed: bool = True
     """Whether the request has the form of its function."""
     foreign: bool = False
     """Whether the protocol ID says that this is not Modbus."""
+    playable: bool = True
+    """Whether a slave that goes by the profile alone gives this response."""
+    row: list[str] = field(default_factory=list)
+    """What `decode` shows of it: function, what is addressed or written, and the result."""
     reference: str | None = None
     function_name: str | None = None
     """The maker's name for a function of his own."""
@@ -46,11 +50,11 @@ class WorkedExample:
 
     @property
     def request_bytes(self) -> bytes:
-        return bytes.fromhex(self.request)
+        return self._bytes(self.request)
 
     @property
     def response_bytes(self) -> bytes:
-        return bytes.fromhex(self.response)
+        return self._bytes(self.response)
 
     @property
     def request_pdu(self) -> bytes:
@@ -68,6 +72,11 @@ class WorkedExample:
 
     def __str__(self) -> str:
         return self.name
+
+    def _bytes(self, text: str) -> bytes:
+        if self.transport == "ascii":
+            return f"{text}\r\n".encode() if text else b""
+        return bytes.fromhex(text)
 
     def _pdu(self, raw: bytes) -> bytes:
         if not raw or self.transport == "pdu":

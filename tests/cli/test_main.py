@@ -22,7 +22,18 @@ from tests.workflows.bench import FAST
 from tests.workflows.evidence import capture_file
 
 README = Path(__file__).resolve().parents[2] / "README.md"
-COMMANDS = ("sniff", "decode", "replay", "slave", "devices", "links", "line", "demo")
+COMMANDS = (
+    "sniff",
+    "decode",
+    "check",
+    "replay",
+    "diff",
+    "slave",
+    "devices",
+    "links",
+    "line",
+    "demo",
+)
 
 
 def test_says_its_version(mbtool: CommandLine) -> None:

@@ -53,6 +53,25 @@ def test_says_where_it_is_and_ends_with_ctrl_c(capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().err == "a device on tcp:127.0.0.1:1502; Ctrl-C ends\n"
 
 
+def test_whoever_looks_on_looks_once_more_at_the_end() -> None:
+    seen: list[bool] = []
+    shell = _Shell()
+    with pytest.raises(typer.Exit):
+        serve(shell, "a device", lambda: seen.append(shell.stopped))
+    assert seen == [False, True]
+
+
+class _TellingShell(_Shell):
+    def notes(self) -> list[str]:
+        return ["remote reset"]
+
+
+def test_what_the_devices_rules_did_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(typer.Exit):
+        serve(_TellingShell(), "a device")
+    assert capsys.readouterr().err.splitlines()[1:] == ["mbtool: remote reset"]
+
+
 class _CrowdedShell(_Shell):
     """A shell that turns a connection away before each look of its first hundred."""
 

@@ -9,10 +9,12 @@ from mbtool.core import (
     Endpoint,
     InterfaceLink,
     LinkSpec,
+    ListenTls,
     SerialFormat,
     SerialLink,
     Silence,
     TapLink,
+    TargetTls,
     TcpLink,
     UsageError,
     parse_link,
@@ -68,7 +70,9 @@ E8 = SerialFormat(19200, 8, "E", 1)
                 "/dev/a", SerialFormat(9600, 7), ascii=True, slave_port="/dev/b", is_relay=True
             ),
         ),
-        ("net:eth0", InterfaceLink("eth0")),
+        ("net:eth0", InterfaceLink(("eth0",))),
+        ("net:eth0,eth1.7", InterfaceLink(("eth0", "eth1.7"))),
+        ("net:any", InterfaceLink(("any",))),
         (
             "tap:127.0.0.1:1502=10.0.0.9:502",
             TapLink(Endpoint("127.0.0.1", 1502), Endpoint("10.0.0.9", 502)),
@@ -188,3 +192,42 @@ def test_a_line_without_settings_is_settled_with_all_its_ports() -> None:
     assert link.name == "a+b"
     assert str(link) == "rtu:/dev/a,/dev/b@auto"
     assert link.settled(E8, ascii=True) == SerialLink("/dev/a", E8, True, "/dev/b")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("net:eth0,", "name an interface"),
+        ("net:eth0,eth0", "different ones"),
+        ("net:" + ",".join(f"e{number}" for number in range(17)), "up to 16"),
+        ("net:any,eth0", "any is all interfaces"),
+        ("net:eth0,any", "any is all interfaces"),
+    ],
+)
+def test_interfaces_that_hear_one_network_are_a_few_different_ones(text: str, says: str) -> None:
+    with pytest.raises(UsageError, match=f"^link '{text}': .*{says}"):
+        parse_link(text)
+
+
+def test_a_link_of_several_interfaces_has_one_name_without_a_slash() -> None:
+    link = parse_link("net:eth0,eth1")
+    assert (link.name, str(link)) == ("eth0+eth1", "net:eth0,eth1")
+
+
+@pytest.mark.parametrize(
+    ("listen", "target", "sides"),
+    [
+        (None, None, ()),
+        (ListenTls("a.pem"), None, ("master",)),
+        (None, TargetTls(None), ("slave",)),
+        (ListenTls("a.pem"), TargetTls("ca.pem"), ("master", "slave")),
+    ],
+)
+def test_a_tap_says_on_which_sides_it_has_tls(
+    listen: ListenTls | None, target: TargetTls | None, sides: tuple[str, ...]
+) -> None:
+    tap = TapLink(
+        Endpoint("127.0.0.1", 1802), Endpoint("plc", 802), listen_tls=listen, target_tls=target
+    )
+    assert tap.tls_sides == sides
+    assert str(tap) == "tap:127.0.0.1:1802=plc:802"

@@ -7,6 +7,7 @@ import pytest
 from mbtool.core import UsageError
 from mbtool.devices import Assignments, Who, load_profile, parse_assignment, parse_who
 from mbtool.devices import assignment as module
+from mbtool.modbus.adu import Transport
 from tests.devices.transactions import transaction
 
 if TYPE_CHECKING:
@@ -114,3 +115,30 @@ def test_memory_is_bounded() -> None:
     for port in range(3 * module._MAX_REMEMBERED):
         assert _profile_name(assignments, f"10.0.0.9:{port}", 1) == "fa3-at1m8x"
     assert len(assignments._remembered) <= module._MAX_REMEMBERED
+
+
+def test_on_an_ascii_line_a_profile_has_the_limits_of_that_mode() -> None:
+    assignments = _assignments("2=chino-lt830", "3=fa3-at1m8x")
+    limits = {}
+    for mode in (Transport.RTU, Transport.ASCII):
+        profile = assignments.profile_for(transaction(3, unit=2, transport=mode))
+        assert profile is not None
+        assert profile is assignments.profile_for(transaction(4, unit=2, transport=mode))
+        rule = profile.rule(3)
+        assert rule is not None
+        limits[mode] = rule.limit
+    assert limits == {Transport.RTU: 26, Transport.ASCII: 13}
+    other = assignments.profile_for(transaction(3, unit=3, transport=Transport.ASCII))
+    assert other is load_profile("fa3-at1m8x")
+
+
+def test_the_profiles_at_an_endpoint_are_those_of_all_its_units() -> None:
+    assigned = Assignments(
+        parse_assignment(one)
+        for one in ("10.0.0.2/5=wago-750", "10.0.0.2:503=fa3-at1m8x", "7=idec-ft1a-touch")
+    )
+    names = [one.name for one in assigned.profiles_at("10.0.0.2:502")]
+    assert names == ["wago-750", "idec-ft1a-touch"]
+    assert len(assigned.profiles_at("10.0.0.2:503")) == 3
+    assert [one.name for one in assigned.profiles_at("10.0.0.9:502")] == ["idec-ft1a-touch"]
+    assert [one.name for one in assigned.profiles_at("")] == ["idec-ft1a-touch"]

@@ -3,7 +3,6 @@ from __future__ import annotations
 import pytest
 
 from mbtool.devices import (
-    RULES,
     Access,
     Area,
     FunctionRule,
@@ -11,6 +10,7 @@ from mbtool.devices import (
     finding_text,
     load_profile,
 )
+from mbtool.devices.checking.rules import RULES
 from mbtool.devices.findings import exception_finding, request_findings
 from mbtool.modbus import Table, Transport
 from tests.devices.transactions import transaction
@@ -43,7 +43,7 @@ def test_request_is_held_against_the_manual(
     [
         (range(5), range(10, 12), []),
         (range(8, 12), range(10, 12), []),  # Reads from one area into the next.
-        (range(5), range(2), ["X-A23"]),  # Writes where one may only read.
+        (range(5), range(2), ["X-W23"]),  # Writes where one may only read.
         (range(5), range(19, 21), ["X-A23"]),
         (range(18, 22), range(10, 12), ["X-A23"]),
     ],
@@ -96,6 +96,9 @@ def test_exception_is_held_against_the_manual() -> None:
         ("FT1A-A3", "not an address that one can read"),
         ("FT1A-A6", "not an address that one can write"),
         ("FT1A-E3", "exception 03 (illegal data value) is not documented"),
+        ("FT1A-W6", "one may only read there"),
+        ("FT1A-V6", "a value outside its range"),
+        ("MB-103", "function 05 writes a value other than 0000H and FF00H"),
         ("RTU-CRC", "RTU-CRC"),
     ],
 )
@@ -108,5 +111,6 @@ def test_code_has_words_without_its_profile() -> None:
 
 
 def test_every_rule_has_words() -> None:
-    for letter in RULES:
-        assert finding_text(f"FT1A-{letter}3", FT1A) != f"FT1A-{letter}3"
+    for code, rule in RULES.items():
+        code = f"FT1A-{code}3" if rule.is_of_devices else code
+        assert finding_text(code, FT1A) != code

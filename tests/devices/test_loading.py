@@ -1,24 +1,28 @@
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from mbtool.core import InputError, ProfileError, UsageError
 from mbtool.devices import (
+    Assignment,
+    Assignments,
+    Namer,
     PointType,
     Profile,
+    Who,
     builtin_profiles,
+    describe,
     load_profile,
     profile_from_json,
     profile_to_json,
 )
-from mbtool.devices.loading import MAX_FILE_BYTES
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from mbtool.devices.loading import MAX_EXTENDED, MAX_FILE_BYTES
+from tests.devices.transactions import transaction
 
 PUMP = """
 name = "pump"
@@ -93,15 +97,15 @@ def test_absent_file_is_named_with_the_reason(tmp_path: Path) -> None:
         ("last = 9", "last = true", 'areas "data".last', "expected a whole number, not true"),
         ("last = 9", "lost = 9", 'areas "data".lost', "unknown key; did you mean 'last'?"),
         ("last = 9\n", "", 'areas "data".last', "this key is missing"),
-        ('"rw"', '"write"', 'areas "data".access', "expected one of r, rw, not 'write'"),
+        ('"rw"', '"write"', 'areas "data".access', "expected one of r, rw, w, not 'write'"),
         ('["rtu"]', '["usb"]', "transports[0]", "one of rtu, ascii, tcp, rtu-tcp, not 'usb'"),
-        ('["rtu"]', '"rtu"', "transports", "expected one of rtu, ascii"),
+        ('["rtu"]', '"rtu"', "transports", "a list, for example ['rtu'], not 'rtu'"),
         ('title = "A pump"\n', "", "title", "this key is missing"),
         ("03 =", "3 =", "functions.3", "two hexadecimal digits"),
         ("03 =", "83 =", "functions.83", "01 to 7F"),
         ("limit = 16", "limit = 0", "functions.03.limit", ">= 1, not 0"),
-        ("limit = 16", "answer = 1", "functions.03.answer", "expected a table, not 1"),
-        ("{ limit = 16 }", "16", "functions.03", "expected a table, not 16"),
+        ("limit = 16", "answer = 1", "functions.03.answer", "expected a table, { key"),
+        ("{ limit = 16 }", "16", "functions.03", "= value }, not 16"),
         ("address = 3", "address = -1", 'points "Speed".address', ">= 0, not -1"),
         ("address = 3", 'address = 3\ntype = "word"', 'points "Speed".type', "one of bit, uint16"),
         ("address = 3", "address = 3\ntexts = 5", 'points "Speed".texts', "a table of value"),
@@ -114,7 +118,12 @@ def test_absent_file_is_named_with_the_reason(tmp_path: Path) -> None:
         ("address = 3", "address = 3\ntexts = {1 = 2}", 'points "Speed".texts.1', "a text, not 2"),
         ('name = "Speed"', "name = 1", "points[0].name", "expected a text, not 1"),
         ("[[points]]", "[points]", "points", "expected [[points]] tables"),
-        ('source = "its manual"', "source = 's'\nnotes = 'n'", "notes", "expected a list, not 'n'"),
+        (
+            'source = "its manual"',
+            "source = 's'\nnotes = 'n'",
+            "notes",
+            "for example ['n'], not 'n'",
+        ),
         ('source = "its manual"', "source = 's'\nextends = 1", "extends", "name or path, not 1"),
         ('source = "its manual"', "source = 's'\nextends = 'x'", "extends", "no profile 'x'"),
     ],
@@ -197,7 +206,40 @@ def test_mistake_in_an_extended_file_names_that_file(tmp_path: Path) -> None:
 def test_circle_of_files_is_refused(tmp_path: Path) -> None:
     key, problem = _problem(tmp_path, 'extends = "pump.toml"')
     assert key == "extends"
-    assert "circle" in problem
+    assert (
+        problem == "'pump.toml' is this file, or extends it in turn; one of them must stand alone"
+    )
+
+
+def test_circle_of_several_files_is_refused_where_it_closes(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('extends = "b.toml"', encoding="utf-8")
+    (tmp_path / "b.toml").write_text('extends = "pump.toml"', encoding="utf-8")
+    with pytest.raises(ProfileError, match=r"'pump\.toml' is this file, or extends it") as caught:
+        _load(tmp_path, 'extends = "a.toml"')
+    assert caught.value.file == str(tmp_path / "b.toml")
+
+
+def test_at_most_so_many_files_extend_one_another(tmp_path: Path) -> None:
+    (tmp_path / "0.toml").write_text(PUMP, encoding="utf-8")
+    for number in range(1, MAX_EXTENDED + 1):
+        text = f'extends = "{number - 1}.toml"'
+        (tmp_path / f"{number}.toml").write_text(text, encoding="utf-8")
+    assert load_profile(str(tmp_path / f"{MAX_EXTENDED - 1}.toml")).name == "pump"
+    with pytest.raises(ProfileError, match="more than 8 files extend one another"):
+        load_profile(str(tmp_path / f"{MAX_EXTENDED}.toml"))
+
+
+def test_point_that_stands_twice_in_an_extending_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(PUMP, encoding="utf-8")
+    again = '[[points]]\nname = "Speed"\ntable = "holding_registers"\naddress = 4\n'
+    assert _load(tmp_path, 'extends = "base.toml"\n' + again).points[0].address == 4
+    key, _ = _problem(tmp_path, 'extends = "base.toml"\n' + again + again)
+    assert key == 'points "Speed".name'
+
+
+def test_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "pump.toml").write_text("\ufeff" + PUMP, encoding="utf-8")
+    assert load_profile(str(tmp_path / "pump.toml")).name == "pump"
 
 
 @pytest.mark.parametrize("name", builtin_profiles())
@@ -232,3 +274,54 @@ def test_timing_is_merged_key_by_key(tmp_path: Path) -> None:
     assert profile_from_json(profile_to_json(profile), "a log") == profile
     key, problem = _problem(tmp_path, PUMP + "[timing]\nt35 = 1\n")
     assert (key, problem) == ("timing.t35", "unknown key; did you mean 't3_5'?")
+
+
+def test_texts_and_bits_take_numbers_in_any_notation(tmp_path: Path) -> None:
+    profile = _load(
+        tmp_path,
+        PUMP
+        + """
+type = "flags"
+bits = { 0 = "READY", 0x0F = "ALARM" }
+
+[exceptions]
+documented = [1, 2, 3, 0x11]
+texts = { 0x11 = "value out of setting range" }
+""",
+    )
+    assert profile.points[0].bits == {0: "READY", 15: "ALARM"}
+    assert profile.exceptions.texts == {17: "value out of setting range"}
+    assert profile_from_json(profile_to_json(profile), "a log") == profile
+
+
+def test_texts_of_exceptions_are_inherited(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(
+        PUMP + '[exceptions]\ndocumented = [1, 2, 3, 17]\ntexts = { 17 = "range" }\n'
+    )
+    profile = _load(tmp_path, 'extends = "base.toml"\n[exceptions]\nvalue = 2\n')
+    assert (profile.exceptions.value, profile.exceptions.texts) == (2, {17: "range"})
+
+
+def test_example_of_the_documentation_reads_as_it_says_there(tmp_path: Path) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
+    part = page.partition("## A profile of your own")[2]
+    profile = _load(tmp_path, part.partition("```toml\n")[2].partition("```")[0])
+    namer = Namer(Assignments([Assignment(Who(), profile)]))
+    floats = [word for value in (20.5, 21.25) for word in reversed(_words(">f", value))]
+    told = [
+        describe(namer.name(transaction(3, address, quantity=len(words), response_values=words)))
+        for address, words in (
+            (10, [12000, 183, 1, 3]),
+            (20, floats),
+            (0x1000, _words("16s", b"FP-7/2".ljust(16))),
+        )
+    ]
+    told.append(describe(namer.name(transaction(6, 10, quantity=1, request_values=[16000]))))
+    for line in told:
+        assert f"    {line}\n" in part
+    assert profile.exception_name(0x11) == "value out of setting range"
+
+
+def _words(form: str, value: float | bytes) -> list[int]:
+    data = struct.pack(form, value)
+    return [int.from_bytes(data[at : at + 2], "big") for at in range(0, len(data), 2)]

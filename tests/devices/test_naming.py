@@ -5,10 +5,11 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import Assignments, NamedTransaction, Namer, load_profile
+from mbtool.devices import Assignments, NamedTransaction, Namer, describe, load_profile
 from mbtool.devices.assignment import Assignment, Who
 from mbtool.devices.naming import _MAX_REMEMBERED
 from mbtool.modbus.adu import Transport
+from mbtool.modbus.framing import mbap_adu
 from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction
 
@@ -61,9 +62,14 @@ def test_refused_write_still_says_what_was_asked_for() -> None:
     assert not named.took_effect
 
 
-def test_points_that_are_read_in_part_are_those_that_are_whole() -> None:
-    named = AT1M8X.name(transaction(3, 0xF4, quantity=4, response_values=[3, 30, 0, 0]))
-    assert _texts(named) == {"00F4H": "3 times", "00F5H": "30 s"}
+def test_what_has_no_name_beside_what_has_goes_by_its_reference() -> None:
+    named = AT1M8X.name(transaction(3, 0xF4, quantity=4, response_values=[3, 30, 7, 8]))
+    assert _texts(named) == {"00F4H": "3 times", "00F5H": "30 s", "00F6H": "7", "00F7H": "8"}
+    assert describe(named).endswith("; 00F6H 7, 00F7H 8")
+
+
+def test_where_nothing_has_a_name_there_are_no_points() -> None:
+    assert AT1M8X.name(transaction(3, 0xF6, quantity=2, response_values=[7, 8])).points == []
 
 
 def test_short_response_brings_what_it_has() -> None:
@@ -92,6 +98,29 @@ def test_function_17h_names_what_it_reads_and_what_it_writes() -> None:
     assert named.findings == ["FA3-F23"]
 
 
+def test_block_is_named_where_a_read_begins_with_it_and_hides_what_lies_in_it() -> None:
+    wago = _namer("wago-750")
+
+    def names(address: int, quantity: int) -> list[str]:
+        read = transaction(3, address, quantity=quantity, response_values=[0] * quantity)
+        return [point.name for point in wago.name(read).points]
+
+    statistics = names(0x1029, 9)
+    assert statistics[0] == "SlaveDeviceFailure statistics"
+    assert statistics[8] == "ModTcpMessageCounter statistics"  # At 1031, where the MAC-ID is.
+    assert names(0x1031, 3) == [f"{n}. word of the MAC-ID" for n in (1, 2, 3)]
+    assert names(0x1028, 2) == ["Boot configuration", "0x1029"]
+    assert names(0x102A, 1) == ["TCP connections"]
+    cleared = wago.name(transaction(6, 0x1029, quantity=1, request_values=[0x55AA]))
+    assert [(point.name, point.text) for point in cleared.points] == [
+        ("Clear statistics", "55AAH clear")
+    ]
+    assert names(0x2020, 16) == ["Short description"]
+    assert names(0x2020, 15) == []  # Not whole, and no compile time either, which is at 2021.
+    assert names(0x2021, 8) == ["Compile time of the firmware"]
+    assert names(0x2030, 65) == [f"{n}. module" for n in range(65)]
+
+
 def test_masks_are_no_value() -> None:
     named = AT1M8X.name(transaction(0x16, 0x102, request_values=[0xF2, 0x25]))
     assert named.reference == "0102H"
@@ -114,6 +143,15 @@ def test_answer_of_another_length_is_not_put_into_words() -> None:
     for raw in (b"", bytes.fromhex("0000 0000 0005 00 42 001700")):
         named = AT1M8X.name(transaction(0x42, transport=Transport.TCP, response_raw=raw))
         assert named.points == []
+
+
+def test_what_a_device_says_of_itself_is_told_without_a_profile() -> None:
+    raw = mbap_adu(1, 1, bytes.fromhex("2B 0E 01 01 00 00 02 00 04") + b"Acme" + b"\x01\x02P7")
+    named = Namer().name(transaction(0x2B, transport=Transport.TCP, response_raw=raw))
+    assert [(point.name, point.text) for point in named.points] == [
+        ("vendor", "Acme"),
+        ("product code", "P7"),
+    ]
 
 
 def test_findings_of_request_and_exception_stand_together() -> None:
@@ -181,3 +219,9 @@ def test_memory_is_bounded() -> None:
         namer.name(transaction(3, address, quantity=1))
     for vocabulary in namer._vocabularies.values():
         assert len(vocabulary._remembered) <= _MAX_REMEMBERED
+
+
+def test_an_exception_is_said_in_the_words_of_the_device() -> None:
+    refused = transaction(6, 205, quantity=1, exception=0x11, exception_name="exception 11H")
+    assert _namer("chino-lt830").name(refused).exception_name == "value out of setting range"
+    assert _namer("fa3-at1m8x").name(refused).exception_name != "value out of setting range"

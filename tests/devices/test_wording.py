@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices import Namer, PointValue, describe, describe_points
+from mbtool.devices import Assignments, Namer, PointValue, describe, describe_points, load_profile
+from mbtool.devices.assignment import Assignment, Who
 from tests.devices.transactions import transaction
 
 
@@ -45,3 +46,11 @@ def test_reference_stands_alone_where_the_manual_names_no_more() -> None:
 
 def test_nothing_is_said_where_nothing_is_addressed() -> None:
     assert describe(Namer().name(transaction(7))) == ""
+
+
+def test_name_that_begins_with_its_reference_is_said_once() -> None:
+    device = Assignments([Assignment(Who(), load_profile("idec-ft1a-smartaxis"))])
+    one = Namer(device).name(transaction(4, 5, quantity=1, response_values=[100]))
+    several = Namer(device).name(transaction(4, 5, quantity=2, response_values=[100, 7]))
+    assert describe(one) == "T5 current value: 100"
+    assert describe(several) == "T5..6 current value: T5 100, T6 7"

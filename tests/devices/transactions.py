@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.modbus.functions import function_name
 from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
@@ -32,17 +33,22 @@ def transaction_of(example: WorkedExample) -> Transaction:
     function = (request or response)[0] & 0x7F
     transport = Transport.RTU if example.transport == "pdu" else Transport(example.transport)
     fields: dict[str, Any] = {"unit": example.unit, "transport": transport}
-    if request and function in (1, 2, 3, 4, 5, 6, 15, 16):
+    fields["function_name"] = function_name(function)
+    if request and function in (1, 2, 3, 4, 5, 6, 15, 16, 22, 23):
         fields["address"] = _words(request[1:3])[0]
-        fields["quantity"] = 1 if function in (5, 6) else _words(request[3:5])[0]
+        fields["quantity"] = 1 if function in (5, 6, 22) else _words(request[3:5])[0]
+        fields["write_address"] = _words(request[5:7])[0] if function == 23 else None
         fields["request_values"] = _written(function, request) if example.well_formed else None
     if response and response[0] & 0x80:
         fields |= {"exception": response[1], "outcome": Outcome.EXCEPTION}
     elif not response:
-        fields["outcome"] = Outcome.NO_ANSWER
+        is_line = transport in (Transport.RTU, Transport.ASCII)
+        fields["outcome"] = Outcome.BROADCAST if is_line and not example.unit else Outcome.NO_ANSWER
     elif function in (1, 2):
         fields["response_values"] = _bits(response[2:])[: fields["quantity"]]
-    elif function in (3, 4):
+    elif function == 11:
+        fields["response_values"] = _words(response[1:])
+    elif function in (3, 4, 23):
         fields["response_values"] = _words(response[2:])
     if example.transport != "pdu":
         fields["request_raw"] = example.request_bytes or None
@@ -60,6 +66,10 @@ def _written(function: int, request: bytes) -> list[int] | None:
             return _bits(request[6:])[: _words(request[3:5])[0]]
         case 16:
             return _words(request[6:])
+        case 23:
+            return _words(request[10:])
+        case 22:
+            return _words(request[3:])
     return None
 
 

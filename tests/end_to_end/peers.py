@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.server import ModbusTcpServer
+from pymodbus.server import ModbusTcpServer, ModbusTlsServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from tests.end_to_end.programs import PATIENCE_S, Program, required
 
 if TYPE_CHECKING:
+    import ssl
     from collections.abc import Callable, Iterator
 
     from pymodbus.client.base import ModbusBaseSyncClient
@@ -108,8 +109,26 @@ def rtu_client(port: str, baud: int) -> Iterator[tuple[ModbusSerialClient, Wire]
         client.close()
 
 
+class SecuredClient(ModbusTcpClient):
+    """Modbus/TCP in TLS. The client of pymodbus that is for TLS leaves out the header."""
+
+    def __init__(self, port: int, tls: ssl.SSLContext) -> None:
+        super().__init__("127.0.0.1", port=port, timeout=PATIENCE_S, retries=0)
+        self._tls = tls
+
+    def connect(self) -> bool:
+        plain: Any = super()
+        client: Any = self
+        is_connected = client.socket is not None
+        if not is_connected and plain.connect():
+            client.socket = self._tls.wrap_socket(client.socket, server_hostname="localhost")
+        return client.socket is not None
+
+
 @contextmanager
-def pymodbus_server() -> Iterator[tuple[int, Callable[[], None]]]:
+def pymodbus_server(
+    tls: ssl.SSLContext | None = None,
+) -> Iterator[tuple[int, Callable[[], None]]]:
     """A server's port, and what changes its inputs."""
     loop = asyncio.new_event_loop()
     thread = Thread(target=loop.run_forever, daemon=True)
@@ -119,7 +138,12 @@ def pymodbus_server() -> Iterator[tuple[int, Callable[[], None]]]:
         return asyncio.run_coroutine_threadsafe(coroutine, loop).result(PATIENCE_S)
 
     async def serve() -> ModbusTcpServer:
-        server = ModbusTcpServer(_device(), address=("127.0.0.1", 0))
+        address = ("127.0.0.1", 0)
+        server = (
+            ModbusTcpServer(_device(), address=address)
+            if tls is None
+            else ModbusTlsServer(_device(), framer=FramerType.SOCKET, address=address, sslctx=tls)
+        )
         await server.serve_forever(background=True)
         return server
 

@@ -17,7 +17,7 @@ from mbtool.slave.faults import Fault, FaultKind, FaultySlave, Match
 from mbtool.sources.virtual_line import VirtualLine
 from mbtool.workflows.mastering import MasterOptions, MasterRun
 from mbtool.workflows.reading import Reading, ReadingOptions
-from mbtool.workflows.replaying import read_recording
+from mbtool.workflows.replaying import SlaveOptions, SlaveRun
 from mbtool.workflows.where import parse_where
 
 if TYPE_CHECKING:
@@ -68,8 +68,8 @@ def _played(
     options = options or ReadingOptions()
     condition, count = _main_unit(path, options)
     wanted = parse_where(condition)
-    recording = read_recording(str(path), options, wanted, lambda _: None)
-    slave: Responder = RecordedSlave(recording, on_miss=OnMiss.EXCEPTION, speed=None)
+    recording = SlaveRun(str(path), SlaveOptions(reading=options, wanted=wanted)).recording
+    slave: Responder = RecordedSlave(recording, on_miss=OnMiss.EXCEPTION, rate=None)
     if faults is not None:
         slave = FaultySlave(slave, faults)
     run = MasterRun(
@@ -91,7 +91,7 @@ def test_our_recordings_answer_themselves(name: str) -> None:
 def test_our_recordings_answer_themselves_on_a_line(name: str, scheme: str) -> None:
     with VirtualLine() as line:
         links = [parse_link(f"{scheme}:{port}@115200-8N1") for port in line.ports]
-        report, count = _played(OURS / name, *links)
+        report, count = _played(OURS / name, links[0], links[1])
     assert (report.requests, report.different, report.differences) == (count, 0, [])
 
 
@@ -150,5 +150,5 @@ def test_serial_recordings_of_others_answer_themselves(
     options = ReadingOptions(line=None if line is None else parse_line(line))
     with VirtualLine() as virtual:
         links = [parse_link(f"rtu:{port}@115200-8N1") for port in virtual.ports]
-        report, count = _played(public_captures / name, *links, options=options)
+        report, count = _played(public_captures / name, links[0], links[1], options=options)
     assert (report.requests, report.different, report.differences) == (count, 0, [])

@@ -103,6 +103,49 @@ def test_what_mbpoll_asks_is_logged_at_both_ends(
         assert {one["link"] for one in log} == {slave}
 
 
+SPEAK = """
+import socket, sys
+from mbtool.modbus import mbap_adu
+from tests.packets.building import Talk
+from tests.workflows.evidence import READ, VALUES
+talk = Talk()
+said = talk.handshake()
+for number in range(int(sys.argv[1])):
+    said += [talk.request(mbap_adu(number, 1, READ)), talk.response(mbap_adu(number, 1, VALUES))]
+ways = {name: socket.socket(socket.AF_PACKET, socket.SOCK_RAW) for name in sys.argv[2:]}
+for name, way in ways.items():
+    way.bind((name, 0))
+both = list(ways.values())
+for one in said + talk.goodbye():
+    # A packet with the master's address goes out on the first, others on the last.
+    both[0 if one.data[26:30] == bytes([10, 0, 0, 1]) else -1].send(one.data)
+"""
+
+
+@pytest.mark.parametrize(
+    ("links", "outcomes"),
+    [
+        ((f"net:{INTERFACE},lo",), ["ok"] * 5),
+        ((f"net:{INTERFACE}", "net:lo"), ["no-answer"] * 5 + ["unsolicited"] * 5),
+    ],
+    ids=["as one", "apart"],
+)
+def test_a_flow_is_followed_across_interfaces_only_where_that_is_asked(
+    ends: Cable, tmp_path: Path, links: Sequence[str], outcomes: list[str]
+) -> None:
+    """As behind a network tap: each interface hears one way of the connection."""
+    log = tmp_path / "both.mcap"
+    sniff = (MBTOOL, "sniff", *links, "-w", str(log), "--format", "jsonl")
+    with Program(*ends.within(ends.slave, *sniff)) as sniffer:
+        sniffer.said.find("listening on")
+        speak = (sys.executable, "-c", SPEAK, "5", INTERFACE, "lo")
+        subprocess.run(ends.within(ends.slave, *speak), check=True, timeout=PATIENCE_S)
+        sniffer.printed.take(5)
+        assert sniffer.interrupt() == 130
+    assert sorted(str(one["outcome"]) for one in decoded(log)) == outcomes
+    assert sorted(str(one["outcome"]) for one in decoded(log, "--raw")) == outcomes
+
+
 class listening(ExitStack):  # noqa: N801
     """A slave, and a sniffer at each end of the cable, while the context is open."""
 

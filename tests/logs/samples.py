@@ -181,6 +181,7 @@ events = st.builds(
     destination=_names,
     raw=_raw,
     missing=st.integers(0, 2**63),
+    packets=st.integers(0, 2**63),
 )
 points = st.builds(
     PointValue,

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 
@@ -68,13 +69,21 @@ def test_a_transaction_stands_after_its_evidence_in_the_order_of_time_too(tmp_pa
     assert times == [START_NS, read.response_ns]
 
 
+@pytest.mark.parametrize(("code", "level"), [("FT1A-A3", 4), ("MB-204", 3), ("MB-404", 2)])
+def test_a_finding_has_the_level_of_its_rule(code: str, level: int, tmp_path: Path) -> None:
+    named = msgspec.structs.replace(NAMED, findings=[code])
+    messages = stock_messages(write_log(tmp_path / "x.mcap", [named]))
+    (finding,) = (json.loads(data) for topic, _, data in messages if topic == "/findings")
+    assert (finding["name"], finding["level"]) == (code, level)
+
+
 def test_a_finding_reads_in_the_log_panel(tmp_path: Path) -> None:
     messages = stock_messages(write_log(tmp_path / "x.mcap", [NAMED]))
     (finding,) = (json.loads(data) for topic, _, data in messages if topic == "/findings")
     assert finding.pop("message").startswith("FT1A-Q3 ")
     assert finding == {
         "timestamp": {"sec": 1_700_000_000, "nsec": 5_500_000},
-        "level": 3,
+        "level": 4,
         "name": "FT1A-Q3",
         "file": "rs485",
         "line": 1,

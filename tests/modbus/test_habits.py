@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.modbus.habits import Habit, Latency
+from mbtool.modbus.habits import STEADY, Habit, Latency
 
 MS = 1_000_000
 
@@ -50,9 +50,13 @@ def test_line_that_changes_is_learned_anew() -> None:
 
 def test_latency_is_supposed_to_be_long_while_little_was_heard() -> None:
     latency = Latency()
+    assert latency.octaves_late(Latency.FIRST_NS) == 0
+    before = 0.0
     for _ in range(Latency.FEW - 1):
         latency.learn(5 * MS)
-        assert latency.octaves_late(Latency.FIRST_NS) == 0
+        late = latency.octaves_late(Latency.FIRST_NS)
+        assert before < late < latency.octaves_late(2 * Latency.FIRST_NS)
+        before = late
     latency.learn(5 * MS)
     assert latency.octaves_late(Latency.LEAST_NS) == 0
 
@@ -90,3 +94,21 @@ def test_latency_that_a_clock_got_wrong_is_no_error() -> None:
     for _ in range(Latency.FEW):
         latency.learn(-(10**9))
     assert latency.octaves_late(Latency.LEAST_NS) == 0
+
+
+def test_one_silence_that_may_be_none_does_no_more_than_double_the_longest() -> None:
+    latency = Latency()
+    for _ in range(Latency.FEW):
+        latency.learn_warily(40 * MS)
+    latency.learn_warily(1000 * MS)
+    assert latency.octaves_late(80 * MS) == pytest.approx(0, abs=0.1)
+
+
+def test_a_steady_habit_forgets_less_of_what_is_rare() -> None:
+    hasty, steady = Habit(8.0, (0.0, 10.0)), Habit(8.0, (0.0, 10.0), slowest=STEADY)
+    for habit in (hasty, steady):
+        for number in range(400):
+            habit.learn(seen=number % 20 == 0)
+        for _ in range(40):
+            habit.learn(seen=False)
+    assert 4.0 < steady.bits < hasty.bits - 0.5

@@ -177,3 +177,12 @@ def test_a_megabyte_in_one_segment_loses_nothing() -> None:
     events = splitter.feed(noise + READ_HOLDING_REQUEST * 3, 1)
     assert raw(events + splitter.close()) == noise + READ_HOLDING_REQUEST * 3
     assert pdus(events)[-2:] == [READ, READ]
+
+
+def test_is_idle_in_step_and_with_nothing_held() -> None:
+    splitter = requests()
+    idle = []
+    for piece in (b"", READ_HOLDING_REQUEST[:5], READ_HOLDING_REQUEST[5:], b"\xff" * 20):
+        splitter.feed(piece, 1)
+        idle.append(splitter.is_idle)
+    assert idle == [True, False, True, False]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Connection, Direction, Endpoint, EventKind, WireEvent
 from mbtool.modbus import Decoded, Recognition, State, mbap_adu, rtu_adu
-from mbtool.modbus.recognition import ENOUGH, ENOUGH_BYTES, GAP_COUNTS
+from mbtool.modbus.recognition import ENOUGH, ENOUGH_BYTES, GAP_COUNTS, MAX_TOLD
 from tests.modbus.reading import adus, transactions, wire_events
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
@@ -21,6 +21,7 @@ VALUES = bytes.fromhex("03 04 1234 5678")  # four bytes, two registers
 LONG_READ = bytes.fromhex("03 0000 0002 00")  # a byte more than the function has
 OWN_FUNCTION = bytes.fromhex("41 01")  # a function that no table knows
 
+TLS_DATA = bytes.fromhex("17 0303 0022") + bytes(range(0x80, 0xA2))
 TLS = bytes.fromhex("16 0301 0200 01 0001fc 0303")  # a record, version 3.1, with a ClientHello
 LDAP_BIND = bytes.fromhex(
     "30 84 0000000f"  # a SEQUENCE of 15 bytes: protocol id 0 and length 15 to Modbus
@@ -56,6 +57,14 @@ def fed(recognition: Recognition, pieces: list[Piece]) -> list[Decoded]:
         one
         for place, (direction, data) in enumerate(pieces)
         for one in recognition.feed(direction, data, place)
+    ]
+
+
+def in_pieces(pieces: list[Piece], size: int) -> list[Piece]:
+    return [
+        (direction, data[at : at + size])
+        for direction, data in pieces
+        for at in range(0, len(data), size)
     ]
 
 
@@ -126,6 +135,35 @@ def test_another_protocol_that_was_joined_is_one_event_too() -> None:
     recognition = expected(joined=True)
     decoded = [*fed(recognition, [(REQUEST, TLS)] * 200), *recognition.close()]
     assert is_one_event(decoded)
+
+
+@pytest.mark.parametrize("size", [1, 3, 500])
+def test_tls_joined_in_the_middle_is_told_with_the_first_record_of_each_side(size: int) -> None:
+    recognition = expected(joined=True)
+    said = in_pieces([(REQUEST, TLS_DATA)] * 3, size)
+    assert fed(recognition, said) == []
+    decoded = fed(recognition, in_pieces([(RESPONSE, TLS_DATA), (REQUEST, TLS_DATA)], size))
+    assert is_one_event(decoded)
+    assert wire_events(decoded)[0].message == (
+        "the connection is TLS: only its ends can read it; "
+        "a tap with --tls-cert and --tls-target-ca records it in clear"
+    )
+
+
+def test_tls_that_lost_a_segment_is_still_tls() -> None:
+    recognition = expected(joined=True)
+    assert fed(recognition, [(REQUEST, TLS_DATA)]) == []
+    assert recognition.gap(RESPONSE, 500, 0) == []
+    assert is_one_event([*fed(recognition, [(RESPONSE, TLS_DATA)]), *recognition.close()])
+
+
+def test_rtu_that_looks_like_records_of_tls_is_rtu() -> None:
+    request = rtu_adu(0x17, bytes.fromhex("03 0100 0001"))
+    answer = rtu_adu(0x17, bytes.fromhex("03 02 1234"))
+    recognition = Recognition(CONNECTION, joined=True, tcp=False, rtu=True)
+    begun: list[Piece] = [(REQUEST, request[:5]), (RESPONSE, answer[:5])]
+    decoded = fed(recognition, [*begun, (REQUEST, request[5:]), (RESPONSE, answer[5:])])
+    assert [one.unit for one in adus(decoded)] == [0x17, 0x17]
 
 
 def test_a_client_that_nobody_answers_is_one_event_when_it_ends() -> None:
@@ -242,3 +280,15 @@ def test_where_segments_end_does_not_matter(
     assert cut.state is whole.state
     assert adus(found) == adus(wanted)
     assert transactions(found) == transactions(wanted)
+
+
+def test_what_is_told_of_a_connection_is_held_within_bounds() -> None:
+    recognition = anywhere()
+    for ts_ns in range(2 * MAX_TOLD):
+        overlap = WireEvent(
+            ts_ns=ts_ns, link="x", kind=EventKind.OVERLAP, message="", raw=bytes(3 * ENOUGH_BYTES)
+        )
+        recognition.hold(overlap)
+    told = wire_events(fed(recognition, TCP_PAIR))
+    assert [event.ts_ns for event in told] == list(range(MAX_TOLD))
+    assert {len(event.raw) for event in told} == {ENOUGH_BYTES}

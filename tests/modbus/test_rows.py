@@ -56,18 +56,28 @@ def test_a_rival_on_the_way_raises_a_doubt_too() -> None:
 def test_what_is_right_either_way_is_agreed_and_the_rest_is_open() -> None:
     common = row(EMPTY, frame(0), 1.0)
     waiting = row(common, Piece(Kind.OPEN, 8, 4), 0.5)
-    pieces = [frame(0), skipped(8, 4)]
-    assert agreed_on(pieces, waiting, 12) == [frame(0), Piece(Kind.OPEN, 8, 4)]
+    end = row(common, skipped(8, 4), 6.0)
+    assert agreed_on([end], waiting, 12) == [frame(0), Piece(Kind.OPEN, 8, 4)]
+
+
+def test_what_is_agreed_is_as_sure_as_what_is_open_makes_it() -> None:
+    """That a frame is followed by what begins as one speaks for it."""
+    common = row(EMPTY, frame(0), 10.0)
+    waiting = row(common, Piece(Kind.OPEN, 8, 4), 0.5)
+    ends = [row(common, skipped(8, 4), 8.0), row(EMPTY, skipped(0, 12), 18.1)]
+    assert next(with_doubts(ends)).confidence < 0.6
+    assert agreed_on(ends, waiting, 12)[0].confidence > 0.99
 
 
 def test_skipped_bytes_before_what_is_open_wait_with_it() -> None:
     noise = row(row(EMPTY, frame(0), 1.0), skipped(8), 1.0)
     waiting = row(noise, Piece(Kind.OPEN, 9, 3), 0.5)
-    pieces = [frame(0), skipped(8), skipped(9), skipped(10), skipped(11)]
-    assert agreed_on(pieces, waiting, 12) == [frame(0), Piece(Kind.OPEN, 8, 4)]
+    end = row(row(row(noise, skipped(9), 2.0), skipped(10), 2.0), skipped(11), 2.0)
+    assert agreed_on([end], waiting, 12) == [frame(0), Piece(Kind.OPEN, 8, 4)]
 
 
 def test_where_nothing_is_agreed_all_is_open() -> None:
     waiting = row(EMPTY, Piece(Kind.OPEN, 0, 5), 0.5)
-    assert agreed_on([skipped(0, 5)], waiting, 5) == [Piece(Kind.OPEN, 0, 5)]
-    assert agreed_on([], waiting, 5) == [Piece(Kind.OPEN, 0, 5)]
+    all_open = [Piece(Kind.OPEN, 0, 5)]
+    assert agreed_on([row(EMPTY, skipped(0, 5), 9.0)], waiting, 5) == all_open
+    assert agreed_on([], waiting, 5) == all_open

@@ -98,3 +98,13 @@ def test_holds_no_more_than_one_frame_and_a_run_of_skipped_bytes() -> None:
         held += 100 - len(raw(splitter.feed(noise[at : at + 100], at)))
         most = max(most, held)
     assert most < 256 + MAX_RUN
+
+
+def test_is_idle_with_no_beginning_of_a_frame() -> None:
+    splitter = requests()
+    frame = rtu_adu(1, bytes.fromhex("03 0000 0001"))
+    idle = []
+    for piece in (b"", frame[:3], frame[3:]):
+        splitter.feed(piece, 1)
+        idle.append(splitter.is_idle)
+    assert idle == [True, False, True]

@@ -186,6 +186,93 @@ def test_late_answer_to_a_request_that_was_repeated_is_a_response() -> None:
     assert spoken.hear(1, ANSWER, 3 * MS).direction is RESPONSE
 
 
+def test_late_echo_behind_a_request_to_another_unit_is_a_response() -> None:
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(2, WRITE, 30 * MS)
+    spoken.hear(1, READ, 300 * MS)
+    assert says(spoken.hear(2, WRITE, 3 * MS)) == (RESPONSE, DirectionBy.PENDING, True)
+    assert spoken.hear(1, ANSWER, 3 * MS) == Judgement(RESPONSE, DirectionBy.PENDING, 1.0)
+
+
+def test_second_answer_is_waited_for_from_the_retry_on() -> None:
+    """The master has waited for almost as long as a turn lasts."""
+    spoken = Spoken().learn_latency(5 * MS)
+    asked, answer = b"\x45\x01", b"\x45\x02\x03"
+    spoken.hear(1, asked, 30 * MS)
+    assert spoken.hear(1, asked, TURN_NS - 2 * MS).direction is REQUEST
+    assert spoken.hear(1, answer, 5 * MS).direction is RESPONSE
+    assert spoken.hear(1, answer, 5 * MS).direction is RESPONSE
+
+
+def test_master_that_never_asks_twice_makes_a_third_equal_frame_an_answer() -> None:
+    """Without times: a request, its repetition and the answer."""
+    spoken = Spoken(timed=False)
+    for number in range(300):
+        spoken.hear(1, bytes((0x03, 0, number % 2, 0, 3)))
+        spoken.hear(1, ANSWER)
+    turns, turn, costs = spoken.turns, spoken.turns.turn, []
+    for roles in ((REQUEST, REQUEST, RESPONSE), (REQUEST, RESPONSE, REQUEST)):
+        supposed, cost = turn, 0.0
+        for role in roles:
+            cost += turns.weigh(supposed, 1, WRITE, role, 0)
+            supposed = turns.follow(supposed, 1, WRITE, role, 0, 0)
+        costs.append(cost)
+    assert costs[0] + 2 < costs[1]
+
+
+def test_answer_behind_damage_to_what_is_never_asked_is_less_likely() -> None:
+    spoken = Spoken().learn_latency()
+    spoken.turns.heard_damage()
+    at_ns = spoken.now_ns + MS
+    polled, odd, unheard = (
+        spoken.turns.weigh(spoken.turns.turn, 1, bytes.fromhex(pdu), RESPONSE, at_ns)
+        for pdu in ("83 02", "83 93", "92 02")
+    )
+    assert polled < unheard
+    assert polled < odd
+
+
+# Where frames are glued, silences lie at the ends of what was read together.
+
+
+def glued() -> Spoken:
+    """A line whose frames come four at once, 60 ms apart."""
+    spoken = Spoken()
+    spoken.turns.trusts_silences = False
+    for _ in range(2 * Latency.FEW):
+        spoken.hear(1, READ, 60 * MS)
+        spoken.hear(1, ANSWER, 0)
+        spoken.hear(2, READ, 0)
+        spoken.hear(2, ANSWER, 0)
+    return spoken
+
+
+@pytest.mark.parametrize(("pause_ns", "called"), [(60 * MS, RESPONSE), (600 * MS, REQUEST)])
+def test_long_silence_among_glued_frames_is_a_missing_answer(
+    pause_ns: int, called: Direction
+) -> None:
+    turns = (spoken := glued()).turns
+    costs = []
+    for role in (RESPONSE, REQUEST):
+        at_ns = spoken.now_ns + pause_ns
+        asked = turns.follow(turns.turn, 1, WRITE, REQUEST, at_ns, at_ns)
+        cost = turns.weigh(asked, 1, WRITE, role, at_ns)
+        costs.append(cost + turns.pause_cost(turns.follow(asked, 1, WRITE, role, at_ns, at_ns)))
+    assert (costs[1] < costs[0]) is (called is REQUEST)
+
+
+def test_silence_of_a_master_that_pauses_is_no_missing_answer() -> None:
+    turns = (spoken := glued()).turns
+    for _ in range(8):
+        spoken.hear(1, READ, 600 * MS)
+        spoken.hear(1, ANSWER, 0)
+    assert turns.pause_cost(turns.turn) == 0
+
+
+def test_silences_are_not_kept_where_they_are_trusted() -> None:
+    assert Spoken().learn_latency().turns.turn.pause_ns == 0
+
+
 def test_echo_of_an_ambiguous_frame_is_no_surer() -> None:
     spoken = Spoken()
     spoken.hear(1, WRITE)
@@ -286,6 +373,8 @@ def test_what_is_known_of_a_line_is_bounded() -> None:
             "17 04 1234 0000",
             "2 registers for a quantity of 1",
         ),
+        ("08 0000 A537", "08 0000 A537", None),
+        ("08 0000 A537", "08 0000 A536", "data (42294,) for (42295,)"),
         ("2B 0E 01 00", "2B 0D", "mei type 13 for 14"),
         ("07", "07 6D", None),
     ],

@@ -9,7 +9,14 @@ from mbtool.modbus import weights
 from mbtool.modbus.rows import DOUBT
 from mbtool.modbus.turns import SURE, likelihood
 
-TOLD_BY_ANOTHER = {"SKIP_LIMITS", "GLUED_LIMITS", "TORN_LIMITS", "MOST_FOR_LATENESS"}
+TOLD_BY_ANOTHER = {
+    "SKIP_LIMITS",
+    "NOISE_LIMITS",
+    "GLUED_LIMITS",
+    "TORN_LIMITS",
+    "ASKED_AGAIN_LIMITS",
+    "MOST_FOR_LATENESS",
+}
 
 
 def test_every_weight_has_its_reason() -> None:
@@ -27,8 +34,10 @@ def test_limits_hold_what_is_learned_between_them() -> None:
         (weights.SKIP, weights.SKIP_LIMITS),
         (weights.GLUED, weights.GLUED_LIMITS),
         (weights.TORN, weights.TORN_LIMITS),
+        (weights.NOISE, weights.NOISE_LIMITS),
     ):
         assert 0 < least <= bits <= most
+    assert weights.ASKED_AGAIN_LIMITS[0] <= weights.ASKED_AGAIN <= weights.ASKED_AGAIN_LIMITS[1]
 
 
 def test_answer_that_is_asked_for_is_the_cheapest_of_answers() -> None:
@@ -36,6 +45,7 @@ def test_answer_that_is_asked_for_is_the_cheapest_of_answers() -> None:
         weights.ANSWER,
         weights.LATE_ANSWER,
         weights.ANSWER_WHEN_LOST,
+        weights.LATE_ELSEWHERE,
         weights.ANSWER_AT_START,
         weights.WRONG_ANSWER,
         weights.STRAY_ANSWER,
@@ -44,7 +54,14 @@ def test_answer_that_is_asked_for_is_the_cheapest_of_answers() -> None:
 
 
 def test_retry_is_likelier_than_an_answer_that_never_came() -> None:
-    assert weights.REPEATED < weights.UNANSWERED
+    assert weights.REPEATED_AGAIN < weights.REPEATED < weights.UNANSWERED
+
+
+def test_stray_bytes_and_the_end_of_a_crc_are_weighed_by_the_line() -> None:
+    """The shorter frame and a 00 on a line of many stray bytes, the longer on a clean one."""
+    assert weights.NOISE_LIMITS[0] < weights.ENDS_IN_ZERO - weights.ADHERES
+    assert weights.ENDS_IN_ZERO < weights.NOISE <= weights.NOISE_LIMITS[1]
+    assert likelihood(weights.ENDS_IN_ZERO - weights.NOISE_AT_ONCE) < SURE
 
 
 def test_lateness_can_make_an_echo_a_retry() -> None:

@@ -91,7 +91,14 @@ def in_fragments(whole: Packet, *sizes: int, identification: int = 7) -> list[Pa
         part = payload[at : at + size]
         more = at + len(part) < len(payload)
         field_ = at // 8 | (0x2000 if more else 0)
-        data = ipv4(part, source, destination, fragment=field_, identification=identification)
+        data = ipv4(
+            part,
+            source,
+            destination,
+            protocol=whole.data[23],
+            fragment=field_,
+            identification=identification,
+        )
         parts.append(replace(whole, data=ethernet(data), original_length=len(ethernet(data))))
         at += size
         if not more:
@@ -102,6 +109,28 @@ def in_fragments(whole: Packet, *sizes: int, identification: int = 7) -> list[Pa
 def ethernet(payload: bytes, kind: int = 0x0800, tags: bytes = b"") -> bytes:
     """Make an Ethernet frame, padded to its least length."""
     return (bytes(12) + tags + kind.to_bytes(2, "big") + payload).ljust(60, b"\0")
+
+
+def gre(inner: bytes, protocol: int, header: bytes = b"", *, flags: int = 0) -> bytes:
+    """Make a GRE packet in IPv4; `header` is what its flags and its protocol put before `inner`."""
+    return ipv4(struct.pack(">HH", flags, protocol) + header + inner, protocol=47)
+
+
+ERSPAN_II = bytes.fromhex("0000002a  1001 0001 00000000")
+"""A sequence number of GRE, then version 1, VLAN 1, session 1 and port 0 of ERSPAN."""
+
+
+def erspan(frame: bytes) -> bytes:
+    """What a switch sends that mirrors an Ethernet frame over a network: ERSPAN type II."""
+    return ethernet(gre(frame, 0x88BE, ERSPAN_II, flags=0x1000))
+
+
+def vxlan(frame: bytes) -> bytes:
+    """Make a VXLAN packet."""
+    header = struct.pack(">HHHH", 50000, 4789, 16 + len(frame), 0) + bytes.fromhex(
+        "0800000000002a00"
+    )
+    return ethernet(ipv4(header + frame, protocol=17))
 
 
 def packet(

@@ -6,7 +6,14 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, WireEvent
-from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamItem, TcpReassembler
+from mbtool.packets import (
+    CloseReason,
+    StreamClosed,
+    StreamEvent,
+    StreamGap,
+    StreamItem,
+    TcpReassembler,
+)
 
 if TYPE_CHECKING:
     from mbtool.core import Packet
@@ -36,7 +43,9 @@ def close_reasons(items: list[StreamItem]) -> list[CloseReason]:
 
 
 def wire_events(items: list[StreamItem]) -> list[WireEvent]:
-    return [item for item in items if isinstance(item, WireEvent)]
+    """The events, those of connections among them."""
+    told = (item.event if isinstance(item, StreamEvent) else item for item in items)
+    return [one for one in told if isinstance(one, WireEvent)]
 
 
 def host(address: bytes) -> str:

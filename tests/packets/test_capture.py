@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
@@ -10,10 +11,13 @@ from hypothesis import strategies as st
 
 from mbtool.core import CutError, InputError, Packet
 from mbtool.packets import CAPTURE_MAGICS, read_capture
+from mbtool.packets.pcapng import MAX_INTERFACES
 from tests.captures import read_packets
-from tests.packets.building import Pcapng, packet, pcap
+from tests.packets.building import Pcapng, Talk, erspan, ethernet, ipv6, packet, pcap, vxlan
+from tests.packets.reading import run_packets, words_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 _MAKE = Pcapng()
@@ -154,3 +158,78 @@ def test_a_public_capture_of_three_interfaces_has_three_link_types(public_captur
         ("if1", 276),
         ("if2", 108),
     }
+
+
+def _said() -> list[Packet]:
+    talk = Talk()
+    return [*talk.handshake(), talk.request(b"request"), talk.response(b"response")]
+
+
+def _wrapped(wrap: Callable[[bytes], bytes]) -> list[Packet]:
+    said = [replace(each, data=wrap(each.data)) for each in _said()]
+    return [replace(each, original_length=len(each.data)) for each in said]
+
+
+def _patched(at: int, value: bytes) -> bytes:
+    """The capture of what was said, with other bytes at a place."""
+    file = pcap(_said())
+    return file[:at] + value + file[at + len(value) :]
+
+
+def _of_interface(number: int, interfaces: list[bytes]) -> bytes:
+    blocks = (_MAKE.enhanced(each.data, each.ts_ns // 1000, number) for each in _said())
+    return _MAKE.section() + b"".join((*interfaces, *blocks))
+
+
+_TAGS = bytes.fromhex("88a8 0001  8100 0002  8100 0003")
+_IPV6_WITH_ROUTING = ethernet(
+    ipv6(bytes([6, 2, 0, 0]) + bytes(20) + _said()[3].data[34:61], following=43), 0x86DD
+)
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        pcap(_said(), magic=0xA1B23C4D),
+        _patched(16, b"\xff\xff\xff\xff"),
+        _patched(16, bytes(4)),
+        _patched(24 + 12, b"\xff\xff\xff\xff"),
+        pcap([packet(b"", 1), *_said(), packet(b"", 2)]),
+        pcap(_wrapped(lambda data: data[:12] + _TAGS + data[12:])),
+        pcap(_wrapped(erspan)),
+        pcap(_wrapped(vxlan)),
+        _of_interface(0, [_MAKE.interface(1, 0xFFFFFFFF)]),
+        _of_interface(4000, [_MAKE.interface()] * MAX_INTERFACES),
+    ],
+    ids=[
+        *("nanoseconds", "longest snaplen", "no snaplen", "a claim of 4 GiB on the wire"),
+        *("packets without bytes", "three VLAN tags", "ERSPAN", "VXLAN"),
+        *("longest snaplen of an interface", "many interfaces"),
+    ],
+)
+def test_odd_captures_are_read_as_others(file: bytes) -> None:
+    packets, error = _read(file)
+    assert error is None
+    assert words_of(run_packets(packets)) == [">request", "<response"]
+
+
+def test_a_routing_header_of_ipv6_is_passed_over() -> None:
+    assert words_of(run_packets([packet(_IPV6_WITH_ROUTING)])) == [">request"]
+
+
+@pytest.mark.parametrize(
+    ("file", "says"),
+    [
+        (_patched(24 + 8, b"\xff\xff\xff\x7f"), "the next claims 2147483647 bytes"),
+        (_of_interface(0, []), "interface 0 is not described"),
+        (_of_interface(0, [_MAKE.interface()] * (MAX_INTERFACES + 1)), "more than 4096 interfaces"),
+    ],
+    ids=["length", "no interface", "too many interfaces"],
+)
+def test_damage_is_one_line_that_says_where(file: bytes, says: str) -> None:
+    packets, error = _read(file)
+    assert packets == []
+    assert error is not None
+    assert says in str(error)
+    assert "after packet 0" in str(error)
+    assert "\n" not in str(error)

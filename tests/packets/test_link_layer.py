@@ -17,6 +17,12 @@ _COOKED_V2 = "0000 00000002 0001 00 06 66778899aabb0000"  # reserved, index, dev
         (1, f"{_ADDRESSES} 8100 202a 0800"),
         (1, f"{_ADDRESSES} 88a8 0001 8100 202a 86dd"),
         (1, f"{_ADDRESSES} 9100 0001 8100 0002 8100 0003 0800"),
+        (1, f"{_ADDRESSES} 892f 0034 0001 0800"),
+        (1, f"{_ADDRESSES} 8100 202a 892f 0034 0001 86dd"),
+        (1, f"{_ADDRESSES} 8864 1100 0001 0016 0021"),
+        (1, f"{_ADDRESSES} 8100 202a 8864 1100 0001 0016 0057"),
+        (1, f"{_ADDRESSES} 8847 00010140"),
+        (1, f"{_ADDRESSES} 8848 00010040 00020040 00030140"),
         (113, f"{_COOKED} 0800"),
         (113, f"{_COOKED} 8100 202a 86dd"),
         (276, f"0800 {_COOKED_V2}"),
@@ -46,6 +52,11 @@ def test_finds_ip_behind_each_link_layer(link_type: int, header: str) -> None:
         (1, f"{_ADDRESSES} 0806"),  # ARP
         (1, f"{_ADDRESSES} 0026"),  # a length, as 802.3 has it
         (1, f"{_ADDRESSES} 8100 202a 0806"),
+        (1, f"{_ADDRESSES} 892f 0034 0001 0806"),
+        (1, f"{_ADDRESSES} 8863 1109 0001 0016 0021"),  # PPPoE's discovery
+        (1, f"{_ADDRESSES} 8864 1100 0001 0016 c021"),  # PPP's own
+        (1, f"{_ADDRESSES} 8847 00010140"),  # what is labelled begins with 0: a pseudowire
+        (1, f"{_ADDRESSES} 8847 00010040"),  # no last label
         (113, f"{_COOKED} 0806"),
         (276, f"0806 {_COOKED_V2}"),
         (276, f"8100 {_COOKED_V2} 202a 0806"),

@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mbtool.core import Direction
 from mbtool.devices import load_profile
+from mbtool.modbus import encode_pdu
 from mbtool.modbus.tables import Table
-from mbtool.slave.image import RegisterImage
+from mbtool.slave.image import RegisterImage, packed_bits
 
 
 def _writes() -> st.SearchStrategy[tuple[Table, int, list[int]]]:
@@ -70,3 +72,43 @@ def test_begins_with_the_defaults_of_the_profile() -> None:
     expected = [0x03FA, 0xC0A8, 600, 10, 3, 30]
     assert image.get(Table.HOLDING_REGISTERS, 0x00F0, 6) == expected
     assert image.get(Table.HOLDING_REGISTERS, 0x0020, 0x00D0) == [0] * 0x00D0
+
+
+@given(st.lists(_writes(), max_size=5), st.sampled_from(list(Table)), st.data())
+def test_packs_a_range_as_a_response_carries_it(
+    writes: list[tuple[Table, int, list[int]]], table: Table, data: st.DataObject
+) -> None:
+    image = RegisterImage()
+    for each, address, values in writes:
+        image.set(each, address, values)
+    quantity = data.draw(st.integers(1, 250))
+    address = data.draw(st.one_of(st.integers(0, 30), st.just(0x10000 - quantity)))
+    code = {Table.COILS: 1, Table.DISCRETE_INPUTS: 2, Table.HOLDING_REGISTERS: 3}.get(table, 4)
+    if not table.is_bits:
+        quantity = min(quantity, 125)
+    held = tuple(image.get(table, address, quantity))
+    cells, part = image.cells(table, range(address, address + quantity))
+    packed = packed_bits(cells[part]) if table.is_bits else cells[part]
+    assert packed == encode_pdu(code, Direction.RESPONSE, values=held)[2:]
+
+
+def test_tables_that_are_shared_are_one() -> None:
+    image = RegisterImage()
+    image.set(Table.INPUT_REGISTERS, 1, [5, 6])
+    image.set(Table.HOLDING_REGISTERS, 1, [7])
+    for _ in range(2):
+        image.share(Table.INPUT_REGISTERS, Table.HOLDING_REGISTERS)
+    assert image.get(Table.HOLDING_REGISTERS, 0, 4) == [0, 7, 6, 0]
+    image.set(Table.HOLDING_REGISTERS, 3, [8])
+    assert image.get(Table.INPUT_REGISTERS, 0, 4) == [0, 7, 6, 8]
+
+
+def test_a_point_of_a_block_is_put_into_its_block() -> None:
+    profile = load_profile("wago-750")
+    image = RegisterImage.of(profile)
+    by_name = {point.name: point for point in profile.points}
+    image.put(by_name["BadLength statistics"], 0x102B, [9])
+    image.put(by_name["Item number"], 0x2012, [341])
+    assert image.blocks.get(Table.HOLDING_REGISTERS, range(0x1029, 0x102C)) == [0, 0, 9]
+    assert image.get(Table.HOLDING_REGISTERS, 0x102B) == [0]
+    assert image.get(Table.HOLDING_REGISTERS, 0x2012) == [341]

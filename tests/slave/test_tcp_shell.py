@@ -15,7 +15,9 @@ from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 from mbtool.devices import load_profile
 from mbtool.modbus import Answer, Table, mbap_adu, rtu_adu
 from mbtool.slave import Bounds, DeviceResponder, RegisterImage, TcpSlave, units_on
-from mbtool.slave.tcp_shell import READ_BYTES
+from mbtool.slave.connection_rules import ConnectionRules
+from mbtool.slave.tcp_connection import READ_BYTES
+from mbtool.slave.tcp_shell import _bind
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
 if TYPE_CHECKING:
@@ -336,3 +338,38 @@ def test_a_host_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(socket, "getaddrinfo", fail)
     with pytest.raises(LinkError, match="no host is named 'nowhere'"):
         TcpSlave(TcpLink(Endpoint("nowhere", 1502)), Scripted(echo)).start()
+
+
+@pytest.mark.parametrize(
+    ("family", "host"), [(socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")]
+)
+def test_a_port_is_held_without_listening_while_no_connection_is_taken(
+    family: int, host: str
+) -> None:
+    try:
+        listening = socket.create_server((host, 0), family=family)
+    except OSError:
+        pytest.skip(f"no {host} here")
+    with listening:
+        address = listening.getsockname()
+        with pytest.raises(LinkError, match="the port is in use"):
+            _bind(family, address)
+    with _bind(family, address) as held:
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(address[:2], PATIENCE_S)
+        held.listen()
+        socket.create_connection(address[:2], PATIENCE_S).close()
+
+
+def test_rules_of_a_device_count_instead_of_bounds() -> None:
+    rules = ConnectionRules(places=1)
+    bounds = Bounds(connections=5)
+    with (
+        TcpSlave(LOOPBACK, Scripted(echo), bounds=bounds, rules=rules) as slave,
+        _connect(slave) as first,
+        _connect(slave) as second,
+    ):
+        _ask(first)
+        _await_end(second)
+        assert (slave.places, slave.turned_away) == (1, 1)
+        assert slave.notes() == []

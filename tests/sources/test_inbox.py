@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 
+import pytest
+
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Packet, Quiet, WireEvent
 from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamOpened
 from mbtool.sources.inbox import ITEM_COST, Ended, Inbox, Item
@@ -44,6 +46,41 @@ def test_wakes_a_consumer_that_waits() -> None:
     thread.start()
     assert inbox.get(PATIENCE_S) == chunk(1)
     thread.join()
+
+
+def test_a_source_goes_first_while_it_takes_what_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbtool.sources.inbox.STANDSTILL_S", PATIENCE_S)
+    inbox, taken = Inbox(), threading.Event()
+
+    def consume() -> None:
+        assert inbox.get() == chunk(0)
+        taken.set()
+
+    with inbox.first(), inbox.first():
+        inbox.put(chunk(0))
+        consumer = threading.Thread(target=consume)
+        consumer.start()
+        assert not taken.wait(0.01)
+    assert taken.wait(PATIENCE_S)
+    consumer.join()
+
+
+def test_a_consumer_that_has_much_to_do_waits_for_no_source(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    inbox = Inbox(limit=2 * (ITEM_COST + 100))
+    with inbox.first():
+        for ts_ns in range(2):
+            inbox.put(chunk(ts_ns))
+        monkeypatch.setattr(inbox._calm, "wait", lambda _: pytest.fail("it stood still"))
+        assert inbox.get(0) == chunk(0)
+
+
+def test_a_source_that_goes_first_for_ever_starves_no_consumer() -> None:
+    inbox = Inbox()
+    with inbox.first():
+        inbox.put(chunk(0))
+        assert inbox.get(0) == chunk(0)
 
 
 def test_a_silence_replaces_the_silence_before_it() -> None:
@@ -94,7 +131,26 @@ def test_each_link_is_told_its_own_loss() -> None:
     inbox.put(chunk(1, 7, "a"))
     inbox.put(Packet(ts_ns=2, link="eth0", link_type=1, data=bytes(9), original_length=9))
     losses = [item for item in drain(inbox) if isinstance(item, WireEvent)]
-    assert [(loss.link, loss.missing) for loss in losses] == [("a", 7), ("eth0", 9)]
+    assert [(loss.link, loss.missing, loss.packets) for loss in losses] == [
+        ("a", 7, 0),
+        ("eth0", 9, 1),
+    ]
+
+
+def test_a_loss_that_is_told_while_it_is_full_stays_told() -> None:
+    inbox = Inbox(limit=ITEM_COST + 100)
+    inbox.put(chunk(0))
+    for number in (1, 2):
+        inbox.put(Packet(ts_ns=number, link="eth0", link_type=1, data=bytes(9), original_length=9))
+        inbox.put(
+            WireEvent(ts_ns=number, link="eth0", kind=EventKind.DISCARDED, message="", packets=30)
+        )
+    (loss,) = [item for item in drain(inbox) if isinstance(item, WireEvent)]
+    assert (loss.missing, loss.packets) == (18, 62)
+    assert loss.message == (
+        "decoding fell behind: 2 pieces with 18 bytes were not recorded; "
+        "the kernel dropped 60 packets"
+    )
 
 
 def test_each_direction_of_a_connection_gets_a_gap() -> None:

@@ -7,14 +7,19 @@ import socket
 import subprocess
 import sys
 import time
+from threading import Event
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
+from mbtool.packets.segment import RST
 from mbtool.sources import interface
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.interface import InterfaceSource, _program
+from tests.packets.building import ethernet, ipv4, tcp
 from tests.sources.live_helpers import drain, take_until
 
 if TYPE_CHECKING:
@@ -49,6 +54,24 @@ def connection() -> Iterator[tuple[int, socket.socket, socket.socket]]:
                 yield port, master, slave
 
 
+@pytest.fixture
+def port() -> Iterator[int]:
+    """A port that is nobody else's, and where nothing listens."""
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        yield holder.getsockname()[1]
+
+
+def send_segments(port: int, count: int) -> int:
+    """Put TCP segments on the loopback that nothing answers. Gives how many."""
+    with socket.socket(socket.AF_PACKET, socket.SOCK_RAW) as sender:
+        sender.bind(("lo", 0))
+        for number in range(count):
+            data = tcp(50000, port, 1000 + number, flags=RST, payload=bytes(200))
+            sender.send(ethernet(ipv4(data, "127.0.0.1", "127.0.0.1")))
+    return count
+
+
 @needs_privilege
 def test_hears_each_packet_once_with_a_time_between_sending_and_hearing(
     connection: tuple[int, socket.socket, socket.socket],
@@ -56,7 +79,7 @@ def test_hears_each_packet_once_with_a_time_between_sending_and_hearing(
     port, master, slave = connection
     inbox = Inbox()
     request = b"\x00\x01\x00\x00\x00\x06\x11\x03\x00\x6b\x00\x03"
-    with InterfaceSource(InterfaceLink("lo"), inbox, ports=[port]):
+    with InterfaceSource(InterfaceLink(("lo",)), inbox, ports=[port]):
         before_ns = time.time_ns()
         master.sendall(request)
         assert slave.recv(100) == request
@@ -81,7 +104,7 @@ def test_other_ports_are_not_heard(connection: tuple[int, socket.socket, socket.
     inbox = Inbox()
     with (
         socket.create_server(("127.0.0.1", 0)) as other,
-        InterfaceSource(InterfaceLink("lo"), inbox, ports=[port]),
+        InterfaceSource(InterfaceLink(("lo",)), inbox, ports=[port]),
         socket.create_connection(other.getsockname()) as stranger,
     ):
         stranger.sendall(b"stranger")
@@ -98,7 +121,7 @@ def test_all_interfaces_are_heard_at_once_and_the_loopback_once(
 ) -> None:
     port, master, slave = connection
     inbox = Inbox()
-    with InterfaceSource(InterfaceLink("any"), inbox, ports=[port]):
+    with InterfaceSource(InterfaceLink(("any",)), inbox, ports=[port]):
         master.sendall(b"request")
         assert slave.recv(100) == b"request"
         slave.sendall(b"answer")
@@ -110,26 +133,56 @@ def test_all_interfaces_are_heard_at_once_and_the_loopback_once(
 
 @needs_privilege
 def test_what_the_kernel_drops_is_counted_to_the_packet(
-    connection: tuple[int, socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+    port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    port, master, slave = connection
+    """Nobody fetches until all are sent: the first fill the buffer, the others are dropped."""
     monkeypatch.setattr(interface, "_BUFFER", 0)  # The kernel takes the least that it has.
-    monkeypatch.setattr(InterfaceSource, "_fetch", lambda _: False)  # Nobody fetches meanwhile.
+    may_fetch = Event()
+    fetch = InterfaceSource._fetch
+    monkeypatch.setattr(
+        InterfaceSource, "_fetch", lambda source: may_fetch.is_set() and fetch(source)
+    )
     inbox = Inbox()
-    sent = 200
-    with InterfaceSource(InterfaceLink("lo"), inbox, ports=[port]):
-        for _ in range(sent):
-            master.sendall(b"x" * 200)
-            assert slave.recv(200)
-    lost = [item for item in drain(inbox) if isinstance(item, WireEvent)]
-    assert all(event.kind is EventKind.DISCARDED for event in lost)
-    assert sum(event.missing for event in lost) > sent - 50
+    with InterfaceSource(InterfaceLink(("lo",)), inbox, ports=[port]):
+        sent = send_segments(port, 200)
+        may_fetch.set()
+        told = take_until(inbox, lambda item: isinstance(item, WireEvent))  # Within a second.
+        sent += send_segments(port, 3)
+    items = [*told, *drain(inbox)]
+    events = [item for item in items if isinstance(item, WireEvent)]
+    assert {event.kind for event in events} == {EventKind.DISCARDED}
+    dropped = sum(event.packets for event in events)
+    heard = [item for item in items if isinstance(item, Packet)]
+    assert dropped > 100
+    assert len(heard) + dropped == sent
+    assert all(str(event.packets) in event.message for event in events)
+
+
+@needs_privilege
+def test_what_was_dropped_at_the_very_end_is_told_too(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interface, "_BUFFER", 0)
+    monkeypatch.setattr(interface, "_STATISTICS_NS", 3600 * 10**9)
+    closing = Event()
+    fetch = InterfaceSource._fetch
+    monkeypatch.setattr(
+        InterfaceSource, "_fetch", lambda source: closing.is_set() and fetch(source)
+    )
+    inbox = Inbox()
+    with InterfaceSource(InterfaceLink(("lo",)), inbox, ports=[port]):
+        sent = send_segments(port, 200)
+        closing.set()
+    items = drain(inbox)
+    (event,) = [item for item in items if isinstance(item, WireEvent)]
+    assert isinstance(items[-1], Ended)
+    assert sum(isinstance(item, Packet) for item in items) + event.packets == sent
 
 
 @needs_privilege
 def test_an_idle_interface_tells_that_time_passes_and_then_that_it_ended() -> None:
     inbox = Inbox()
-    with InterfaceSource(InterfaceLink("lo"), inbox, ports=[1]):
+    with InterfaceSource(InterfaceLink(("lo",)), inbox, ports=[1]):
         first, second = inbox.get(10), inbox.get(10)
         assert isinstance(first, Quiet)
         assert isinstance(second, Quiet)
@@ -140,7 +193,7 @@ def test_an_idle_interface_tells_that_time_passes_and_then_that_it_ended() -> No
 def test_an_unknown_interface_is_named_with_those_that_are_there() -> None:
     with (
         pytest.raises(LinkError, match=r"^net:eth-no: no such interface; here are: .*lo"),
-        InterfaceSource(InterfaceLink("eth-no"), Inbox()),
+        InterfaceSource(InterfaceLink(("eth-no",)), Inbox()),
     ):
         pass
 
@@ -152,7 +205,7 @@ def test_a_missing_privilege_says_which_and_how_to_give_it(monkeypatch: pytest.M
     monkeypatch.setattr(socket, "socket", refuse)
     with (
         pytest.raises(LinkError, match="cap_net_raw") as caught,
-        InterfaceSource(InterfaceLink("lo"), Inbox()),
+        InterfaceSource(InterfaceLink(("lo",)), Inbox()),
     ):
         pass
     command = f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}"
@@ -191,3 +244,51 @@ def test_scapy_is_not_imported_before_a_capture_starts() -> None:
         "sys.exit(any(name in sys.modules for name in ('scapy', 'serial')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+class Scripted:
+    """A capture that gives packets with the times that it was told, then has none for now."""
+
+    def __init__(self, times: list[float]) -> None:
+        self.times = times
+        self.ins = self
+
+    def recv_raw(self, _: int) -> tuple[None, bytes, float]:
+        if not self.times:
+            raise BlockingIOError
+        return None, b"", self.times.pop(0)
+
+
+@given(
+    ways=st.lists(st.lists(st.integers(0, 1000), max_size=20), min_size=2, max_size=3),
+    fetch=st.integers(1, 7),
+)
+def test_packets_of_several_interfaces_come_in_the_order_of_their_times(
+    ways: list[list[int]], fetch: int
+) -> None:
+    """However many are fetched at once, also where one interface lags behind the others."""
+    inbox = Inbox()
+    source = InterfaceSource(InterfaceLink(("a", "b")), inbox)
+    source._ears = [
+        interface._Ear(str(number), Scripted([float(time) for time in sorted(way)]), ETHERNET)
+        for number, way in enumerate(ways)
+    ]
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(interface, "_FETCH", fetch)
+        while source._fetch():
+            assert all(len(ear.held) <= fetch for ear in source._ears)
+    heard = [item.ts_ns for item in drain(inbox) if isinstance(item, Packet)]
+    assert heard == sorted(time * 10**9 for way in ways for time in way)
+
+
+def test_what_another_interface_may_yet_precede_is_held_back_for_a_moment() -> None:
+    inbox = Inbox()
+    source = InterfaceSource(InterfaceLink(("a", "b")), inbox)
+    soon = time.time() + 3600
+    source._ears = [
+        interface._Ear("a", Scripted([1.0, soon]), ETHERNET),
+        interface._Ear("b", Scripted([]), ETHERNET),
+    ]
+    source._fetch()
+    assert [item.ts_ns for item in drain(inbox) if isinstance(item, Packet)] == [10**9]
+    assert len(source._ears[0].held) == 1

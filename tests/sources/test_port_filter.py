@@ -10,11 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import UsageError
+from mbtool.packets.segment import BEFORE_TCP, IPV6_FRAGMENT, find_tcp
+from mbtool.packets.tunnels import ERSPAN
 from mbtool.sources.port_filter import MAX_PORTS, drop_everything, port_filter
+from tests.packets.building import gre, vxlan
 
-IPV4, IPV6, ARP, VLAN = 0x0800, 0x86DD, 0x0806, 0x8100
+IPV4, IPV6, ARP, VLAN, HSR = 0x0800, 0x86DD, 0x0806, 0x8100, 0x892F
 HOST, OUTGOING = 0, 4
-UDP, TCP, HOP_BY_HOP = 17, 6, 0
+UDP, TCP = 17, 6
 
 
 ETHERNET, LOOPBACK = 1, 772
@@ -133,10 +136,34 @@ def test_a_packet_that_must_not_be_fragmented_is_no_fragment() -> None:
     assert passes(program, IPV4, ipv4(1, 502, fragment=0x4000))
 
 
-def test_passes_extension_headers_and_inner_vlan_tags() -> None:
+def test_passes_extension_headers_and_inner_tags() -> None:
     program = port_filter([502], is_loopback=False)
-    assert passes(program, IPV6, ipv6(1, 1, HOP_BY_HOP))
+    for header in BEFORE_TCP:
+        assert passes(program, IPV6, ipv6(1, 1, header))
     assert passes(program, VLAN, b"")
+    assert passes(program, HSR, b"")
+
+
+@pytest.mark.parametrize("ports", [[], [502]])
+def test_passes_mirrors_over_a_network_and_no_other_tunnels(ports: list[int]) -> None:
+    program = port_filter(ports, is_loopback=False)
+    for protocol in ERSPAN:
+        assert passes(program, IPV4, gre(bytes(60), protocol))
+    assert not passes(program, IPV4, gre(bytes(60), 0x6558))
+    assert not passes(program, IPV4, vxlan(bytes(60))[14:])
+
+
+def test_what_passes_is_what_the_reassembler_looks_into() -> None:
+    """Of IPv6 headers: none that is followed is kept out, and no other is let in."""
+    program = port_filter([502], is_loopback=False)
+    for header in range(256):
+        # Behind the header in question stands TCP, in its first byte.
+        inside = bytes([TCP]) + bytes(7) if header != TCP else b""
+        data = ipv6(502, 502, header)
+        data = data[:40] + inside + data[40:]
+        is_followed = find_tcp(data, 0, len(data)) is not None or header == IPV6_FRAGMENT
+        assert passes(program, IPV6, data) >= is_followed
+        assert passes(program, IPV6, data) == (header in BEFORE_TCP or header == TCP)
 
 
 def test_without_ports_any_tcp_passes() -> None:

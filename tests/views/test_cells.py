@@ -124,6 +124,10 @@ def test_says_that_it_does_not_know_a_function() -> None:
             },
             "0102H A/D conversion: CH1 CH2 enabled",
         ),
+        (
+            {"function": 0x16, "reference": "holding 4", "request_values": [0xF2, 0x25]},
+            "holding 4 := AND 00F2H, OR 0025H",
+        ),
         ({"function": 8, "sub_function": 4, "reference": None}, "sub-function 04"),
         ({"reference": "HR400001", "retries": 2}, "HR400001 (retry 2)"),
         ({"function": 17, "reference": None, "retries": 1}, "(retry 1)"),
@@ -132,6 +136,21 @@ def test_says_that_it_does_not_know_a_function() -> None:
 )
 def test_says_what_is_addressed_and_written(fields: dict[str, Any], what: str) -> None:
     assert what_text(transaction(**fields)) == what
+
+
+@pytest.mark.parametrize(
+    ("function", "values", "result"),
+    [
+        (0x07, [0x6D], "status 6DH"),
+        (0x0B, [0xFFFF, 264], "status FFFFH, 264 events"),
+        (0x0B, [7], "7"),  # A log that others wrote may hold anything.
+        (0x07, None, "ok"),
+    ],
+)
+def test_says_a_status_that_is_in_no_register(
+    function: int, values: list[int] | None, result: str
+) -> None:
+    assert result_text(transaction(function=function, response_values=values)) == result
 
 
 def test_findings_have_the_figures_of_their_profile() -> None:

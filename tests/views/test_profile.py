@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import msgspec
 import pytest
 from rich.console import Console, RenderableType
 
-from mbtool.devices import PointType, Profile, Timing, builtin_profiles, load_profile
+from mbtool.devices import (
+    Access,
+    ByteOrder,
+    FunctionRule,
+    Point,
+    PointType,
+    Profile,
+    Timing,
+    WordOrder,
+    builtin_profiles,
+    load_profile,
+)
+from mbtool.modbus.tables import Table
 from mbtool.views.profile import profile_list, profile_page
 
 
@@ -20,14 +33,27 @@ def _lines(page: RenderableType, width: int = 100) -> list[str]:
 
 def test_the_list_has_a_line_for_each_profile() -> None:
     assert _lines(profile_list([load_profile(name) for name in builtin_profiles()])) == [
-        "name             device                                           transports  areas"
+        "name                 device                                                transports  "
+        "areas"
         "  points",
-        "fa3-at1m8x       FA3-AT1M8X analog input module, 8 channels       tcp         5      53",
-        "fa3-at1m8y       FA3-AT1M8Y analog output module, 8 channels      tcp         5      45",
-        "fa3-th1m16xc     FA3-TH1M16XC digital input module, 16 inputs     tcp         5      23",
-        "fa3-th1m16y      FA3-TH1M16Y digital output module, 16 outputs    tcp         5      23",
-        "fa3-th1m16ye     FA3-TH1M16YE digital output module, 16 outputs   tcp         5      23",
-        "idec-ft1a-touch  FT1A Touch operator interface, Modbus RTU slave  rtu         4      0",
+        "chino-lt830          LT830 digital indicating controller                   rtu, ascii  4"
+        "      4",
+        "fa3-at1m8x           FA3-AT1M8X analog input module, 8 channels            tcp         5"
+        "      53",
+        "fa3-at1m8y           FA3-AT1M8Y analog output module, 8 channels           tcp         5"
+        "      45",
+        "fa3-th1m16xc         FA3-TH1M16XC digital input module, 16 inputs          tcp         5"
+        "      23",
+        "fa3-th1m16y          FA3-TH1M16Y digital output module, 16 outputs         tcp         5"
+        "      23",
+        "fa3-th1m16ye         FA3-TH1M16YE digital output module, 16 outputs        tcp         5"
+        "      23",
+        "idec-ft1a-smartaxis  FT1A SmartAXIS Pro/Lite controller, Modbus RTU slave  rtu         13"
+        "     1200",
+        "idec-ft1a-touch      FT1A Touch operator interface, Modbus RTU slave       rtu         4"
+        "      0",
+        "wago-750             WAGO-I/O-SYSTEM 750 fieldbus coupler, ETHERNET        tcp         42"
+        "     315",
     ]
 
 
@@ -113,3 +139,65 @@ def test_a_page_says_which_silences_a_device_keeps() -> None:
         load_profile("idec-ft1a-touch"), timing=Timing(t1_5="1ms", t3_5="28bits")
     )
     assert "timing: t1.5 1ms, t3.5 28bits" in _lines(profile_page(profile))
+
+
+def test_a_page_says_what_holds_in_one_mode_only_and_what_a_code_means() -> None:
+    lines = _lines(profile_page(load_profile("chino-lt830")), 200)
+    assert "03        read holding registers    26, in ASCII 13" in lines
+    assert any("11 value out of setting range, 12 programming disabled" in line for line in lines)
+
+
+def test_a_page_says_how_far_apart_requests_are() -> None:
+    lines = _lines(profile_page(load_profile("idec-ft1a-smartaxis")))
+    assert "timing: at least 5ms before each request" in lines
+
+
+def test_a_page_tells_what_is_read_from_what_is_written() -> None:
+    lines = _lines(profile_page(load_profile("wago-750")), 200)
+    for references, addresses, access in (
+        ("%IW0..255", "0000..00FF", "read"),
+        ("%QW0..255", "0000..00FF", "write"),
+        ("%QW0..255", "0200..02FF", "read, write"),
+    ):
+        assert any(
+            references in line and addresses in line and line.endswith(f"  {access}")
+            for line in lines
+        )
+
+
+def test_a_page_says_how_each_value_stands_in_its_registers() -> None:
+    profile = msgspec.structs.replace(
+        load_profile("fa3-at1m8x"),
+        functions={"41": FunctionRule(title="remote reset", answers=False)},
+        points=[
+            _point("Flow", 0x100, type=PointType.INT16, scale=0.1, offset=-50.0, decimals=1,
+                   minimum=-50, maximum=27.5, unit="degC"),
+            _point("State", 0x101, type=PointType.FLAGS, bits={3: "ALARM", 0: "READY"}, default=9),
+            _point("Total", 0x102, type=PointType.FLOAT64, word_order=WordOrder.LOW_FIRST,
+                   byte_order=ByteOrder.LOW_FIRST, scale=10.0, decimals=2),
+            _point("Model", 0x110, type=PointType.STRING, length=8, access=Access.READ),
+            _point("Reset", 0x120, offset=3.0, access=Access.WRITE),
+            _point("Second", 0x131, block=0x130),
+            _point("Time", 0x140, scale=100.0, unit="ms"),
+            _point("Delay", 0x141, unit="s"),
+        ],
+    )  # fmt: skip
+    lines = _lines(profile_page(profile), 120)
+    assert "41        remote reset, without an answer" in lines
+    table = lines.index("reference     point   type                                     values")
+    assert lines[table + 1 : table + 9] == [
+        "0100H         Flow    int16                                    number x 0.1 - 50, "
+        "1 decimal, -50..27.5 degC",
+        "0101H         State   flags                                    bit 0 = READY, "
+        "bit 3 = ALARM, default READY, ALARM",
+        "0102H..0105H  Total   float64, low word first, low byte first  number x 10, 2 decimals",
+        "0110H..0117H  Model   string, 8 registers                      read only",
+        "0120H         Reset   uint16                                   number + 3, write only",
+        "0131H         Second  uint16                                   in a read from 0130H on",
+        "0140H         Time    uint16                                   number x 100 ms",
+        "0141H         Delay   uint16                                   in s",
+    ]
+
+
+def _point(name: str, address: int, **fields: Any) -> Point:
+    return Point(name=name, table=Table.HOLDING_REGISTERS, address=address, **fields)

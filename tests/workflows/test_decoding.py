@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,10 +25,11 @@ from mbtool.core import (
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
 from mbtool.logs import LogWriter
 from mbtool.modbus import Outcome, Transport, ascii_adu, mbap_adu, rtu_adu
-from mbtool.packets import CloseReason, StreamClosed, StreamGap, StreamOpened
+from mbtool.packets import CloseReason, StreamClosed, StreamEvent, StreamGap, StreamOpened
 from mbtool.workflows import decoding
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions
+from tests.packets.building import SLAVE_PORT, End, Talk, in_fragments
 from tests.workflows.evidence import (
     CONNECTION,
     LINE,
@@ -46,8 +49,6 @@ from tests.workflows.evidence import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
-
-    import pytest
 
     from mbtool.workflows.decoding import Evidence, Record
 
@@ -551,6 +552,13 @@ def test_at_any_port_a_connection_is_told_once_it_is_modbus() -> None:
     assert _outcomes([*records, *decoder.feed(closed)]) == ["opened", "ok", "closed"]
 
 
+def test_what_is_known_of_a_connection_is_told_with_its_opening() -> None:
+    opened = StreamOpened(START_NS, ELSEWHERE, joined=False, note="master TLS 1.3, CN=master")
+    (told,) = _decoder().feed(opened)
+    assert isinstance(told, WireEvent)
+    assert told.message == "connection opened: master TLS 1.3, CN=master"
+
+
 def test_at_any_port_what_is_no_modbus_is_told_once_for_each_slave() -> None:
     decoder = Decoder(Namer(), any_port=True)
     records: list[Record] = []
@@ -580,3 +588,149 @@ def test_a_foreign_connection_to_a_port_that_is_named_is_one_event() -> None:
         )
         records += decoder.feed(data)
     assert _outcomes([*records, *decoder.close()]) == ["opened", "foreign"]
+
+
+def _of_port(port: int) -> Talk:
+    return Talk(slave=End("10.0.0.2", port, 5000))
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_tls_in_packets_is_one_event(joined: bool) -> None:
+    """Application data, as most of a connection is that was captured in the middle."""
+    data = bytes.fromhex("17 0303 0022") + bytes(range(0x80, 0xA2))
+    talk = _of_port(802)
+    begun = [] if joined else [*talk.handshake(), talk.request(TLS), talk.response(TLS)]
+    polls = [one for _ in range(9) for one in (talk.request(data), talk.response(data))]
+    records = _decoded([*begun, *polls, *talk.goodbye()], Decoder(Namer(), ports=(802,)))
+    assert _outcomes(records) == ["opened", "foreign", "closed"]
+    foreign = records[1]
+    assert isinstance(foreign, WireEvent)
+    assert foreign.message.startswith("the connection is TLS: only its ends can read it; a tap")
+
+
+def _twice(packet: Packet, old: bytes, new: bytes) -> list[Packet]:
+    """A packet, and a second copy of it in which bytes differ."""
+    assert old in packet.data
+    return [packet, replace(packet, data=packet.data.replace(old, new))]
+
+
+@pytest.mark.parametrize("in_parts", [False, True], ids=["segments", "fragments"])
+@pytest.mark.parametrize("joined", [False, True])
+def test_at_any_port_copies_that_differ_are_told_of_modbus_only(
+    in_parts: bool, joined: bool
+) -> None:
+    talk = _of_port(1502)
+    begun = [] if joined else talk.handshake()
+    first, second = _twice(talk.request(mbap_adu(1, 1, READ)), READ, WRITE)
+    copies = (
+        [in_fragments(first, 24)[1], *in_fragments(second, 24)[::-1]]
+        if in_parts
+        else [first, second]
+    )
+    answer = talk.response(mbap_adu(1, 1, VALUES))
+    more = [talk.request(mbap_adu(2, 1, READ)), talk.response(mbap_adu(2, 1, VALUES))]
+    records = _decoded(
+        [*begun, *copies, answer, *more, *talk.goodbye()], Decoder(Namer(), any_port=True)
+    )
+    assert sorted(_outcomes(records)) == ["closed", "ok", "ok", "opened", "overlap"]
+    (overlap,) = [one for one in records if isinstance(one, WireEvent) and one.kind == "overlap"]
+    assert overlap.source == "10.0.0.1:49152"
+
+
+@pytest.mark.parametrize("in_parts", [False, True], ids=["segments", "fragments"])
+def test_at_any_port_copies_that_differ_are_not_told_of_others(in_parts: bool) -> None:
+    talk = _of_port(443)
+    begun = [*talk.handshake(), talk.request(TLS), talk.response(TLS)]
+    first, second = _twice(talk.request(bytes(30) + b"secret"), b"secret", b"forged")
+    copies = (
+        [in_fragments(first, 24)[1], *in_fragments(second, 24)[::-1]]
+        if in_parts
+        else [first, second]
+    )
+    unfinished = in_fragments(talk.request(bytes(100)), 24)[:1]
+    items = [*begun, *copies, *unfinished, *talk.goodbye()]
+    assert _outcomes(_decoded(items, Decoder(Namer(), any_port=True))) == ["foreign"]
+    named = _outcomes(_decoded(items, Decoder(Namer(), ports=(443,))))
+    assert {"overlap", "unreadable"} <= set(named)
+
+
+def test_where_a_slave_turns_out_to_be_the_master_its_bytes_are_still_its_own() -> None:
+    """Joined in the middle, with the master at the port that was taken for the slave's."""
+    talk = Talk(End("10.0.0.1", 1024, 1000), End("10.0.0.2", 50000, 5000))
+    answer = talk.response(mbap_adu(0, 1, VALUES))  # The first segment: its sender seems to ask.
+    first, second = _twice(talk.request(mbap_adu(1, 1, READ)), READ, WRITE)
+    items = [answer, first, second, talk.response(mbap_adu(1, 1, VALUES))]
+    records = _decoded(items, Decoder(Namer(), any_port=True))
+    (opened,) = [one for one in records if isinstance(one, WireEvent) and one.kind == "opened"]
+    (overlap,) = [one for one in records if isinstance(one, WireEvent) and one.kind == "overlap"]
+    assert (opened.source, opened.destination) == ("10.0.0.1:1024", "10.0.0.2:50000")
+    assert (overlap.source, overlap.destination) == ("10.0.0.1:1024", "10.0.0.2:50000")
+    assert overlap.link == "10.0.0.2:50000"
+
+
+def test_what_a_bound_cost_of_a_connection_nobody_knows_is_told_at_any_port() -> None:
+    decoder = Decoder(Namer(), any_port=True)
+    lost, twice = (
+        StreamEvent(ELSEWHERE, WireEvent(ts_ns=START_NS, link="if0", kind=kind, message=""))
+        for kind in (EventKind.DISCARDED, EventKind.OVERLAP)
+    )
+    assert _outcomes(decoder.feed(lost) + decoder.feed(twice)) == ["discarded"]
+
+
+def test_the_end_of_a_connection_tells_how_many_keep_alive_probes_there_were() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    packets += [talk.request(mbap_adu(1, 1, READ)), talk.response(mbap_adu(1, 1, VALUES))]
+    for _ in range(3):  # RFC 1122, 4.2.3.6: no byte, at the place before the next expected.
+        packets.append(talk.at(talk.slave, talk.slave.sequence - 1))
+        packets.append(talk.at(talk.master, talk.master.sequence))
+    *_, closed = _decoded([*packets, *talk.goodbye()])
+    assert isinstance(closed, WireEvent)
+    assert closed.message == "connection closed: finished, 3 keep-alive probes"
+    *_, quiet = _decoded(captured(1))
+    assert isinstance(quiet, WireEvent)
+    assert quiet.message == "connection closed: finished"
+
+
+def _seen_by(link: str, packets: Iterable[Packet], later_ns: int = 0) -> list[Packet]:
+    return [replace(one, link=link, ts_ns=one.ts_ns + later_ns) for one in packets]
+
+
+def _in_time(packets: Iterable[Packet]) -> list[Packet]:
+    return sorted(packets, key=lambda one: one.ts_ns)
+
+
+def test_a_flow_that_two_interfaces_saw_is_two() -> None:
+    both = _in_time([*_seen_by("eth0", captured(2)), *_seen_by("eth1", captured(2), 1000)])
+    records = _decoded(both)
+    assert _outcomes(records) == [
+        *("opened", "opened", "ok", "ok", "ok", "ok", "closed", "closed"),
+    ]
+
+
+def test_across_interfaces_a_flow_that_two_saw_is_one() -> None:
+    both = _in_time([*_seen_by("eth0", captured(2)), *_seen_by("eth1", captured(2), 1000)])
+    assert _decoded(both, _across()) == _decoded(_seen_by("eth0", captured(2)))
+
+
+def test_across_interfaces_the_two_ways_of_a_flow_may_be_seen_by_one_each() -> None:
+    """As a network tap has it, with a monitor port for each direction."""
+    ways = [
+        replace(one, link="eth0" if one.data[36:38] == SLAVE_PORT.to_bytes(2) else "eth1")
+        for one in captured(2)
+    ]
+    assert _decoded(ways, _across()) == _decoded(captured(2))
+    assert "ok" not in _outcomes(_decoded(ways))
+
+
+def test_fragments_that_two_interfaces_saw_are_put_together_apart() -> None:
+    talk = Talk()
+    begun = talk.handshake()
+    whole = in_fragments(talk.request(mbap_adu(1, 1, READ)), 24)
+    items = [*begun, whole[0], *_seen_by("eth1", whole[1:])]
+    assert _outcomes(_decoded(items, _across())) == ["opened", "no-answer", "closed"]
+    assert "no-answer" not in _outcomes(_decoded(items))
+
+
+def _across() -> Decoder:
+    return Decoder(Namer(), ports=(502,), across=True)

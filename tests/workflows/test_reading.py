@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import io
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -29,7 +31,7 @@ from mbtool.logs.layout import Opcode
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions, followed
 from tests.logs.samples import changed, records_of
-from tests.packets.building import packet, pcap
+from tests.packets.building import Pcapng, packet, pcap
 from tests.workflows.evidence import (
     LINE,
     READ,
@@ -301,6 +303,41 @@ def test_says_why_nothing_came(
     assert reading.why_empty is None
     list(reading.records())
     assert reading.why_empty == (f"{tmp_path}/{why}" if why is not None else None)
+
+
+def test_says_that_nothing_came_from_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(pcap([]))))
+    reading = Reading(["-"], ReadingOptions())
+    assert list(reading.records()) == []
+    assert reading.why_empty is not None
+    assert reading.why_empty.startswith("standard input: empty;")
+
+
+@pytest.mark.parametrize("ways", [(0, 0), (0, 1)], ids=["both hear all", "each hears one way"])
+def test_the_interfaces_of_a_file_hear_one_network(tmp_path: Path, ways: tuple[int, int]) -> None:
+    make = Pcapng()
+    heard = []
+    for each in captured():
+        is_request = each.data[26:30] == bytes([10, 0, 0, 1])
+        numbers = (0, 1) if ways == (0, 0) else (ways[is_request],)
+        heard += [make.enhanced(each.data, each.ts_ns // 1000, number) for number in numbers]
+    interfaces = make.interface(options={2: b"eth0"}) + make.interface(options={2: b"eth1"})
+    path = tmp_path / "two.pcapng"
+    path.write_bytes(make.section() + interfaces + b"".join(heard))
+    one = tmp_path / "one.pcap"
+    one.write_bytes(capture_file())
+    assert _read(path) == _read(one)
+
+
+def test_the_interfaces_of_a_log_are_apart_unless_they_are_one_link(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, capture={}) as log:
+        for name in ("eth0", "eth1", "eth2+eth3"):
+            log.add_link(name, {"spec": f"net:{name.replace('+', ',')}"})
+        for each in captured(1):
+            for link in ("eth0", "eth1", "eth2+eth3", "eth2+eth3"):
+                log.write(replace(each, link=link))
+    assert len(_transactions(_read(path, raw=True))) == 3
 
 
 class _Growing:

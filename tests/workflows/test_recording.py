@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from mbtool.core import Direction, Endpoint, UsageError, parse_link
+from mbtool.core import (
+    Direction,
+    Endpoint,
+    ListenTls,
+    TapLink,
+    TargetTls,
+    UsageError,
+    parse_link,
+)
 from mbtool.devices import (
     Assignments,
     NamedTransaction,
@@ -31,6 +39,14 @@ LINKS = [
         "tap:127.0.0.1:1503=10.0.0.8:502",
     )
 ]
+LINKS.append(
+    TapLink(
+        Endpoint("127.0.0.1", 1802),
+        Endpoint("10.0.0.7", 802),
+        listen_tls=ListenTls("tap.pem"),
+        target_tls=TargetTls("ca.pem"),
+    )
+)
 DEVICES = Assignments(
     [parse_assignment("1=idec-ft1a-touch"), parse_assignment("10.0.0.8/5=fa3-at1m8x")]
 )
@@ -47,6 +63,7 @@ def test_a_log_says_all_that_decoding_it_again_needs(tmp_path: Path) -> None:
             "eth0": {"spec": "net:eth0", "ports": "502 1502", "rtu_ports": "4001"},
             "10.0.0.9:4001": {"spec": "tap:127.0.0.1:1502=10.0.0.9:4001", "rtu_ports": "4001"},
             "10.0.0.8": {"spec": "tap:127.0.0.1:1503=10.0.0.8:502"},
+            "10.0.0.7:802": {"spec": "tap:127.0.0.1:1802=10.0.0.7:802", "tls": "master slave"},
         }
         assert log.devices == {"10.0.0.8/5": "fa3-at1m8x", "1": "idec-ft1a-touch"}
         attached = [profile_from_json(data, name) for name, data in log.profiles.items()]
@@ -61,7 +78,7 @@ def test_all_that_a_log_says_is_documented(tmp_path: Path) -> None:
         if len(cells) == 4
     }
     path = str(tmp_path / "a.mcap")
-    begin_log(path, LINKS, DEVICES, ports=[502], rtu_ports=[4001]).close({"discarded": "0"})
+    begin_log(path, LINKS, DEVICES, ports=[502], rtu_ports=[4001]).close({"discarded_bytes": "0"})
     with LogReader.open(path) as log:
         list(log.items())
         said = {

@@ -10,12 +10,15 @@ import pytest
 from mbtool.core import InputError, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import load_profile
-from mbtool.slave import TcpSlave
+from mbtool.slave import DeviceResponder, RegisterImage, TcpSlave
 from mbtool.workflows.asking import TcpMaster
+from mbtool.workflows.exchanges import Exchanges
 from mbtool.workflows.serving import device_slave
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from mbtool.devices import Profile
 
 TOUCH = load_profile("idec-ft1a-touch")
 LOOPBACK = parse_link("tcp:127.0.0.1:0")
@@ -51,6 +54,25 @@ def test_a_link_with_two_ports_is_refused() -> None:
         device_slave(TOUCH, parse_link("rtu:/dev/a,/dev/b@9600"))
 
 
+@pytest.mark.parametrize(
+    ("link", "quantity", "answered"), [("rtu", 26, True), ("ascii", 13, True), ("ascii", 14, False)]
+)
+def test_a_device_takes_on_its_line_what_it_takes_in_that_mode(
+    monkeypatch: pytest.MonkeyPatch, link: str, quantity: int, answered: bool
+) -> None:
+    made: list[DeviceResponder] = []
+
+    def keep(profile: Profile, image: RegisterImage) -> DeviceResponder:
+        made.append(DeviceResponder(profile, image))
+        return made[0]
+
+    monkeypatch.setattr("mbtool.workflows.serving.DeviceResponder", keep)
+    device_slave(load_profile("chino-lt830"), parse_link(f"{link}:/dev/absent@9600-8E1"))
+    answer = made[0].respond(1, bytes([3, 0, 0xCD, 0, quantity]), 0)
+    assert answer is not None
+    assert (answer.pdu[0] == 3) == answered
+
+
 def test_others_are_let_in_only_with_leave() -> None:
     with pytest.raises(UsageError, match="--allow-remote"):
         device_slave(TOUCH, parse_link("tcp:0.0.0.0:0")).start()
@@ -63,3 +85,32 @@ def test_start_values_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     wrong.write_text("HR9 = 1\n")
     with pytest.raises(UsageError, match="HR9"):
         device_slave(TOUCH, LOOPBACK, image_file=wrong)
+
+
+def test_what_a_device_keeps_outlasts_its_slave(tmp_path: Path) -> None:
+    module, state = load_profile("fa3-at1m8x"), tmp_path / "state.toml"
+    write, read = bytes.fromhex("06 00F5 0007"), bytes.fromhex("03 00F5 0001")
+    for request in (write, read):
+        shell = device_slave(module, LOOPBACK, state_file=state)
+        assert isinstance(shell, TcpSlave)
+        with shell, TcpMaster(shell.endpoint) as master:
+            answer = master.ask(0, request)
+    assert answer == bytes.fromhex("03 02 0007")
+
+
+def test_a_device_has_its_own_rules_for_connections() -> None:
+    shell = device_slave(load_profile("fa3-at1m8x"), LOOPBACK)
+    assert isinstance(shell, TcpSlave)
+    assert shell.places == 2
+    touch = device_slave(TOUCH, LOOPBACK)
+    assert isinstance(touch, TcpSlave)
+    assert touch.places == touch.bounds.connections
+
+
+def test_exchanges_are_told() -> None:
+    exchanges = Exchanges(TOUCH, LOOPBACK)
+    shell = device_slave(TOUCH, LOOPBACK, 7, exchanges=exchanges)
+    assert isinstance(shell, TcpSlave)
+    with shell, TcpMaster(shell.endpoint) as master:
+        master.ask(7, READ)
+    assert [one.reference for one in exchanges.transactions()] == ["HR400001"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from functools import partial
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import pytest
 
@@ -14,6 +15,7 @@ from mbtool.core import (
     LinkError,
     LinkSpec,
     OutputError,
+    Quiet,
     SerialFormat,
     SerialLink,
     TapLink,
@@ -78,7 +80,7 @@ def test_hears_a_relay_and_logs_it(bench: Bench, tmp_path: Path) -> None:
     with LogReader.open(path) as log:
         list(log.items())
         assert log.closed
-        assert log.capture["discarded"] == "0"
+        assert log.capture["discarded_packets"] == log.capture["discarded_bytes"] == "0"
 
 
 def test_hears_a_serial_line_and_logs_it(bench: Bench, tmp_path: Path) -> None:
@@ -315,13 +317,37 @@ def test_what_bounds_have_cost_is_counted_and_told(bench: Bench) -> None:
     with Sniffer(
         [bench.tap()], decoder, begin_log=lambda: log, on_discarded=told.append
     ) as sniffer:
-        sniffer._inbox.put(
-            WireEvent(ts_ns=1, link="x", kind=EventKind.DISCARDED, message="", missing=42)
-        )
+        for missing, packets in ((42, 0), (0, 7), (100, 2), (0, 0)):
+            sniffer._inbox.put(
+                WireEvent(
+                    ts_ns=1,
+                    link="x",
+                    kind=EventKind.DISCARDED,
+                    message="",
+                    missing=missing,
+                    packets=packets,
+                )
+            )
         for _ in sniffer.records(lambda _: True):
             pass
-    assert log.final == {"discarded": "42"}
-    assert [one.missing for one in told] == [42]
+    assert log.final == {"discarded_packets": "9", "discarded_bytes": "142"}
+    assert [(one.missing, one.packets) for one in told] == [(42, 0), (0, 7), (100, 2)]
+
+
+def test_what_is_in_the_log_is_not_counted_as_lost(bench: Bench) -> None:
+    """A decoder's bound costs an explanation, no evidence."""
+    log = _Log(room=100)
+    told: list[WireEvent] = []
+    given_up = WireEvent(ts_ns=1, link="x", kind=EventKind.DISCARDED, message="", missing=42)
+    decoder = Mock(Decoder, feed=lambda _: [given_up], close=lambda: [given_up])
+    with Sniffer(
+        [bench.tap()], decoder, begin_log=lambda: log, on_discarded=told.append
+    ) as sniffer:
+        sniffer._inbox.put(Quiet(1, "x"))
+        for _ in sniffer.records(lambda _: True):
+            pass
+    assert log.final == {"discarded_packets": "0", "discarded_bytes": "0"}
+    assert not told
 
 
 def test_an_endpoint_cannot_be_listened_to() -> None:

@@ -1,0 +1,248 @@
+"""mbtool check: what in a capture breaks a rule."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Protocol, TextIO
+
+import typer
+
+from mbtool.cli.options import (
+    DeviceOption,
+    LineOption,
+    PortOption,
+    RtuPortOption,
+    T15Option,
+    T35Option,
+)
+
+if TYPE_CHECKING:
+    from mbtool.workflows.checking import Checking, Placed
+
+
+class CheckFormat(StrEnum):
+    """How findings are printed."""
+
+    TABLE = "table"
+    JSON = "json"
+    SARIF = "sarif"
+
+
+_SUFFIXES = {
+    ".txt": CheckFormat.TABLE,
+    ".json": CheckFormat.JSON,
+    ".sarif": CheckFormat.SARIF,
+}
+
+
+def check(
+    files: Annotated[
+        list[str],
+        typer.Argument(metavar="FILE", help="Captures and logs, as for decode."),
+    ],
+    device: DeviceOption = None,
+    select: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--select",
+            metavar="CODE",
+            help="Take only findings whose code begins so: RTU, RTU-1, FT1A-Q16. Repeatable, or "
+            "with commas.",
+        ),
+    ] = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--ignore",
+            metavar="CODE",
+            help="Leave out findings whose code begins so. Where --select fits, too, the longer "
+            "one counts.",
+        ),
+    ] = None,
+    format_: Annotated[
+        CheckFormat | None,
+        typer.Option(
+            "--format", help="How to print. [default: table, or what the name of --output says]"
+        ),
+    ] = None,
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Write to a file: .json, .sarif or .txt."
+        ),
+    ] = None,
+    each: Annotated[
+        bool, typer.Option("--all", help="In a table, a line for each finding, not for each code.")
+    ] = False,
+    raw: Annotated[
+        bool,
+        typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
+    ] = False,
+    port: PortOption = None,
+    rtu_port: RtuPortOption = None,
+    link: LineOption = None,
+    t1_5: T15Option = None,
+    t3_5: T35Option = None,
+) -> None:
+    """Find what breaks a rule of Modbus or of a device's manual.
+
+    Rules of a device are held where --device, or the log itself, says which stands where. Exit code
+    1 means that there are findings, 0 that there are none. docs/findings.md explains each code.
+    """
+    from mbtool.cli import exit_codes
+    from mbtool.cli.options import assignments, file_line, silence, tcp_ports
+    from mbtool.cli.output import (
+        STANDARD_OUTPUT,
+        STANDARD_OUTPUT_NAME,
+        demand_other_file,
+        demand_standard_output,
+        open_file,
+        told_as_lost,
+    )
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.core import InputError
+    from mbtool.workflows.checking import Checking, Selection
+    from mbtool.workflows.reading import ReadingOptions
+
+    ports, any_port = tcp_ports(port)
+    options = ReadingOptions(
+        assignments=assignments(device),
+        ports=ports,
+        rtu_ports=rtu_port or (),
+        any_port=any_port,
+        line=file_line(link),
+        t1_5=silence("--t1-5", t1_5),
+        t3_5=silence("--t3-5", t3_5),
+        raw=raw,
+    )
+    checking = Checking(files, options, Selection.parse(select or (), ignore or ()))
+    checking.demand_selection()
+    demand_other_file(files, output)
+    chosen = format_ or _format_of(output)
+    to_file = output is not None and output != STANDARD_OUTPUT
+    name = str(output) if to_file else STANDARD_OUTPUT_NAME
+    if not to_file:
+        demand_standard_output()
+    checking.reading.demand_files()
+    with (
+        open_file(output if to_file else None) as file,
+        told_as_lost(name),
+        interruptible() as interrupt,
+        _finished(file, _printer(chosen, file, each=each), checking, name) as printer,
+    ):
+        for placed in interrupt.breakable(checking.findings()):
+            printer.add(placed)
+    if checking.reading.why_unread is not None:
+        raise InputError(checking.reading.why_unread)
+    if checking.reading.why_empty is not None:
+        say(checking.reading.why_empty)
+    if checking.counts:
+        raise typer.Exit(exit_codes.NO)
+
+
+@contextmanager
+def _finished(file: TextIO, printer: _Printer, checking: Checking, name: str) -> Iterator[_Printer]:
+    """A printer whose output is whole at the end, however that comes, and is talked about."""
+    from mbtool.cli.output import STANDARD_OUTPUT_NAME
+    from mbtool.cli.talk import say
+
+    try:
+        yield printer
+    finally:
+        printer.end(checking)
+        file.flush()
+        for remark in checking.remarks:
+            say(remark)
+        where = "" if name == STANDARD_OUTPUT_NAME else f" -> {name}"
+        say(_sentence(checking) + where)
+
+
+class _Printer(Protocol):
+    def add(self, placed: Placed) -> None: ...
+
+    def end(self, checking: Checking) -> None: ...
+
+
+def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
+    if format_ is CheckFormat.TABLE:
+        return _EachPrinter(file) if each else _TablePrinter(file)
+    return _DocumentPrinter(file, format_)
+
+
+class _TablePrinter:
+    def __init__(self, file: TextIO) -> None:
+        from mbtool.views.findings_table import Summaries
+
+        self._file = file
+        self._summaries = Summaries()
+
+    def add(self, placed: Placed) -> None:
+        self._summaries.add(placed.finding)
+
+    def end(self, checking: Checking) -> None:
+        from mbtool.cli.console import PipeConsole
+        from mbtool.views.findings_table import print_summaries
+
+        print_summaries(PipeConsole(file=self._file), self._summaries)
+
+
+class _EachPrinter:
+    def __init__(self, file: TextIO) -> None:
+        from mbtool.cli.console import PipeConsole
+
+        self._console = PipeConsole(file=file)
+
+    def add(self, placed: Placed) -> None:
+        from mbtool.views.findings_table import finding_line
+
+        self._console.print(finding_line(placed.finding), soft_wrap=True)
+
+    def end(self, checking: Checking) -> None:
+        pass
+
+
+class _DocumentPrinter:
+    def __init__(self, file: TextIO, format_: CheckFormat) -> None:
+        from mbtool import __version__
+        from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
+
+        self._file = file
+        self._document: Document = (
+            JsonDocument(__version__) if format_ is CheckFormat.JSON else SarifDocument(__version__)
+        )
+        file.write(self._document.begin())
+
+    def add(self, placed: Placed) -> None:
+        self._file.write(self._document.add(placed.finding, placed.place))
+
+    def end(self, checking: Checking) -> None:
+        self._file.write(self._document.end(checking.transactions))
+
+
+def _sentence(checking: Checking) -> str:
+    """`14 findings of 3 codes in 8120 transactions; docs/findings.md explains them`."""
+    number, codes = checking.counts.total(), len(checking.counts)
+    transactions = f"{checking.transactions} transaction{'' if checking.transactions == 1 else 's'}"
+    if not number:
+        return f"no findings in {transactions}"
+    findings = "1 finding" if number == 1 else f"{number} findings"
+    kinds = "" if number == 1 else f" of {codes} code{'' if codes == 1 else 's'}"
+    return f"{findings}{kinds} in {transactions}; docs/findings.md explains each code"
+
+
+def _format_of(path: str | None) -> CheckFormat:
+    from mbtool.cli.output import STANDARD_OUTPUT
+    from mbtool.core import UsageError
+
+    if path is None or path == STANDARD_OUTPUT:
+        return CheckFormat.TABLE
+    try:
+        return _SUFFIXES[Path(path).suffix.lower()]
+    except KeyError:
+        raise UsageError(
+            f"{path}: its name says no format; let it end in {', '.join(_SUFFIXES)}, "
+            "or add --format"
+        ) from None

@@ -1,0 +1,272 @@
+"""mbtool devices new, import, draft, export and schema: profiles of the user's own."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.options import LineOption, PortOption, RtuPortOption
+
+if TYPE_CHECKING:
+    from mbtool.devices import Who
+    from mbtool.workflows.reading import ReadingOptions
+    from mbtool.workflows.surveying import Survey
+
+
+class AddressesChoice(StrEnum):
+    """What the numbers of a register list are."""
+
+    ZERO_BASED = "zero-based"
+    ONE_BASED = "one-based"
+    REFERENCES = "references"
+
+
+class ScalingChoice(StrEnum):
+    """What the factors of a register list are for."""
+
+    MULTIPLY = "multiply"
+    DIVIDE = "divide"
+
+
+class TableChoice(StrEnum):
+    """The tables of Modbus."""
+
+    COILS = "coils"
+    DISCRETE_INPUTS = "discrete_inputs"
+    HOLDING_REGISTERS = "holding_registers"
+    INPUT_REGISTERS = "input_registers"
+
+
+_SUFFIX = ".toml"
+_STANDARD = "-"
+
+OutputOption = Annotated[
+    str | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE.toml",
+        help="Write to a new file. [default: standard output]",
+    ),
+]
+
+
+def new(
+    file: Annotated[str, typer.Argument(metavar="FILE.toml", help="The file to write.")],
+) -> None:
+    """Write a commented start of a profile, to be edited."""
+    from mbtool.cli.talk import say
+    from mbtool.devices.starting import name_for, starting_profile
+
+    _write(file, starting_profile(file, name_for(file)))
+    say(f"{file}: written; edit it, and look at it with mbtool devices {_as_argument(file)}")
+
+
+def import_(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="MAP.csv",
+            help="A register list: CSV with a row of headings; - is standard input.",
+        ),
+    ],
+    output: OutputOption = None,
+    addresses: Annotated[
+        AddressesChoice | None,
+        typer.Option(
+            help="What its numbers are, where the list leaves it open. [default: found out]"
+        ),
+    ] = None,
+    table: Annotated[
+        TableChoice | None,
+        typer.Option(help="The table of rows that name none. [default: holding_registers]"),
+    ] = None,
+    scaling: Annotated[
+        ScalingChoice | None,
+        typer.Option(help="What its factors are for. [default: found out]"),
+    ] = None,
+) -> None:
+    """Make a profile of a register list.
+
+    Columns are found by their headings: address or register, name, type, unit, scale, access,
+    function, word order and more. What is decided where the list leaves it open is said. Of cells
+    that cannot be read each is told, with its row and column, and no profile is made.
+    """
+    from mbtool.cli.talk import say
+    from mbtool.devices.importing import WrongCellsError, import_register_list
+    from mbtool.devices.importing_addresses import Counting
+    from mbtool.devices.importing_placing import ImportOptions
+    from mbtool.devices.importing_rows import Scaling
+    from mbtool.devices.starting import name_for
+    from mbtool.modbus.tables import Table
+
+    _demand_new(output)
+    options = ImportOptions(
+        counting=Counting(addresses) if addresses is not None else None,
+        table=Table(table) if table is not None else None,
+        scaling=Scaling(scaling) if scaling is not None else None,
+    )
+    name = name_for(output or file) if _STANDARD not in (output or file,) else None
+    try:
+        imported = import_register_list(_read(file), _shown(file), options, name)
+    except WrongCellsError as wrong:
+        for line in wrong.lines:
+            say(line)
+        raise
+    for remark in imported.remarks:
+        say(f"- {remark}")
+    _give(imported.text, output)
+    points = len(imported.profile.points)
+    if _is_file(output):
+        say(f"{points} points -> {output}")
+
+
+def draft(
+    file: Annotated[
+        str, typer.Argument(metavar="CAPTURE", help="A capture or log, as for decode.")
+    ],
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            "--unit",
+            metavar="WHO",
+            help="The slave: a unit (5), an address (192.168.3.250) or both (192.168.3.250/5). "
+            "[default: the only one that answers]",
+        ),
+    ] = None,
+    output: OutputOption = None,
+    port: PortOption = None,
+    rtu_port: RtuPortOption = None,
+    link: LineOption = None,
+) -> None:
+    """Draft a profile from what a slave was seen to be asked and to answer.
+
+    Areas, functions and exceptions are those seen. Types of registers are guessed from their
+    values; each guess has its reason above it.
+    """
+    from mbtool.cli.options import file_line, tcp_ports
+    from mbtool.cli.talk import say
+    from mbtool.devices import parse_who
+    from mbtool.devices.drafting import draft_profile
+    from mbtool.devices.starting import name_for
+    from mbtool.workflows.reading import ReadingOptions
+
+    _demand_new(output)
+    who = parse_who(unit) if unit is not None else None
+    ports, any_port = tcp_ports(port)
+    options = ReadingOptions(
+        ports=ports, rtu_ports=rtu_port or (), any_port=any_port, line=file_line(link)
+    )
+    seen = survey(file, options, who, with_values=True).only("--unit")
+    name = name_for(output) if output is not None and _is_file(output) else f"unit-{seen.unit}"
+    drafted = draft_profile(seen, name, _shown(file))
+    _give(drafted.text, output)
+    if _is_file(output):
+        count = len(drafted.profile.points)
+        say(f"unit {seen.who}: {len(drafted.profile.areas)} areas, {count} points -> {output}")
+
+
+def export(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="A profile's name, or the path of a TOML file.")
+    ],
+    output: OutputOption = None,
+) -> None:
+    """Print a profile as TOML, with all that it extends."""
+    from mbtool.devices import dump_profile, load_profile
+
+    _demand_new(output)
+    _give(dump_profile(load_profile(name)), output)
+
+
+def schema() -> None:
+    """Print the JSON Schema of profiles, for editors."""
+    import json
+
+    from mbtool.devices import profile_schema
+
+    typer.echo(json.dumps(profile_schema(), indent=2))
+
+
+def survey(
+    file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
+) -> Survey:
+    """Read a capture or log to its end, and say what there is to know of it."""
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.core import InputError
+    from mbtool.workflows.reading import Reading
+    from mbtool.workflows.surveying import Survey
+
+    found = Survey(who, with_values=with_values)
+    reading = Reading([file], options)
+    try:
+        with interruptible() as interrupt:
+            found.add(interrupt.breakable(reading.records()))
+    finally:
+        for remark in reading.remarks:
+            say(remark)
+    if reading.why_unread is not None:
+        raise InputError(reading.why_unread)
+    return found
+
+
+def _read(file: str) -> bytes:
+    from mbtool.core import InputError
+    from mbtool.devices.importing import MAX_BYTES
+
+    try:
+        if file == _STANDARD:
+            return sys.stdin.buffer.read(MAX_BYTES + 1)
+        with Path(file).open("rb") as stream:
+            return stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
+
+
+def _shown(file: str) -> str:
+    return "standard input" if file == _STANDARD else file
+
+
+def _is_file(output: str | None) -> bool:
+    return output is not None and output != _STANDARD
+
+
+def _demand_new(output: str | None) -> None:
+    """Raise UsageError where a file would be written over; what is edited by hand is not lost."""
+    from mbtool.core import UsageError
+
+    if output is None or output == _STANDARD:
+        return
+    if not output.lower().endswith(_SUFFIX):
+        raise UsageError(f"{output}: a profile is a TOML file; let its name end in {_SUFFIX}")
+    if Path(output).exists():
+        raise UsageError(f"{output}: is there already; name another, or remove it first")
+
+
+def _give(text: str, output: str | None) -> None:
+    if output is None or output == _STANDARD:
+        typer.echo(text, nl=False)
+    else:
+        _write(output, text)
+
+
+def _write(file: str, text: str) -> None:
+    from mbtool.core import UsageError
+
+    _demand_new(file)
+    try:
+        # "x": a file that has come in between is not written over, either.
+        with Path(file).open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be written: {error.strerror or error}") from error
+
+
+def _as_argument(file: str) -> str:
+    import shlex
+
+    return shlex.quote(file)

@@ -1,0 +1,84 @@
+"""Holds what is decoded against all rules: records in, findings out."""
+
+# Each rule looks at the records of its own kind, in the order in which they are decoded, which is
+# that of their ends. No rule asks the clock, and all that they hold is bounded, as their modules
+# say. What many transactions come to is told at the end, when all of them are known.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.devices.checking.answers import AnswerRules
+from mbtool.devices.checking.connections import ConnectionRules, is_foreign_message
+from mbtool.devices.checking.fa3 import BEHAVIOUR, Fa3Rules, is_fa3
+from mbtool.devices.checking.line import SERIAL, LineRules
+from mbtool.devices.checking.polls import PollRules
+from mbtool.devices.checking.surroundings import Surroundings
+from mbtool.devices.checking.transactions import TransactionRules
+from mbtool.devices.checking.wago import WagoRules, is_wago
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.named import NamedTransaction
+
+
+class Checker:
+    """All rules, for one capture."""
+
+    def __init__(self, surroundings: Surroundings | None = None) -> None:
+        self._around = surroundings or Surroundings()
+        self._each = TransactionRules()
+        self._answers = AnswerRules()
+        self._polls = PollRules()
+        self._lines = LineRules()
+        self._connections = ConnectionRules(self._around.ports)
+        self._fa3 = Fa3Rules()
+        self._wago = WagoRules()
+
+    def feed(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
+        """Take the next record, a transaction as it was named with today's rules."""
+        if isinstance(record, WireEvent):
+            yield from self._event(record)
+        else:
+            yield from self._transaction(record)
+
+    def close(self) -> Iterator[Finding]:
+        """The capture ends."""
+        yield from self._answers.close()
+        yield from self._connections.close()
+        yield from self._lines.close()
+        yield from self._polls.close()
+
+    def _transaction(self, one: NamedTransaction) -> Iterator[Finding]:
+        profile = self._around.assignments.profile_for(one)
+        yield from self._each.check(one, profile)
+        is_serial = one.transport in SERIAL
+        format_ = self._around.line_of(one.link) if is_serial else None
+        # What answers a broadcast is told as that, and not once more as what nobody asked for.
+        if not self._lines.is_answer_to_broadcast(one):
+            yield from self._answers.transaction(one, profile)
+        if is_serial:
+            yield from self._lines.transaction(one, profile, format_)
+        else:
+            yield from self._connections.transaction(one)
+        if format_ is not None or not is_serial:
+            self._polls.transaction(one)
+        if profile is not None:
+            if profile.behaviour == BEHAVIOUR:
+                yield from self._fa3.transaction(one, profile)
+            if is_wago(profile):
+                yield from self._wago.transaction(one)
+
+    def _event(self, event: WireEvent) -> Iterator[Finding]:
+        yield from self._answers.event(event)
+        if not event.source and not event.destination:
+            yield from self._lines.event(event)
+            return
+        of_fa3 = is_fa3(self._around.assignments.profiles_at(event.destination))
+        if of_fa3:
+            yield from self._fa3.event(event)
+        if not (of_fa3 and is_foreign_message(event.raw)):
+            yield from self._connections.event(event)

@@ -1,0 +1,228 @@
+"""Guesses what registers hold from the values that they were seen to have, and says why."""
+
+# Each guess comes with its reason, for the reader to judge. In the order in which they are tried:
+#
+#   a text        four registers or more whose bytes are letters and digits, and never change
+#   float32       two registers that are as a float all in MAGNITUDES, in one order of the words;
+#                 and numbers of few decimal digits (a random 32 bits are one in 500 times), or with
+#                 a low word that changes much more often than the high one; or asked for as two,
+#                 or beside such a float
+#   32 bits       two registers of which one goes up when the other falls, or asked for as two
+#   int16         goes from near 0 to near FFFF
+#   uint16        all else: what it was is told, nothing is guessed
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from mbtool.devices.model import PointType, WordOrder
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from mbtool.devices.seen import Samples
+
+MAGNITUDES = (1e-4, 1e8)
+_DIGITS = 5
+_LEAST_TEXT_WORDS = 4
+_NEAR_ZERO = 0x1000
+_MAX_LISTED = 6
+_UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What may stand at an address."""
+
+    address: int
+    type: PointType
+    reason: str
+    word_order: WordOrder = WordOrder.HIGH_FIRST
+    length: int | None = None
+    """Of a text, in registers."""
+
+    @property
+    def words(self) -> int:
+        return self.length or self.type.words
+
+    def is_float(self, order: WordOrder) -> bool:
+        return self.type is PointType.FLOAT32 and self.word_order is order
+
+
+def guess_registers(
+    first: int, samples: Samples, twos: Collection[int], times: str = "answers"
+) -> list[Guess]:
+    """A guess for each value of a range that begins at `first`.
+
+    `twos` are addresses from which exactly two registers were asked for; `times` is what the
+    samples are called.
+    """
+    columns = list(zip(*samples.rows, strict=False))
+    guesses: list[Guess] = []
+    at = 0
+    while at < len(columns):
+        before = guesses[-1] if guesses else None
+        guess = (
+            _text(first, columns, at, samples)
+            or _pair(first, columns, at, samples, twos, before)
+            or _single(first, columns, at, samples, times)
+        )
+        guesses.append(guess)
+        at += guess.words
+    return guesses
+
+
+def _text(first: int, columns: Sequence[Sequence[int]], at: int, samples: Samples) -> Guess | None:
+    end = at
+    while end < len(columns) and not samples.changes[end] and _is_letters(columns[end][0]):
+        end += 1
+    if end - at < _LEAST_TEXT_WORDS:
+        return None
+    data = b"".join(columns[index][0].to_bytes(2) for index in range(at, end))
+    letters = sum(chr(byte).isalnum() for byte in data)
+    if letters * 10 < len(data) * 6:
+        return None
+    # The zeros or spaces behind a text belong to it.
+    while end < len(columns) and not samples.changes[end] and columns[end][0] in (0, 0x2020):
+        end += 1
+    words = min(end - at, 125)
+    text = data.rstrip(b"\x00 ").decode("ascii")
+    return Guess(first + at, PointType.STRING, f'the text "{text}"', length=words)
+
+
+def _is_letters(word: int) -> bool:
+    high, low = divmod(word, 256)
+    return 0x20 <= high < 0x7F and (0x20 <= low < 0x7F or low == 0)
+
+
+def _pair(
+    first: int,
+    columns: Sequence[Sequence[int]],
+    at: int,
+    samples: Samples,
+    twos: Collection[int],
+    before: Guess | None,
+) -> Guess | None:
+    if at + 1 >= len(columns):
+        return None
+    alone = first + at in twos
+    pairs = list(zip(columns[at], columns[at + 1], strict=True))
+    for order in WordOrder:
+        ordered = [pair if order is WordOrder.HIGH_FIRST else pair[::-1] for pair in pairs]
+        is_beside = before is not None and before.is_float(order)
+        reason = _float_reason(ordered, is_alone=alone, is_beside=is_beside)
+        if reason is not None:
+            return Guess(first + at, PointType.FLOAT32, reason, order)
+    for order in WordOrder:
+        ordered = [pair if order is WordOrder.HIGH_FIRST else pair[::-1] for pair in pairs]
+        if _carries(ordered):
+            reason = "one register goes up by one when the other starts again"
+            return Guess(first + at, PointType.UINT32, reason, order)
+    return _asked_as_two(first + at, pairs) if alone else None
+
+
+def _float_reason(
+    pairs: Sequence[tuple[int, int]], *, is_alone: bool, is_beside: bool
+) -> str | None:
+    """Why pairs of high and low word are floats, or None."""
+    values = [_float(*pair) for pair in pairs]
+    low, high = MAGNITUDES
+    nonzero = [value for value in values if value != 0]
+    if not nonzero or not all(math.isfinite(one) and low <= abs(one) < high for one in nonzero):
+        return None
+    span = (
+        f"{min(values):.5g}" if len(set(values)) == 1 else f"{min(values):.5g} to {max(values):.5g}"
+    )
+    if all(_has_few_digits(value) for value in nonzero):
+        return f"as a float {span}, of few digits"
+    highs, lows = ({pair[index] for pair in pairs} for index in (0, 1))
+    if len(lows) >= 4 and 2 * len(highs) <= len(lows):
+        return f"as a float {span}; the low word changes more often than the high one"
+    if is_alone:
+        return f"asked for as two registers; as a float {span}"
+    return f"as a float {span}, beside another float" if is_beside else None
+
+
+def _float(high: int, low: int) -> float:
+    (value,) = struct.unpack(">f", struct.pack(">HH", high & 0xFFFF, low & 0xFFFF))
+    return float(value)
+
+
+def _has_few_digits(value: float) -> bool:
+    try:
+        return struct.pack(">f", float(f"{value:.{_DIGITS}g}")) == struct.pack(">f", value)
+    except OverflowError:
+        return False
+
+
+def _carries(pairs: Sequence[tuple[int, int]]) -> bool:
+    """Whether high and low words count together: the high one up where the low one falls."""
+    carries = 0
+    for (high, low), (next_high, next_low) in pairwise(pairs):
+        if next_high == high:
+            if next_low < low:
+                return False
+        elif next_high == high + 1 and next_low < low:
+            carries += 1
+        else:
+            return False
+    return carries > 0
+
+
+def _asked_as_two(address: int, pairs: Sequence[tuple[int, int]]) -> Guess:
+    firsts, seconds = ({pair[index] for pair in pairs} for index in (0, 1))
+    if firsts == seconds == {0}:
+        return Guess(address, PointType.UINT32, "asked for as two registers, always 0")
+    reason = "asked for as two registers"
+    if firsts <= {0, 0xFFFF} and seconds - {0}:
+        type_ = PointType.INT32 if 0xFFFF in firsts else PointType.UINT32
+        return Guess(address, type_, f"{reason}, the first of them {_listed(firsts)}")
+    if seconds <= {0, 0xFFFF} and firsts - {0}:
+        type_ = PointType.INT32 if 0xFFFF in seconds else PointType.UINT32
+        said = f"{reason}, the second of them {_listed(seconds)}"
+        return Guess(address, type_, said, WordOrder.LOW_FIRST)
+    high, low = pairs[-1]
+    said = f"last {high << 16 | low}, or low word first {low << 16 | high}"
+    return Guess(address, PointType.UINT32, f"{reason}: {said}")
+
+
+def _single(
+    first: int, columns: Sequence[Sequence[int]], at: int, samples: Samples, times: str
+) -> Guess:
+    column = columns[at]
+    values = set(column)
+    if _crosses_zero(values):
+        signed = [value - 0x10000 if value & 0x8000 else value for value in values]
+        reason = f"{min(signed)} to {max(signed)}: goes below zero"
+        return Guess(first + at, PointType.INT16, reason)
+    if not samples.changes[at]:
+        reason = f"{column[0]} in all {samples.count} {times}"
+        if samples.count == 1:
+            reason = f"{column[0]} in the only one of the {times}"
+        if column[0] in _UNAVAILABLE:
+            reason += f" ({column[0]:04X}H, which often says that there is no value)"
+    elif len(values) <= _MAX_LISTED:
+        reason = f"{_listed(values)} in {samples.count} {times}"
+    elif all(one <= two for one, two in pairwise(column)):
+        reason = f"{column[0]} to {column[-1]} in {samples.count} {times}: counts up"
+    else:
+        reason = f"{min(values)} to {max(values)} in {samples.count} {times}"
+    return Guess(first + at, PointType.UINT16, reason)
+
+
+def _crosses_zero(values: Collection[int]) -> bool:
+    """Whether they are small numbers of both signs; FFFF may say that there is no value."""
+    near, far = _NEAR_ZERO, 0x10000 - _NEAR_ZERO
+    return (
+        any(value < near for value in values)
+        and any(far <= value < 0xFFFF for value in values)
+        and all(value < 2 * near or value >= far - near for value in values)
+    )
+
+
+def _listed(values: Collection[int]) -> str:
+    return ", ".join(map(str, sorted(values)))

@@ -1,0 +1,323 @@
+"""Says which profiles explain what was seen of a slave, how well, and why."""
+
+# Every different request is asked of a profile: would the device answer it? An answer where it
+# would, and a refusal where it would not, speak for the profile. An answer to what it lacks, and a
+# refusal of what it has, speak against it. A silence, and exceptions that tell of its state (04 to
+# 06, 0B) say nothing. Exceptions that its manual does not have, and a line that it does not speak,
+# count against it.
+#
+# A model code is decisive either way: the answer to 42H of an FA3 module is its model. Vendor and
+# product names that the slave gives (2B/0E, 11H) speak for the profile that they name.
+#
+# Two profiles that explain a slave equally well are told apart by how many of the registers that it
+# was asked for they have a name for. What then is equal is a tie, and is told as one.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.devices.references import write_reference
+from mbtool.devices.seen import Seen
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.functions import FUNCTIONS, function_name
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from mbtool.devices.model import Profile
+    from mbtool.devices.seen import Ask, Replies
+
+_TELLS_NOTHING = frozenset((4, 5, 6, 7, 8, 10, 11))
+_CLEAR = 0.9
+"""What share of the requests a profile must explain to be named as the device."""
+_SERIAL = frozenset((Transport.RTU, Transport.ASCII))
+_MAX_REASONS = 6
+_UNCONFIRMED = ", though no refusal, model code or name confirms it"
+_LEAST_WORD = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Match:
+    """How well one profile explains one slave."""
+
+    profile: str
+    explained: int
+    """Different requests that ended as the profile says."""
+    contradicted: int
+    named: int
+    """Addresses asked for that the profile has a point for."""
+    addresses: int
+    """Addresses asked for."""
+    is_model: bool
+    """The slave gave the profile's model code."""
+    is_other_model: bool
+    """It gave another's."""
+    is_called_so: bool
+    """Its own words name the profile's vendor or model."""
+    refused: int
+    """Requests that it refused as the profile says."""
+    reasons: tuple[str, ...]
+    against: tuple[str, ...]
+
+    @property
+    def share(self) -> float:
+        told = self.explained + self.contradicted
+        return self.explained / told if told else 0.0
+
+    @property
+    def score(self) -> int:
+        """0 to 100."""
+        if self.is_other_model:
+            return 0
+        if self.is_model:
+            return 100
+        share = 90 * self.share + (5 if self.is_called_so else 0)
+        return int(share + 5 * self.named / self.addresses if self.addresses else share)
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether more speaks for it than that it answered, which many devices would have."""
+        return self.is_model or self.is_called_so or self.refused > 0
+
+    @property
+    def rank(self) -> tuple[bool, bool, float, float]:
+        """What is greater is better; equal ranks are a tie."""
+        named = self.named / self.addresses if self.addresses else 0.0
+        return self.is_model, self.is_called_so, self.share, named
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether the slave may well be this device."""
+        if self.is_other_model:
+            return False
+        return self.is_model or (self.explained > 0 and self.share >= _CLEAR)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The profiles for one slave, the best first, and what to make of them."""
+
+    seen: Seen
+    matches: tuple[Match, ...]
+
+    @property
+    def best(self) -> tuple[Match, ...]:
+        """The one that explains it best, or those that do so equally well; none if none does."""
+        plausible = [one for one in self.matches if one.is_plausible]
+        return tuple(one for one in plausible if one.rank == plausible[0].rank)
+
+    @property
+    def sentence(self) -> str:
+        seen, best = self.seen, self.best
+        if not seen.answered:
+            return "never answered, so nothing tells what it is"
+        if not best:
+            nearest = next((one.profile for one in self.matches if one.explained), None)
+            also = f"; the nearest is {nearest}" if nearest is not None else ""
+            return f"none of the profiles explains it{also}"
+        if len(best) == 1:
+            unsure = "" if best[0].is_confirmed else _UNCONFIRMED
+            return f"explained best by {best[0].profile}{unsure}"
+        names = " and ".join(one.profile for one in best)
+        asked = len(seen.asked)
+        what = "one request" if asked == 1 else f"{asked} different requests"
+        return f"a tie of {names}: nothing in {what} tells them apart"
+
+
+def match(seen: Seen, profiles: Iterable[Profile]) -> Verdict:
+    """Compare a slave with profiles."""
+    in_ascii = seen.transports == {Transport.ASCII}
+    given = _given(seen)
+    matches = [
+        _match(seen, profile.in_mode(Transport.ASCII) if in_ascii else profile, given)
+        for profile in profiles
+    ]
+    # Those of another model come last, whatever else speaks for them.
+    matches.sort(key=lambda one: (one.is_other_model, *(-part for part in one.rank), one.profile))
+    return Verdict(seen, tuple(matches))
+
+
+def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match:
+    reasons: list[str] = []
+    against: list[str] = []
+    is_model, is_other = _compare_models(seen, profile, reasons, against)
+    is_called_so = _compare_words(seen, profile, reasons)
+    explained, contradicted = 0, 0
+    refusals: list[str] = []
+    for ask, replies in seen.asked.items():
+        problem, would = _expected(profile, ask)
+        told = _told(replies)
+        if told is None:
+            continue
+        if told is would:
+            explained += 1
+            if not told:
+                refusals.append(f"{_said(profile, ask)} refused, as {problem}")
+        else:
+            contradicted += 1
+            against.append(
+                f"{_said(profile, ask)} {'answered' if told else 'refused'}, though {problem}"
+            )
+    if explained:
+        count = explained + contradicted
+        what = "the one request" if count == 1 else f"{explained} of {count} different requests"
+        reasons.append(f"{what} ended as it says")
+    contradicted += _compare_exceptions(seen, profile, against)
+    contradicted += _compare_transports(seen, profile, against)
+    addresses = sum(here.count(1) for here in given.values())
+    named = min(_named(given, profile), addresses)
+    if named:
+        reasons.append(f"names {named} of {addresses} addresses asked for")
+    return Match(
+        profile=profile.name,
+        explained=explained,
+        contradicted=contradicted,
+        named=named,
+        addresses=addresses,
+        is_model=is_model,
+        is_other_model=is_other,
+        is_called_so=is_called_so,
+        refused=len(refusals),
+        reasons=tuple([*reasons, *refusals][:_MAX_REASONS]),
+        against=tuple(against[:_MAX_REASONS]),
+    )
+
+
+def _told(replies: Replies) -> bool | None:
+    """Whether the slave does what is asked; None where its replies do not tell."""
+    if replies.ok:
+        return True
+    return False if set(replies.exceptions) - _TELLS_NOTHING else None
+
+
+def _expected(profile: Profile, ask: Ask) -> tuple[str, bool]:
+    """Whether a device of the profile would do what is asked, and the rule that says so."""
+    rule = profile.rule(ask.function)
+    if rule is None:
+        return f"it has no function {ask.function:02X}", False
+    if ask.table is None or ask.address is None:
+        return f"it has function {ask.function:02X}", True
+    limit = rule.limit
+    known = FUNCTIONS.get(ask.function)
+    if limit is None and known is not None:
+        limit = known.limit
+    if limit is not None and not 1 <= ask.quantity <= limit:
+        return f"its limit is {limit}", False
+    if not profile.allows(ask.table, ask.span, writing=ask.writes):
+        area = profile.allows(ask.table, ask.span)
+        return ("one cannot write there" if area else "it is outside its areas"), False
+    return "its manual has that", True
+
+
+def _said(profile: Profile, ask: Ask) -> str:
+    if ask.table is None or ask.address is None:
+        return f"{ask.function:02X} {function_name(ask.function)}"
+    return f"{ask.function:02X} {write_reference(profile, ask.table, ask.address, ask.quantity)}"
+
+
+def _compare_models(
+    seen: Seen, profile: Profile, reasons: list[str], against: list[str]
+) -> tuple[bool, bool]:
+    """Whether the slave gave this model's code, or another's."""
+    function = model_function(profile)
+    if function is None or profile.model_code is None:
+        return False, False
+    codes = {word for asked, word in seen.answer_words if asked == function}
+    if profile.model_code in codes:
+        reasons.append(f"{function:02X}H was answered {profile.model_code:04X}H, its model code")
+        return True, False
+    if not codes:
+        return False, False
+    given = ", ".join(f"{code:04X}H" for code in sorted(codes))
+    against.append(
+        f"{function:02X}H was answered {given}, and its model code is {profile.model_code:04X}H"
+    )
+    return False, True
+
+
+def model_function(profile: Profile) -> int | None:
+    """The function that gives the model code: its answer has a text for it."""
+    for code, rule in profile.functions.items():
+        if rule.answer is not None and profile.model_code in rule.answer.texts:
+            return int(code, 16)
+    return None
+
+
+def _compare_words(seen: Seen, profile: Profile, reasons: list[str]) -> bool:
+    """Whether what the slave says of itself names the profile's vendor or device."""
+    known = _words(f"{profile.vendor} {profile.title} {profile.name}")
+    hits = {
+        name: sorted(known & _words(text))
+        for name, text in seen.identity.items()
+        if known & _words(text)
+    }
+    if hits:
+        reasons.append(
+            "it says of itself: "
+            + ", ".join(f"{name} {seen.identity[name]!r}" for name in sorted(hits))
+        )
+    return bool(hits)
+
+
+_COMMON = frozenset(
+    ("modbus", "slave", "module", "device", "input", "inputs", "output", "outputs", "digital",
+     "analog", "unit", "series", "type", "interface", "network", "controller", "electric", "with",
+     "unknown", "operator", "company", "product", "code", "traffic", "coupler", "recorder",
+     "corporation", "fieldbus")
+)  # fmt: skip
+
+
+def _words(text: str) -> set[str]:
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    return {word for word in words if len(word) >= _LEAST_WORD} - _COMMON
+
+
+def _compare_exceptions(seen: Seen, profile: Profile, against: list[str]) -> int:
+    codes = {code for one in seen.asked.values() for code in one.exceptions}
+    strange = sorted(codes - set(profile.exceptions.documented))
+    against += [f"exception {code:02X} is none of its manual's" for code in strange]
+    return len(strange)
+
+
+def _compare_transports(seen: Seen, profile: Profile, against: list[str]) -> int:
+    """What the line speaks; a serial device may stand behind a gateway, no other on a line."""
+    spoken = set(profile.transports)
+    if seen.transports & spoken or not seen.transports:
+        return 0
+    heard = ", ".join(sorted(seen.transports))
+    if seen.transports <= _SERIAL or not spoken & _SERIAL:
+        against.append(f"it speaks {', '.join(sorted(spoken))}, and this is {heard}")
+        return 1 + len(seen.asked)
+    against.append(f"it is a serial device, and this is {heard}: only behind a gateway")
+    return 1
+
+
+def _given(seen: Seen) -> dict[Table, bytearray]:
+    """The addresses that were asked for and given, marked by 1."""
+    given = {table: bytearray(1 << 16) for table in Table}
+    for ask, replies in seen.asked.items():
+        if ask.table is not None and ask.address is not None and replies.ok:
+            span = ask.span
+            given[ask.table][span.start : span.stop] = b"\x01" * len(span)
+    return given
+
+
+def _named(given: dict[Table, bytearray], profile: Profile) -> int:
+    """How many of the addresses have points."""
+    return sum(
+        given[point.table].count(1, address, address + point.words)
+        for point in profile.points
+        for address in point.addresses
+    )
+
+
+def models_of(profiles: Sequence[Profile]) -> dict[tuple[int, int], str]:
+    """Which profile a model code stands for, by the function that gives it and the code."""
+    return {
+        (function, profile.model_code): profile.name
+        for profile in profiles
+        if profile.model_code is not None and (function := model_function(profile)) is not None
+    }

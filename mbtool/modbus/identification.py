@@ -1,0 +1,102 @@
+"""What a device says about itself: the answers to functions 2B/0E and 11H, as texts."""
+
+# Read device identification (MODBUS Application Protocol V1.1b3, 6.21) gives objects, each an id
+# and a text; ids up to 06 have names there, 80 to FF are the maker's. Report server id (6.13) gives
+# bytes whose form is the maker's: usually an id, a run indicator (00 off, FF on) and a text.
+#
+# Texts are what a wire brought: what is not printable ASCII is written as \xNN.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.modbus.pdu import parse_pdu, pdu_of
+
+if TYPE_CHECKING:
+    from mbtool.modbus.transaction import Transaction
+
+REPORT_SERVER_ID = 0x11
+ENCAPSULATED = 0x2B
+READ_DEVICE_IDENTIFICATION = 0x0E
+
+OBJECT_NAMES = {  # 6.21, object id
+    0x00: "vendor",
+    0x01: "product code",
+    0x02: "revision",
+    0x03: "vendor URL",
+    0x04: "product",
+    0x05: "model",
+    0x06: "application",
+}
+SERVER_ID = "server id"
+RUN_INDICATOR = "run indicator"
+_RUN_STATES = {0x00: "off", 0xFF: "on"}
+_LEAST_TEXT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """One thing that a device says about itself."""
+
+    name: str
+    text: str
+    number: int | None = None
+    """The object's id, of an answer to 2B/0E."""
+
+
+def identities(transaction: Transaction) -> list[Identity]:
+    """What the answer of a transaction says about its device; empty for every other answer."""
+    if transaction.function not in (REPORT_SERVER_ID, ENCAPSULATED):
+        return []
+    if transaction.response_raw is None or transaction.exception is not None:
+        return []
+    try:
+        _, pdu = pdu_of(transaction.transport, transaction.response_raw)
+    except (IndexError, ValueError):
+        return []  # A log that others wrote may hold anything.
+    if not pdu or pdu[0] != transaction.function:
+        return []
+    fields = parse_pdu(pdu, Direction.RESPONSE).fields
+    if transaction.function == REPORT_SERVER_ID:
+        data = fields.get("data")
+        return _server_id(data) if isinstance(data, bytes) else []
+    objects = fields.get("objects")
+    found = []
+    for one in objects if isinstance(objects, tuple) else ():
+        match one:
+            case (int(number), bytes(value)):
+                name = OBJECT_NAMES.get(number, f"object {number:02X}H")
+                found.append(Identity(name, text_of(value), number))
+    return found
+
+
+def _server_id(data: bytes) -> list[Identity]:
+    # The run indicator ends the id, wherever the maker puts it; text may stand before or behind it.
+    at = next((index for index, byte in enumerate(data) if index and byte in _RUN_STATES), None)
+    if not data:
+        return []
+    if at is None:
+        return [Identity(SERVER_ID, _id_text(data))]
+    found = [
+        Identity(SERVER_ID, _id_text(data[:at])),
+        Identity(RUN_INDICATOR, _RUN_STATES[data[at]]),
+    ]
+    rest = data[at + 1 :]
+    return [*found, Identity("additional data", _id_text(rest))] if rest else found
+
+
+def _id_text(data: bytes) -> str:
+    """As text where it is one, else in hexadecimal."""
+    trimmed = data.rstrip(b"\x00 ")
+    if len(trimmed) >= _LEAST_TEXT and all(0x20 <= byte < 0x7F for byte in trimmed):
+        return text_of(trimmed)
+    return data.hex(" ")
+
+
+def text_of(data: bytes) -> str:
+    """Printable ASCII as it is, all else in hexadecimal; no zeros and spaces at the end."""
+    return "".join(
+        chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data.rstrip(b"\x00 ")
+    )

@@ -1,0 +1,179 @@
+"""TLS for a tap: what its certificate files make, and why a handshake failed, in words."""
+
+# Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or better, with
+# certificates of both ends. A tap cannot listen in on that: it ends TLS towards the master with a
+# certificate of its own, and begins it anew towards the slave. Each side is a choice of its own.
+#
+# All files are read before a connection is accepted. What is wrong with one is a LinkError that
+# names it. A certificate in a CA file is trusted as it is, also where it is no CA's: that of the
+# device itself will do.
+
+from __future__ import annotations
+
+import re
+import ssl
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import LinkError
+from mbtool.sources.clock import now_ns
+
+if TYPE_CHECKING:
+    from mbtool.core import ListenTls, TargetTls
+
+_CERTIFICATE = re.compile(rb"-----BEGIN (?:X509 |TRUSTED )?CERTIFICATE-----")
+_KEY = re.compile(rb"-----BEGIN (?:[A-Z0-9]+ )*PRIVATE KEY-----")
+_ALERT = re.compile(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)")
+
+_NO_TLS = frozenset(
+    {
+        "BAD_RECORD_TYPE",
+        "HTTPS_PROXY_REQUEST",
+        "HTTP_REQUEST",
+        "PACKET_LENGTH_TOO_LONG",
+        "RECORD_LAYER_FAILURE",
+        "UNKNOWN_PROTOCOL",
+        "WRONG_VERSION_NUMBER",
+    }
+)
+"""What OpenSSL says of first bytes that are no TLS. Its versions differ."""
+_TOO_OLD = frozenset(
+    {
+        "NO_PROTOCOLS_AVAILABLE",
+        "TLSV1_ALERT_PROTOCOL_VERSION",
+        "UNSUPPORTED_PROTOCOL",
+        "VERSION_TOO_LOW",
+    }
+)
+_REFUSALS = {
+    "BAD_CERTIFICATE": "the tap's certificate is not to its liking",
+    "CERTIFICATE_EXPIRED": "the tap's certificate has expired",
+    "CERTIFICATE_REQUIRED": "it demands a certificate of the tap",
+    "CERTIFICATE_UNKNOWN": "the tap's certificate is not to its liking",
+    "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
+    "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
+}
+"""What the alerts about certificates mean (RFC 8446, 6.2)."""
+
+
+def server_context(tls: ListenTls) -> ssl.SSLContext:
+    """What masters meet. Raises LinkError."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    _load_own(context, "--tls-cert", tls.cert, tls.key)
+    if tls.ca is not None:
+        _load_ca(context, "--tls-ca", tls.ca)
+        context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
+    """What the target meets, and the name that its certificate must have. Raises LinkError."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    if tls.ca is None:
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    else:
+        _load_ca(context, "--tls-target-ca", tls.ca)
+    if tls.cert is not None:
+        _load_own(context, "--tls-target-cert", tls.cert, tls.key)
+    name = host if tls.name is None else tls.name
+    try:
+        context.wrap_bio(ssl.MemoryBIO(), ssl.MemoryBIO(), server_hostname=name)
+    except (ValueError, ssl.SSLError):
+        if tls.name is not None:
+            raise LinkError(
+                f"--tls-target-name {name!r}: no host can have such a name; "
+                "give the one in the target's certificate"
+            ) from None
+        # A host that cannot be: calling it says so.
+    return context, name
+
+
+def failure(error: OSError, who: str) -> str | None:
+    """Why TLS with the master or the slave failed; None where it did not fail for TLS."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        why = error.verify_message.rstrip(".")
+        return f"TLS: the {who}'s certificate is refused: {why}"
+    if not isinstance(error, ssl.SSLError):
+        # asyncio's own, of which the system knows nothing.
+        if isinstance(error, ConnectionAbortedError) and error.errno is None:
+            return f"TLS: the {who} does not complete the handshake"
+        if isinstance(error, ConnectionResetError) and error.errno is None:
+            return f"TLS: the {who} breaks off the handshake"
+        return None
+    reason = error.reason or str(error)
+    alert = _ALERT.fullmatch(reason)
+    if reason in _NO_TLS:
+        return f"TLS: the {who} speaks no TLS"
+    if reason in _TOO_OLD:
+        return f"TLS: the {who} has no version in common with the tap, which has 1.2 and 1.3"
+    if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
+        return f"TLS: the {who} shows no certificate"
+    if alert is not None:
+        words = _REFUSALS.get(alert[1]) or f"alert {alert[1].replace('_', ' ').lower()!r}"
+        return f"TLS: the {who} refuses: {words}"
+    return f"TLS with the {who} failed: {_words(error)}"
+
+
+def _load_own(context: ssl.SSLContext, option: str, cert: str, key: str | None) -> None:
+    held = _pem(option, cert, _CERTIFICATE, "certificate")
+    if key is None:
+        if _KEY.search(held) is None:
+            raise LinkError(
+                f"{option} {cert}: holds no private key; name its file with {_key_of(option)}"
+            )
+        key = cert
+    else:
+        _pem(_key_of(option), key, _KEY, "private key")
+
+    def refuse() -> bytes:
+        raise LinkError(
+            f"{_key_of(option)} {key}: the private key is locked with a passphrase; "
+            f"unlock a copy of it: openssl pkey -in {key} -out unlocked.pem"
+        )
+
+    try:
+        context.load_cert_chain(cert, key, refuse)
+    except ssl.SSLError as error:
+        if error.reason == "KEY_VALUES_MISMATCH":
+            problem = f"the private key in {key} is not that of this certificate"
+        else:
+            problem = f"cannot be used: {_words(error)}"
+        raise LinkError(f"{option} {cert}: {problem}") from None
+
+
+def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
+    _pem(option, path, _CERTIFICATE, "certificate")
+    try:
+        context.load_verify_locations(path)
+    except ssl.SSLError as error:
+        raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
+    ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
+    last = max(ends, key=ssl.cert_time_to_seconds, default=None)
+    if last is not None and ssl.cert_time_to_seconds(last) < now_ns() / 1e9:
+        raise LinkError(f"{option} {path}: holds no CA that is still valid; the last ended {last}")
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+
+
+def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
+    """What a file holds, if it has what is wanted."""
+    try:
+        held = Path(path).read_bytes()
+    except OSError as error:
+        raise LinkError(f"{option} {path}: cannot be read: {error.strerror}") from None
+    if label.search(held) is None:
+        raise LinkError(
+            f"{option} {path}: holds no {what} in PEM (-----BEGIN ...); "
+            "openssl converts other formats"
+        )
+    return held
+
+
+def _key_of(option: str) -> str:
+    return option.removesuffix("cert") + "key"
+
+
+def _words(error: ssl.SSLError) -> str:
+    return (error.reason or str(error)).replace("_", " ").lower()

@@ -1,0 +1,181 @@
+"""Findings as one document for programs: JSON of our own, and SARIF 2.1.0."""
+
+# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0): a log of one run; the rules are
+# those that were broken, and a result names its rule, says what happened, and where: the capture as
+# the artifact, and in it link, unit and what was addressed as the logical location. A time is no
+# location, so it stands in the properties, as nanoseconds and readable.
+#
+# A document is written piece by piece as findings come, and holds the rules that they name. Its
+# pieces are text, which whoever writes it joins.
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Protocol
+from urllib.parse import quote
+
+import msgspec
+
+from mbtool.devices.checking.rules import rule_of
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
+
+DOCUMENTATION = "docs/findings.md"
+SARIF_SCHEMA = (
+    "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
+)
+
+
+class Document(Protocol):
+    """A document that grows."""
+
+    def begin(self) -> str: ...
+
+    def add(self, finding: Finding, place: str) -> str: ...
+
+    def end(self, transactions: int) -> str: ...
+
+
+class JsonDocument:
+    """`{"version", "findings": [...], "rules": {...}, "transactions"}`."""
+
+    def __init__(self, version: str) -> None:
+        self._version = version
+        self._rules: dict[str, Any] = {}
+        self._joint = "\n"
+
+    def begin(self) -> str:
+        return f'{{"version":{_json(self._version)},"findings":['
+
+    def add(self, finding: Finding, place: str) -> str:
+        if finding.code not in self._rules:
+            self._rules[finding.code] = {"severity": finding.severity.value, **_told(finding.code)}
+        joint, self._joint = self._joint, ",\n"
+        return joint + _json({**_fields(finding), "file": place})
+
+    def end(self, transactions: int) -> str:
+        return f'\n],"rules":{_json(self._rules)},"transactions":{transactions}}}\n'
+
+
+class SarifDocument:
+    """A SARIF log with one run."""
+
+    def __init__(self, version: str) -> None:
+        self._version = version
+        self._rules: dict[str, dict[str, Any]] = {}
+        self._indices: dict[str, int] = {}
+        self._joint = "\n"
+
+    def begin(self) -> str:
+        return f'{{"$schema":{_json(SARIF_SCHEMA)},"version":"2.1.0","runs":[{{"results":['
+
+    def add(self, finding: Finding, place: str) -> str:
+        if finding.code not in self._rules:
+            self._indices[finding.code] = len(self._rules)
+            self._rules[finding.code] = self._rule(finding)
+        joint, self._joint = self._joint, ",\n"
+        return joint + _json(_result(finding, place, self._indices[finding.code]))
+
+    def end(self, transactions: int) -> str:
+        driver = {
+            "name": "mbtool",
+            "version": self._version,
+            "rules": list(self._rules.values()),
+        }
+        rest = {
+            "tool": {"driver": driver},
+            "columnKind": "unicodeCodePoints",
+            "properties": {"transactions": transactions},
+        }
+        return f"\n],{_json(rest)[1:-1]}}}]}}\n"
+
+    def _rule(self, finding: Finding) -> dict[str, Any]:
+        told = _told(finding.code)
+        text = told.get("meaning", finding.code)
+        return {
+            "id": finding.code,
+            "shortDescription": {"text": text},
+            "help": {"text": f"{text} Source: {told.get('source', 'unknown')}. {DOCUMENTATION}"},
+            "defaultConfiguration": {"level": finding.severity.value},
+        }
+
+
+def _result(finding: Finding, place: str, index: int) -> dict[str, Any]:
+    return {
+        "ruleId": finding.code,
+        "ruleIndex": index,
+        "level": finding.severity.value,
+        "message": {"text": finding.message},
+        "locations": [
+            {
+                "physicalLocation": {"artifactLocation": {"uri": _uri(place)}},
+                "logicalLocations": [_logical(finding)],
+            }
+        ],
+        "occurrenceCount": finding.count,
+        "properties": _fields(finding),
+    }
+
+
+def _logical(finding: Finding) -> dict[str, str]:
+    """The innermost of link, unit and what was addressed."""
+    parts = [finding.link]
+    if finding.unit is not None:
+        parts.append(f"unit {finding.unit}")
+    if finding.reference is not None:
+        parts.append(finding.reference)
+    return {"name": parts[-1], "fullyQualifiedName": "/".join(parts), "kind": "resource"}
+
+
+def _fields(finding: Finding) -> dict[str, Any]:
+    """Everything a finding says, absent where it does not apply."""
+    fields = {
+        "code": finding.code,
+        "severity": finding.severity.value,
+        "message": finding.message,
+        "ts_ns": finding.ts_ns,
+        "time": _time(finding.ts_ns),
+        "link": finding.link,
+        "source": finding.source,
+        "destination": finding.destination,
+        "unit": finding.unit,
+        "function": finding.function,
+        "reference": finding.reference,
+        "device": finding.device,
+        "count": finding.count,
+    }
+    return {key: value for key, value in fields.items() if value is not None}
+
+
+def _told(code: str) -> dict[str, str]:
+    rule = rule_of(code)
+    return {} if rule is None else {"meaning": rule.meaning, "source": rule.source}
+
+
+def _time(ts_ns: int) -> str | None:
+    """In UTC to the microsecond; None for a time that no calendar has."""
+    seconds, ns = divmod(ts_ns, 1_000_000_000)
+    try:
+        time = datetime.fromtimestamp(seconds, UTC).replace(microsecond=ns // 1000)
+    except (ValueError, OverflowError, OSError):
+        return None
+    return time.isoformat().replace("+00:00", "Z")
+
+
+def _uri(place: str) -> str:
+    """A path as a relative or absolute URI reference."""
+    return quote(place.replace("\\", "/").encode(errors="surrogateescape"))
+
+
+def _json(value: Any) -> str:
+    return msgspec.json.encode(_clean(value)).decode()
+
+
+def _clean(value: Any) -> Any:
+    """As Unicode can say it: a file name may hold bytes that are no text."""
+    if isinstance(value, str):
+        return value.encode(errors="replace").decode()
+    if isinstance(value, dict):
+        return {key: _clean(one) for key, one in value.items()}
+    return [_clean(one) for one in value] if isinstance(value, list) else value

@@ -1,0 +1,119 @@
+"""Shows findings: what there is of each code, or each finding."""
+
+# A master that does the same wrong thing in each poll breaks one rule, however often. So there is
+# one entry for each code, with how often and when first, and the first finding of it in words:
+#
+#     FT1A-Q16  error  812 times  2026-11-21 09:14:03.300  rs485 unit 1
+#         write registers HR400001..400110: quantity 110, limit is 100
+#
+# Holds one finding for each code.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.rules import Severity
+from mbtool.views.cells import clock_time, day
+from mbtool.views.transaction_table import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rich.console import Console
+
+
+_INDENT = "    "
+_NARROWEST = 20
+_ORDER = tuple(Severity)
+_STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cyan"}
+
+
+@dataclass(slots=True)
+class CodeSummary:
+    """All findings of one code."""
+
+    first: Finding
+    number: int = 0
+
+    def add(self, finding: Finding) -> None:
+        self.number += finding.count
+        if finding.ts_ns < self.first.ts_ns:
+            self.first = finding
+
+
+class Summaries:
+    """Gathers findings by their code."""
+
+    def __init__(self) -> None:
+        self._by_code: dict[str, CodeSummary] = {}
+
+    def add(self, finding: Finding) -> None:
+        self._by_code.setdefault(finding.code, CodeSummary(finding)).add(finding)
+
+    def __bool__(self) -> bool:
+        return bool(self._by_code)
+
+    def __iter__(self) -> Iterator[CodeSummary]:
+        """The gravest first, then by code."""
+        return iter(
+            sorted(
+                self._by_code.values(),
+                key=lambda one: (_ORDER.index(one.first.severity), one.first.code),
+            )
+        )
+
+
+def print_summaries(console: Console, summaries: Summaries) -> None:
+    """Show two lines for each code: how often and where, and what was found first."""
+    rows = [
+        (
+            one.first.code,
+            one.first.severity.value,
+            f"{one.number} time{'' if one.number == 1 else 's'}",
+            f"{_time(one.first)}  {where(one.first)}",
+        )
+        for one in summaries
+    ]
+    widths = [max((len(row[index]) for row in rows), default=0) for index in range(3)]
+    for one, (code, level, times, place) in zip(summaries, rows, strict=True):
+        line = Text(code.ljust(widths[0]), _STYLES[one.first.severity])
+        line.append(f"  {level.ljust(widths[1])}  {times.rjust(widths[2])}  ", "default")
+        line.append(printable(place), "default")
+        console.print(line, soft_wrap=True)
+        _print_message(console, one.first.message)
+
+
+def _print_message(console: Console, message: str) -> None:
+    """A message below its line; only on a terminal is it broken into lines."""
+    text = printable(message)
+    lines = [text]
+    if console.is_terminal:
+        lines = wrap(text, max(console.width - len(_INDENT), _NARROWEST))
+    for line in lines:
+        console.print(Text(_INDENT + line), soft_wrap=True)
+
+
+def finding_line(finding: Finding) -> Text:
+    """One finding as one line."""
+    times = f" ({finding.count} times)" if finding.count > 1 else ""
+    line = Text(f"{_time(finding)}  ")
+    line.append(f"{finding.code:<9}", _STYLES[finding.severity])
+    line.append(printable(f"  {where(finding)}: {finding.message}{times}"))
+    return line
+
+
+def where(finding: Finding) -> str:
+    """The link, the unit where one is meant, and the master where it has an address."""
+    text = finding.link
+    if finding.unit is not None:
+        text += f" unit {finding.unit}"
+    return text
+
+
+def _time(finding: Finding) -> str:
+    return f"{day(finding.ts_ns)} {clock_time(finding.ts_ns)}"

@@ -1,0 +1,100 @@
+"""What a slave is asked and answers, for someone who looks on from another thread."""
+
+# The slave's thread hands over each request with its answer and goes on. Who looks on takes them as
+# transactions, named by the device's profile, and asks what stands at its outputs.
+#
+# Holds MAX_WAITING exchanges that nobody has taken; what comes while there are so many is counted
+# and not kept. So a screen that is slow does not slow the slave.
+#
+# The time of an answer is when it is due: when its request was complete, and what the slave waits
+# on purpose.
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.devices import Assignment, Assignments, Namer, Who
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.joining import Ends, broadcast, no_answer, together
+from mbtool.modbus.spoiling import wire_pieces
+
+if TYPE_CHECKING:
+    from mbtool.core import LinkSpec
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.modbus import Adu, Answer
+    from mbtool.modbus.transaction import Transaction
+    from mbtool.slave import Behaviour, Output
+
+MAX_WAITING = 4096
+
+
+class Exchanges:
+    """The exchanges and outputs of one device on a link."""
+
+    def __init__(self, profile: Profile, link: LinkSpec) -> None:
+        self._assignments = Assignments([Assignment(Who(), profile)])
+        self._namer = Namer(self._assignments)
+        self._ends = Ends(link.name)
+        self._waiting: deque[tuple[Adu, Answer | None]] = deque()
+        self._missed = 0
+        self._behaviour: Behaviour | None = None
+        self._outputs: tuple[Output, ...] = ()
+
+    def profile_for(self, transaction: NamedTransaction) -> Profile | None:
+        return self._assignments.profile_for(transaction)
+
+    # The slave's side.
+
+    def begin(self, behaviour: Behaviour) -> None:
+        """Learn whose outputs they are."""
+        self._behaviour = behaviour
+        self._outputs = behaviour.outputs()
+
+    def take(self, request: Adu, answer: Answer | None) -> None:
+        if len(self._waiting) < MAX_WAITING:
+            self._waiting.append((request, answer))
+        else:
+            self._missed += 1
+
+    # The looker's side.
+
+    def transactions(self) -> list[NamedTransaction]:
+        """What has come since the last time."""
+        return [
+            self._namer.name(self._joined(*self._waiting.popleft()))
+            for _ in range(len(self._waiting))
+        ]
+
+    def missed(self) -> int:
+        """How many were not kept since the last time."""
+        missed, self._missed = self._missed, 0
+        return missed
+
+    def changed_outputs(self) -> list[Output]:
+        """The outputs that have changed since the last time."""
+        if self._behaviour is None:
+            return []
+        before, self._outputs = self._outputs, self._behaviour.outputs()
+        return [now for was, now in zip(before, self._outputs, strict=True) if now != was]
+
+    def _joined(self, request: Adu, answer: Answer | None) -> Transaction:
+        if answer is None:
+            if request.transport is not Transport.TCP and request.unit == 0:
+                return broadcast(self._ends, request)
+            return no_answer(self._ends, request, 0)
+        pieces = wire_pieces(answer, request.transport, request.unit, request.transaction_id or 0)
+        if not pieces:
+            return no_answer(self._ends, request, 0)
+        response = replace(
+            request,
+            direction=Direction.RESPONSE,
+            start_ns=request.end_ns + answer.delay_ns,
+            end_ns=request.end_ns + answer.delay_ns + pieces[-1][0],
+            pdu=answer.pdu,
+            raw=b"".join(data for _, data in pieces),
+            verdicts=(),
+        )
+        return together(self._ends, request, response, 0, ())

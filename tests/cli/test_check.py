@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mbtool.cli import exit_codes
+from mbtool.cli.main import run
+
+FOLDER = Path(__file__).resolve().parents[2] / "captures"
+SHOWS = str(FOLDER / "findings" / "MB-103.pcap")
+NEARLY = str(FOLDER / "findings" / "MB-103-nearly.pcap")
+LOG = str(FOLDER / "ft1a-touch-line.mcap")
+
+
+def test_findings_are_an_answer_of_no(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", SHOWS]) == exit_codes.NO
+    captured = capsys.readouterr()
+    assert captured.out == (
+        "MB-103  error  1 time  2026-01-01 00:00:00.056  10.0.0.2 unit 1\n"
+        "    write coil 0: value 0001H for a coil\n"
+    )
+    assert captured.err == "1 finding in 3 transactions; docs/findings.md explains each code\n"
+
+
+def test_no_findings_are_an_answer_of_yes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", NEARLY]) == exit_codes.DONE
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "no findings in 3 transactions\n")
+
+
+def test_each_finding_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", LOG, "--all"]) == exit_codes.NO
+    captured = capsys.readouterr()
+    assert captured.out == (
+        "2026-11-21 13:10:29.049  FT1A-F15   rs485 unit 1: the device has no write multiple coils\n"
+        "2026-11-21 13:10:29.113  FT1A-A3    rs485 unit 1: read holding HR404096..404097: "
+        "not an address that one can read\n"
+    )
+    assert captured.err.startswith("2 findings of 2 codes in 11 transactions;")
+
+
+def test_what_is_ignored_is_no_answer_of_no(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", LOG, "--ignore", "FT1A-F,FT1A-A"]) == exit_codes.DONE
+    assert run(["check", LOG, "--select", "RTU", "--select", "TCP"]) == exit_codes.DONE
+    assert run(["check", LOG, "--select", "FT1A-A3", "--ignore", "FT1A"]) == exit_codes.NO
+    assert capsys.readouterr().out.startswith("FT1A-A3 ")
+
+
+@pytest.mark.parametrize(("name", "key"), [("x.json", "findings"), ("x.sarif", "runs")])
+def test_the_name_of_the_output_says_the_format(
+    name: str, key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / name
+    assert run(["check", SHOWS, "-o", str(out)]) == exit_codes.NO
+    assert key in json.loads(out.read_text())
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.endswith(f"explains each code -> {out}\n")
+
+
+def test_a_document_goes_to_standard_output_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", SHOWS, "--format", "json"]) == exit_codes.NO
+    (finding,) = json.loads(capsys.readouterr().out)["findings"]
+    assert (finding["code"], finding["file"]) == ("MB-103", SHOWS)
+
+
+def test_a_table_goes_to_a_text_file(tmp_path: Path) -> None:
+    assert run(["check", SHOWS, "-o", str(tmp_path / "x.txt")]) == exit_codes.NO
+    assert (tmp_path / "x.txt").read_text().startswith("MB-103  error")
+
+
+def test_a_cut_capture_leaves_a_whole_document(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut, out = tmp_path / "cut.pcap", tmp_path / "x.sarif"
+    cut.write_bytes(Path(SHOWS).read_bytes()[:-5])
+    assert run(["check", str(cut), "-o", str(out)]) == exit_codes.UNREADABLE
+    (run_,) = json.loads(out.read_text())["runs"]
+    assert [one["ruleId"] for one in run_["results"]] == ["MB-103"]
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("1 finding in ")
+    assert said[1].startswith(f"mbtool: {cut}: ends in the middle of a record")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([SHOWS, "--select", "RUT"], "no code begins with 'RUT'; they begin with FA3, FT1A, "),
+        ([SHOWS, "-o", "x.csv"], "x.csv: its name says no format; let it end in .txt, .json, "),
+        ([SHOWS, "-o", SHOWS], "it is read, and would be written over"),
+        ([SHOWS, SHOWS], "named twice"),
+        ([SHOWS, "--device", "5"], "device '5'"),
+        ([LOG, "--link", "rtu"], "a log knows its lines"),
+    ],
+)
+def test_a_wrong_word_is_told_in_one_line(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["check", *arguments]) == exit_codes.USAGE
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert says in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_an_absent_capture_is_unreadable_and_costs_no_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "kept.json"
+    out.write_text("kept")
+    arguments = ["check", str(tmp_path / "absent.pcap"), "-o", str(out)]
+    assert run(arguments) == exit_codes.UNREADABLE
+    assert out.read_text() == "kept"
+    assert "absent.pcap" in capsys.readouterr().err
+
+
+def test_a_capture_without_modbus_is_said_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty.pcap"
+    empty.write_bytes(Path(SHOWS).read_bytes()[:24])
+    assert run(["check", str(empty)]) == exit_codes.DONE
+    assert "empty; there is neither a packet nor a transaction in it" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("format_", ["table", "json", "sarif"])
+def test_a_full_disk_is_told(format_: str, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["check", SHOWS, "--format", format_, "-o", "/dev/full"]
+    assert run(arguments) == exit_codes.UNREADABLE
+    said = "mbtool: /dev/full: cannot be written: No space left on device\n"
+    assert capsys.readouterr().err == said
+
+
+def test_a_closed_standard_output_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.__stdout__", None)
+    assert run(["check", SHOWS]) == exit_codes.UNREADABLE
+    assert "standard output: closed, so what goes there is lost" in capsys.readouterr().err

@@ -1,0 +1,166 @@
+"""Profiles of the user's own."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.cli import exit_codes
+from mbtool.devices import builtin_profiles, load_profile, profile_schema
+
+if TYPE_CHECKING:
+    from tests.cli.program import CommandLine
+
+CAPTURES = Path(__file__).parents[2] / "captures"
+LIST = "Register;Name;Type;Scale\n40001;Speed;UINT16;0,1\n40002;State;INT16;1\n"
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_new_writes_a_start_that_loads(mbtool: CommandLine) -> None:
+    told = mbtool("devices", "new", "pump 7.toml")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err == (
+        "pump 7.toml: written; edit it, and look at it with mbtool devices 'pump 7.toml'\n"
+    )
+    assert load_profile("./pump 7.toml").name == "pump-7"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["new", "there.toml"],
+        ["import", "map.csv", "-o", "there.toml"],
+        ["draft", CAPTURES / "broadcast-write.mcap", "-o", "there.toml"],
+        ["export", "wago-750", "-o", "there.toml"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_nothing_is_written_over(mbtool: CommandLine, arguments: list[object]) -> None:
+    Path("map.csv").write_text(LIST)
+    Path("there.toml").write_text("mine")
+    told = mbtool("devices", *arguments)
+    assert told.code == exit_codes.USAGE
+    assert "there.toml: is there already; name another, or remove it first" in told.err
+    assert Path("there.toml").read_text() == "mine"
+
+
+def test_a_profile_is_a_toml_file_in_a_folder_that_is_there(mbtool: CommandLine) -> None:
+    assert "let its name end in .toml" in mbtool("devices", "new", "pump.txt").err
+    told = mbtool("devices", "new", "nowhere/pump.toml")
+    assert told.code == exit_codes.USAGE
+    assert told.err == "mbtool: nowhere/pump.toml: cannot be written: No such file or directory\n"
+
+
+def test_import_writes_a_profile_and_says_what_it_decided(mbtool: CommandLine) -> None:
+    Path("map.csv").write_text(LIST)
+    told = mbtool("devices", "import", "map.csv", "-o", "pump.toml")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err.splitlines()[0] == (
+        '- the numbers of "Register" are references, since every one of 40001..40002 can be a '
+        "reference: 40001 is address 0 on the wire (--addresses says otherwise)"
+    )
+    assert told.err.splitlines()[-1] == "2 points -> pump.toml"
+    profile = load_profile("pump.toml")
+    assert (profile.name, [point.name for point in profile.points]) == ("pump", ["Speed", "State"])
+
+
+def test_import_prints_where_no_file_is_named(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("map.csv").write_text(LIST)
+    printed = mbtool("devices", "import", "map.csv").out
+    assert 'name = "map"' in printed
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(LIST.encode())))
+    piped = mbtool("devices", "import", "-").out
+    assert 'name = "Speed"' in piped
+
+
+def test_import_tells_every_wrong_cell_and_makes_nothing(mbtool: CommandLine) -> None:
+    Path("map.csv").write_text("Register;Name;Type;Scale\n40001;Speed;FLOTE;x\n")
+    told = mbtool("devices", "import", "map.csv", "-o", "pump.toml")
+    assert told.code == exit_codes.USAGE
+    assert told.err.splitlines() == [
+        "map.csv: row 2, column \"Type\": 'FLOTE' is no type; UINT16, INT32, FLOAT32, BCD, BOOL, "
+        "STRING[16] and their like are",
+        "map.csv: row 2, column \"Scale\": 'x' is no factor; 0.1, /10, x0.1 and their like are",
+        "mbtool: map.csv: 2 cells are wrong, so no profile was made",
+    ]
+    assert not Path("pump.toml").exists()
+
+
+def test_import_believes_its_options(mbtool: CommandLine) -> None:
+    Path("map.csv").write_text("Register;Name;Gain\n40001;Speed;10\n")
+    options = ["--addresses", "zero-based", "--table", "input_registers", "--scaling", "multiply"]
+    mbtool("devices", "import", "map.csv", "-o", "pump.toml", *options)
+    (point,) = load_profile("pump.toml").points
+    assert (point.table, point.address, point.scale) == ("input_registers", 40001, 10)
+
+
+def test_import_of_nothing_is_told(mbtool: CommandLine) -> None:
+    told = mbtool("devices", "import", "nosuch.csv")
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err == "mbtool: nosuch.csv: cannot be read: No such file or directory\n"
+
+
+def test_draft_makes_a_profile_of_a_slave(mbtool: CommandLine) -> None:
+    told = mbtool("devices", "draft", CAPTURES / "ft1a-touch-line.mcap", "-o", "touch.toml")
+    assert told.code == exit_codes.DONE
+    assert told.err.splitlines()[-1] == "unit 1: 4 areas, 5 points -> touch.toml"
+    assert load_profile("touch.toml").title == "unit 1"
+
+
+def test_draft_prints_where_no_file_is_named(mbtool: CommandLine) -> None:
+    told = mbtool("devices", "draft", CAPTURES / "ft1a-touch-line.mcap", "--unit", "1")
+    assert 'name = "unit-1"' in told.out
+    assert told.err == ""
+
+
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [("7", "no transaction of such a slave is there"), ("x", "WHO is 5"), ("300", "is no unit")],
+)
+def test_draft_of_a_slave_that_is_not_there_is_told(
+    mbtool: CommandLine, unit: str, said: str
+) -> None:
+    told = mbtool("devices", "draft", CAPTURES / "ft1a-touch-line.mcap", "--unit", unit)
+    assert told.code == exit_codes.USAGE
+    assert said in told.err
+
+
+@pytest.mark.parametrize(
+    "capture", sorted(CAPTURES.glob("*.mcap")), ids=lambda capture: capture.stem
+)
+def test_the_drafts_of_a_capture_break_no_rule_in_it(mbtool: CommandLine, capture: Path) -> None:
+    slaves = [
+        json.loads(line)
+        for line in mbtool("devices", "--match", capture, "--format", "jsonl").lines
+    ]
+    for slave in slaves:
+        unit, host = slave["unit"], slave.get("destination", "").rpartition(":")[0]
+        who = f"{host}/{unit}" if host else str(unit)
+        own = f"own-{unit}.toml"
+        assert mbtool("devices", "draft", capture, "--unit", who, "-o", own).code == 0
+        lines = mbtool("decode", capture, "--device", f"{who}={own}", "--format", "jsonl").lines
+        for one in map(json.loads, lines):
+            findings = [code for code in one.get("findings", []) if code.startswith("OWN-")]
+            # What the device refused is no part of its draft, and asking for it breaks a rule.
+            assert not findings or "exception" in one
+
+
+@pytest.mark.parametrize("name", builtin_profiles())
+def test_export_prints_a_profile_that_loads_as_the_same(mbtool: CommandLine, name: str) -> None:
+    Path("same.toml").write_text(mbtool("devices", "export", name).out, encoding="utf-8")
+    assert load_profile("./same.toml") == load_profile(name)
+
+
+def test_schema_prints_the_schema(mbtool: CommandLine) -> None:
+    assert json.loads(mbtool("devices", "schema").out) == profile_schema()

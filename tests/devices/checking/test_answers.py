@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices.checking.answers import MAX_HELD, AnswerRules
+from mbtool.devices.checking.kept import MAX_KEPT
+from mbtool.modbus.adu import Transport, Verdict
+from tests.devices.checking.talk import (
+    MASTER,
+    SLAVE,
+    assigned,
+    event,
+    line_event,
+    opened,
+    transaction,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.devices.checking.finding import Finding
+
+OTHER = "04 0000 0001"
+OTHER_ANSWER = "04 02 0007"
+
+
+def found(
+    *records: NamedTransaction | WireEvent, profile: str | None = None
+) -> list[tuple[str, str]]:
+    rules = AnswerRules()
+    return [(one.code, one.message) for one in _findings(rules, records, profile)]
+
+
+def _findings(
+    rules: AnswerRules, records: Iterable[NamedTransaction | WireEvent], profile: str | None
+) -> Iterable[Finding]:
+    for record in records:
+        if isinstance(record, WireEvent):
+            yield from rules.event(record)
+        else:
+            yield from rules.transaction(record, assigned(profile).profile_for(record))
+    yield from rules.close()
+
+
+def codes(*records: NamedTransaction | WireEvent, profile: str | None = None) -> list[str]:
+    return [code for code, _ in found(*records, profile=profile)]
+
+
+def test_a_request_without_answer_is_found_when_the_capture_goes_on() -> None:
+    unanswered = transaction(response=None)
+    later = transaction(OTHER, OTHER_ANSWER, at_ms=2000)
+    assert found(unanswered, later) == [("MB-401", "read holding 0: no answer")]
+
+
+def test_a_slave_that_is_never_heard_is_said_to_be() -> None:
+    silent = transaction(response=None, unit=9)
+    assert found(silent, transaction(OTHER, OTHER_ANSWER, at_ms=2000)) == [
+        ("MB-401", "read holding 0: no answer; unit 9 says nothing in this capture")
+    ]
+
+
+def test_a_request_at_the_end_of_the_capture_may_yet_be_answered() -> None:
+    unanswered = transaction(response=None)
+    assert codes(unanswered) == []
+    assert codes(unanswered, transaction(OTHER, OTHER_ANSWER, at_ms=500)) == []
+
+
+def test_on_a_line_the_next_request_ends_the_one_before() -> None:
+    unanswered = transaction(response=None, on_a_line=True)
+    following = transaction(OTHER, OTHER_ANSWER, at_ms=100, on_a_line=True)
+    assert codes(unanswered, following) == ["MB-401"]
+    assert codes(unanswered) == []
+
+
+def test_a_request_that_is_answered_when_repeated_is_found_once() -> None:
+    asked = [transaction(response=None, at_ms=at, on_a_line=True) for at in (0, 300)]
+    answered = transaction(at_ms=600, latency_ms=10, on_a_line=True, retries=2)
+    assert found(*asked, answered) == [
+        ("MB-402", "read holding 0: asked 3 times, answered after 0.6 s")
+    ]
+
+
+def test_a_request_that_is_repeated_in_vain_is_found_each_time() -> None:
+    asked = [transaction(response=None, at_ms=at) for at in (0, 300)]
+    assert codes(*asked, transaction(OTHER, OTHER_ANSWER, at_ms=2000)) == ["MB-401", "MB-401"]
+
+
+def test_a_poll_that_is_answered_much_later_is_no_repetition() -> None:
+    unanswered = transaction(response=None)
+    assert codes(unanswered, transaction(at_ms=6000, retries=1)) == ["MB-401"]
+
+
+def test_on_a_network_a_request_is_given_up_after_its_repetition_was_answered() -> None:
+    answered = transaction(at_ms=1000, number=2, retries=2)
+    given_up = [transaction(response=None, at_ms=at) for at in (0, 500)]
+    assert found(answered, transaction(at_ms=70_000, number=3), *given_up) == [
+        ("MB-402", "read holding 0: asked 3 times, answered after 1.0 s")
+    ]
+
+
+def test_an_answer_that_nobody_asked_for_is_found() -> None:
+    assert found(opened(), transaction("", "03 02 1234")) == [
+        ("MB-403", "answer to read holding registers, which no request in the capture asked for")
+    ]
+    assert codes(transaction(), transaction("", "83 02", at_ms=5)) == ["MB-403"]
+
+
+def test_an_answer_soon_after_the_beginning_may_have_been_asked_for_before_it() -> None:
+    early = transaction("", "03 02 1234", at_ms=10)
+    assert codes(opened(joined=True), early) == []
+    assert codes(early) == []
+    late = transaction("", "03 02 1234", at_ms=6000)
+    assert codes(early, late) == ["MB-403"]
+
+
+def test_an_answer_behind_damage_or_loss_may_have_been_asked_for() -> None:
+    asked = transaction(on_a_line=True)
+    stray = transaction("", "03 02 1234", at_ms=50, on_a_line=True)
+    assert codes(asked, stray) == ["MB-403"]
+    assert codes(asked, line_event(EventKind.BAD_CHECK, at_ms=20), stray) == []
+    lost = event(EventKind.GAP, at_ms=20)
+    assert codes(opened(), transaction(), lost, transaction("", "03 02 1234", at_ms=50)) == []
+
+
+def test_a_request_near_lost_bytes_may_have_been_answered() -> None:
+    later = transaction(OTHER, OTHER_ANSWER, at_ms=4000)
+    unanswered = transaction(response=None)
+    for kind in (EventKind.GAP, EventKind.CUT, EventKind.DISCARDED):
+        for ends in ((MASTER, SLAVE), (SLAVE, MASTER)):
+            lost = event(kind, at_ms=10, source=ends[0], destination=ends[1])
+            assert codes(transaction(at_ms=-10), unanswered, lost, later) == []
+            # A transaction without answer may be known only after the loss.
+            assert codes(transaction(at_ms=-10), lost, unanswered, later) == []
+
+
+def test_a_hole_in_a_log_ends_all_that_was_open() -> None:
+    hole = WireEvent(ts_ns=0, link="", kind=EventKind.GAP, message="a hole")
+    later = transaction(OTHER, OTHER_ANSWER, at_ms=4000)
+    assert codes(transaction(response=None), hole, later) == []
+
+
+def test_what_is_carried_out_in_silence_needs_no_answer() -> None:
+    later = transaction(OTHER, OTHER_ANSWER, at_ms=4000)
+    assert codes(transaction("08 0004 0000", None), later) == []
+    reset = transaction("41 00", None, profile="fa3-at1m8x")
+    assert codes(reset, later, profile="fa3-at1m8x") == []
+    assert codes(transaction("08 0000 0000", None), later) == ["MB-401"]
+
+
+def test_a_broadcast_over_tcp_needs_no_answer() -> None:
+    sent = transaction("06 0000 0001", None, unit=0)
+    later = transaction(at_ms=4000)
+    assert codes(sent, later) == ["MB-401"]  # Unit 0 is one of Modbus/TCP.
+    over_tcp = msgspec.structs.replace(sent, transport=Transport.RTU_TCP)
+    assert codes(over_tcp, later) == []
+
+
+def test_a_broadcast_needs_no_answer() -> None:
+    sent = transaction("06 0000 0001", None, unit=0, on_a_line=True)
+    assert codes(sent, transaction(at_ms=4000, on_a_line=True)) == []
+
+
+def test_an_answer_with_another_transaction_id_is_an_answer() -> None:
+    odd = transaction(answer_number=5, verdicts=(Verdict.OTHER_TRANSACTION_ID,))
+    assert codes(odd, transaction(at_ms=4000)) == []
+
+
+def test_memory_is_bounded() -> None:
+    rules = AnswerRules()
+    found = 0
+    for number in range(MAX_HELD + 500):
+        source = f"10.0.0.1:{number}"
+        for told in (opened(source=source), event(EventKind.CLOSED, source=source)):
+            assert not [*rules.event(told)]
+        one = transaction(response=None, source=source, at_ms=1)
+        found += len([*rules.transaction(one, None)])
+    assert found == 500
+    assert rules._number_held == MAX_HELD
+    assert len(rules._states) <= MAX_KEPT

@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices import NamedTransaction, load_profile
+from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
+from mbtool.devices.checking.kept import MAX_KEPT
+from tests.devices.checking.talk import MASTER, event, opened, transaction
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
+
+Record = NamedTransaction | WireEvent
+
+AT1M8X = "fa3-at1m8x"
+A, B, C = "10.0.0.1:1", "10.0.0.1:2", "10.0.0.1:3"
+Y9_ON, Y9_OFF = "05 0009 FF00", "05 0009 0000"
+
+
+def found(*records: Record, profile: str = AT1M8X) -> list[tuple[str, str]]:
+    rules, device = Fa3Rules(), load_profile(profile)
+    findings: list[Finding] = []
+    for record in records:
+        if isinstance(record, WireEvent):
+            findings += rules.event(record)
+        else:
+            findings += rules.transaction(record, device)
+    return [(one.code, one.message) for one in findings]
+
+
+def codes(*records: Record, profile: str = AT1M8X) -> list[str]:
+    return [code for code, _ in found(*records, profile=profile)]
+
+
+def said(*of: Any, profile: str = AT1M8X, **fields: Any) -> NamedTransaction:
+    return transaction(*of, profile=profile, **fields)
+
+
+def closed(*, at_ms: float = 0, source: str = MASTER) -> WireEvent:
+    return event(EventKind.CLOSED, at_ms=at_ms, source=source)
+
+
+def x9(value: int, *, at_ms: float = 0) -> NamedTransaction:
+    return said("02 0009 0001", f"02 01 {value:02X}", at_ms=at_ms)
+
+
+def test_another_protocol_id_gets_no_answer() -> None:
+    raw = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
+    assert codes(event(EventKind.FOREIGN, raw=raw)) == ["FA3-X1"]
+    assert codes(event(EventKind.FOREIGN, raw=b"\x16\x03\x01")) == []
+
+
+def test_a_third_connection_drops_the_one_that_was_silent_longest() -> None:
+    two: list[Record] = [opened(source=A), opened(source=B, at_ms=1), said(source=A, at_ms=50)]
+    assert found(*two, opened(source=C, at_ms=100)) == [
+        ("FA3-X2", f"{C} connects beside {A} and {B}; the module drops {B}")
+    ]
+    assert codes(*two, closed(source=A, at_ms=60), opened(source=C, at_ms=100)) == []
+    # The one that was dropped makes no fourth a finding, if another has closed since.
+    third: list[Record] = [*two, opened(source=C, at_ms=100), closed(source=A, at_ms=110)]
+    assert codes(*third, opened(source=B, at_ms=120)) == ["FA3-X2"]
+
+
+def test_a_remote_reset_is_told_and_a_refused_one_is_not() -> None:
+    assert codes(said("41 00", None)) == ["FA3-X3"]
+    assert codes(said("41 00", "C1 03")) == []
+
+
+def test_who_connects_within_two_seconds_of_a_reset_is_told() -> None:
+    reset: list[Record] = [
+        opened(source=A),
+        said("41 00", None, source=A, at_ms=10),
+        closed(source=A, at_ms=100),
+    ]
+    assert found(*reset, opened(source=B, at_ms=1100))[1:] == [
+        ("FA3-X4", f"{B} connects 1.0 s after the remote reset")
+    ]
+    assert codes(*reset, opened(source=B, at_ms=1100), said(source=B, at_ms=1200)) == [
+        "FA3-X3",
+        "FA3-X4",
+    ]
+    assert codes(*reset, opened(source=B, at_ms=2101)) == ["FA3-X3"]
+    assert codes(*reset, opened(source=B, at_ms=1100, joined=True)) == ["FA3-X3"]
+
+
+def test_another_connection_that_goes_on_is_told() -> None:
+    reset: list[Record] = [said("41 00", None, source=A, at_ms=10), closed(source=A, at_ms=100)]
+    assert found(*reset, said(source=B, at_ms=600))[1:] == [
+        ("FA3-X4", "read holding RWw0 0.5 s after the remote reset")
+    ]
+
+
+def test_a_reset_that_is_known_only_later_is_held_against_what_came_since() -> None:
+    since: list[Record] = [opened(source=B, at_ms=500), said(source=B, at_ms=510)]
+    reset = said("41 00", None, source=A, at_ms=10)
+    assert codes(*since, reset) == ["FA3-X3", "FA3-X4"]
+    assert codes(said(source=B, at_ms=5), reset) == ["FA3-X3"]
+
+
+def test_settings_take_effect_by_y9_then_x9_then_y9() -> None:
+    asked, cleared = said(Y9_ON, Y9_ON), said(Y9_OFF, Y9_OFF)
+    assert codes(asked, x9(0), x9(1), cleared) == []
+    assert found(asked, x9(0), cleared) == [("FA3-X5", "Y9 is cleared before X9 was seen to be on")]
+    assert codes(asked, cleared) == ["FA3-X5"]
+    # A flag that was on before says nothing of these settings.
+    assert codes(x9(1), asked, cleared) == ["FA3-X5"]
+
+
+def test_a_handshake_whose_beginning_was_not_seen_is_no_finding() -> None:
+    assert codes(said(Y9_OFF, Y9_OFF)) == []
+    refused = said(Y9_ON, "85 02")
+    assert codes(refused, said(Y9_OFF, Y9_OFF)) == []
+
+
+def test_writing_all_outputs_again_and_again_is_one_request() -> None:
+    all_on = ("0F 0000 0010 02 00 02", "0F 0000 0010")
+    all_off = ("0F 0000 0010 02 00 00", "0F 0000 0010")
+    everything = said("02 0000 0010", "02 02 00 02")
+    assert codes(said(*all_on), everything, said(*all_on), said(*all_off)) == []
+    assert codes(said(*all_on), said(*all_off)) == ["FA3-X5"]
+
+
+@pytest.mark.parametrize("profile", ["fa3-th1m16y", "fa3-th1m16ye"])
+def test_on_the_digital_modules_y9_is_an_output(profile: str) -> None:
+    on, off = said(Y9_ON, Y9_ON, profile=profile), said(Y9_OFF, Y9_OFF, profile=profile)
+    assert codes(on, off, profile=profile) == []
+
+
+def test_the_family_is_known_by_its_behaviour() -> None:
+    assert is_fa3([load_profile("idec-ft1a-touch"), load_profile("fa3-at1m8y")])
+    assert not is_fa3([load_profile("idec-ft1a-touch")])
+    assert not is_fa3([])
+
+
+def test_memory_is_bounded() -> None:
+    rules = Fa3Rules()
+    for number in range(MAX_KEPT + 10):
+        one = event(EventKind.OPENED, destination=f"10.1.{number // 256}.{number % 256}:502")
+        assert not [*rules.event(one)]
+    assert len(rules._modules) == MAX_KEPT
+    for number in range(500):
+        assert len([*rules.event(opened(source=f"10.0.0.1:{number}"))]) == (number > 1)
+    module = rules._modules["10.0.0.2:502"]
+    assert len(module.connections) == 2
+    assert len(module.recent) == 64

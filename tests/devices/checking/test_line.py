@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from mbtool.core import EventKind, SerialFormat, WireEvent
+from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.kept import MAX_KEPT
+from mbtool.devices.checking.line import ENOUGH, LineRules
+from mbtool.modbus.adu import Verdict
+from tests.devices.checking.talk import assigned, line_event, transaction
+
+if TYPE_CHECKING:
+    from mbtool.devices import NamedTransaction
+
+FORMAT = SerialFormat(19200)
+SMARTAXIS = "idec-ft1a-smartaxis"
+EIGHT_BYTES_MS = 8 * FORMAT.character_ns / 1e6
+
+
+def on_line(*of: Any, **fields: Any) -> NamedTransaction:
+    return transaction(*of, on_a_line=True, **fields)
+
+
+def findings(
+    *records: NamedTransaction | WireEvent,
+    format_: SerialFormat | None = FORMAT,
+    profile: str | None = None,
+) -> list[Finding]:
+    rules, found = LineRules(), list[Finding]()
+    for record in records:
+        if isinstance(record, WireEvent):
+            found += rules.event(record)
+        else:
+            device = assigned(profile).profile_for(record)
+            found += rules.transaction(record, device, format_)
+    return [*found, *rules.close()]
+
+
+def codes(*records: NamedTransaction | WireEvent, **options: Any) -> list[str]:
+    return [one.code for one in findings(*records, **options)]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "code"),
+    [
+        (Verdict.T1_5_BROKEN, "RTU-101"),
+        (Verdict.SPLIT, "RTU-102"),
+        (Verdict.GLUED, "RTU-103"),
+    ],
+)
+def test_a_broken_silence_is_one_finding_for_the_line(verdict: Verdict, code: str) -> None:
+    good = [on_line(at_ms=at) for at in range(0, 20_000, 1000)]
+    bad = [on_line(at_ms=at, verdicts=(verdict,)) for at in (500, 1500)]
+    (one,) = findings(*good, *bad)
+    assert (one.code, one.count, one.ts_ns) == (code, 2, bad[0].start_ns)
+    assert one.message.endswith("in 2 of 22 transactions")
+
+
+def test_many_broken_silences_are_the_adapters() -> None:
+    glued = [on_line(at_ms=1000 * at, verdicts=(Verdict.GLUED,)) for at in range(ENOUGH)]
+    assert codes(*glued) == ["RTU-104"]
+    assert codes(*glued[:-1]) == ["RTU-103"]
+    good = [on_line(at_ms=1000 * at) for at in range(ENOUGH, 4 * ENOUGH)]
+    assert codes(*glued, *good) == ["RTU-104"]
+    assert codes(*glued, *good, on_line(at_ms=100_000)) == ["RTU-103"]
+
+
+def test_a_pause_between_bytes_that_an_adapter_cannot_cause_does_not_make_it_one() -> None:
+    paused = [on_line(at_ms=1000 * at, verdicts=(Verdict.T1_5_BROKEN,)) for at in range(20)]
+    assert codes(*paused) == ["RTU-101"]
+
+
+def test_damage_is_found() -> None:
+    bad = line_event(EventKind.BAD_CHECK, message="8 bytes: a wrong CRC")
+    error = line_event(EventKind.LINE_ERROR, message="a parity error")
+    assert [(one.code, one.message) for one in findings(bad, error)] == [
+        ("RTU-201", "8 bytes: a wrong CRC: 01 02"),
+        ("RTU-203", "a parity error"),
+    ]
+
+
+def test_stray_bytes_are_found_between_frames_and_not_around_them() -> None:
+    stray = line_event(EventKind.SKIPPED)
+    assert codes(on_line(), stray, on_line(at_ms=100)) == ["RTU-202"]
+    assert codes(on_line(), stray, stray, on_line(at_ms=100)) == ["RTU-202", "RTU-202"]
+    assert codes(stray, on_line(at_ms=100)) == []
+    assert codes(on_line(), stray) == []
+
+
+@pytest.mark.parametrize("pdu", ["10 0000 0001 02 1234", "0F 0000 0001 01 01", "06 0000 0001"])
+def test_an_answer_to_a_broadcast_is_found(pdu: str) -> None:
+    sent = on_line(pdu, None, unit=0)
+    echo = pdu if pdu.startswith("06") else pdu[:12]
+    answer = on_line(echo, None, at_ms=10) if echo == pdu else on_line("", echo, at_ms=10)
+    (one,) = findings(sent, answer)
+    assert one.code == "MB-301"
+    assert one.message.startswith("unit 1 answers the broadcast write ")
+
+
+def test_who_speaks_later_or_of_other_things_does_not_answer_the_broadcast() -> None:
+    sent = on_line("06 0000 0001", None, unit=0)
+    assert codes(sent, on_line("06 0000 0001", "06 0000 0001", at_ms=150)) == []
+    assert codes(sent, on_line("06 0000 0002", None, at_ms=150)) == []
+    assert codes(sent, on_line("", "06 0000 0001", at_ms=1500)) == []
+    assert codes(sent, on_line(at_ms=150), on_line("", "06 0000 0001", at_ms=200)) == []
+
+
+def test_a_broadcast_that_reads_is_found() -> None:
+    assert codes(on_line("03 0000 0001", None, unit=0)) == ["MB-302"]
+    assert codes(on_line("06 0000 0001", None, unit=0)) == []
+    assert codes(on_line("08 0004 0000", None, unit=0)) == []
+    assert codes(on_line("41 00", None, unit=0)) == []
+
+
+def test_a_master_that_does_not_wait_after_a_broadcast_is_found() -> None:
+    sent = on_line("06 0000 0001", None, unit=0)
+    soon = on_line(at_ms=40 + EIGHT_BYTES_MS)
+    (one,) = findings(sent, soon)
+    assert (one.code, one.unit) == ("RTU-302", None)
+    assert (
+        one.message == "1 request sooner than 100 ms after a broadcast; the soonest after 40.0 ms"
+    )
+    assert codes(sent, on_line(at_ms=101 + EIGHT_BYTES_MS)) == []
+    assert codes(sent, soon, format_=None) == []
+
+
+def test_a_master_that_asks_sooner_than_the_manual_wants_is_found() -> None:
+    first = on_line(unit=8, latency_ms=10)
+    soon = [on_line(unit=8, at_ms=10 + gap + EIGHT_BYTES_MS) for gap in (3, 1)]
+    (one,) = findings(first, soon[0], first, soon[1], profile=SMARTAXIS)
+    assert (one.code, one.unit, one.count) == ("RTU-301", 8, 2)
+    assert (
+        one.message == "2 requests sooner than 5ms after the frame before; the soonest after 1.0 ms"
+    )
+    in_time = on_line(unit=8, at_ms=15 + EIGHT_BYTES_MS)
+    assert codes(first, in_time, profile=SMARTAXIS) == []
+    assert codes(first, soon[0]) == []
+    assert codes(first, soon[0], profile=SMARTAXIS, format_=None) == []
+
+
+def test_a_clock_that_was_set_back_tells_nothing_of_the_pace() -> None:
+    assert codes(on_line(at_ms=1000), on_line(), profile=SMARTAXIS) == []
+
+
+def test_memory_is_bounded() -> None:
+    rules = LineRules()
+    for number in range(MAX_KEPT + 10):
+        event = WireEvent(ts_ns=0, link=f"line {number}", kind=EventKind.SKIPPED, message="")
+        assert not [*rules.event(event)]
+    assert len(rules._lines) == MAX_KEPT

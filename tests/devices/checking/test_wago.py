@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import msgspec
+
+from mbtool.devices import NamedTransaction, load_profile
+from mbtool.devices.checking.kept import MAX_KEPT
+from mbtool.devices.checking.wago import WagoRules, is_wago
+from tests.devices.checking.talk import transaction
+
+
+def found(*transactions: NamedTransaction) -> list[str]:
+    rules = WagoRules()
+    return [finding.message for one in transactions for finding in rules.transaction(one)]
+
+
+def failed(*, at_ms: float = 0) -> NamedTransaction:
+    return transaction(response="83 04", at_ms=at_ms)
+
+
+def test_one_failure_after_another_is_the_watchdog() -> None:
+    assert found(failed(), failed(at_ms=10), failed(at_ms=20)) == [
+        "exception 04 to read holding 0, and to the request after it"
+    ]
+
+
+def test_a_failure_between_other_answers_is_its_own() -> None:
+    assert found(failed(), transaction(), failed(), transaction(response="83 02"), failed()) == []
+
+
+def test_a_request_without_answer_between_two_failures_changes_nothing() -> None:
+    assert len(found(failed(), transaction(response=None), failed())) == 1
+
+
+def test_each_trip_is_told() -> None:
+    assert len(found(failed(), failed(), transaction(), failed(), failed())) == 2
+
+
+def test_the_family_is_known_also_where_a_user_built_on_it() -> None:
+    wago = load_profile("wago-750")
+    assert is_wago(wago)
+    assert is_wago(msgspec.structs.replace(wago, name="wago-750-line7"))
+    assert not is_wago(load_profile("idec-ft1a-touch"))
+
+
+def test_memory_is_bounded() -> None:
+    rules = WagoRules()
+    for number in range(MAX_KEPT + 10):
+        one = msgspec.structs.replace(failed(), destination=f"10.1.{number}:502")
+        assert not [*rules.transaction(one)]
+    assert len(rules._couplers) == MAX_KEPT

@@ -1,0 +1,153 @@
+"""Which profile explains a slave."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mbtool.devices import builtin_profiles, load_profile
+from mbtool.devices.matching import Match, Verdict, match, model_function, models_of
+from mbtool.devices.seen import Seen
+from mbtool.modbus import mbap_adu, rtu_adu
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.transaction import Outcome, Transaction
+from tests.devices.transactions import transaction
+
+PROFILES = [load_profile(name) for name in builtin_profiles()]
+MODELS = [profile for profile in PROFILES if profile.model_code is not None]
+
+
+def on_tcp(function: int, address: int | None = None, **fields: Any) -> Transaction:
+    ends = {"destination": "192.168.3.250:502", "transport": Transport.TCP, "unit": 0}
+    return transaction(function, address, **{**ends, **fields})
+
+
+def model_answer(code: int) -> Transaction:
+    return on_tcp(0x42, response_raw=mbap_adu(0, 0, b"\x42" + code.to_bytes(2)))
+
+
+def verdict(*transactions: Transaction) -> Verdict:
+    seen = Seen("line", transactions[0].destination, transactions[0].unit)
+    for one in transactions:
+        seen.note(one)
+    return match(seen, PROFILES)
+
+
+def best(found: Verdict) -> list[str]:
+    return [one.profile for one in found.best]
+
+
+def of(found: Verdict, name: str) -> Match:
+    return next(one for one in found.matches if one.profile == name)
+
+
+@pytest.mark.parametrize("profile", MODELS, ids=lambda profile: profile.name)
+def test_a_model_code_decides(profile: Any) -> None:
+    assert profile.model_code is not None
+    found = verdict(model_answer(profile.model_code), on_tcp(3, 0x0102, response_values=[0]))
+    assert best(found) == [profile.name]
+    assert found.matches[0].score == 100
+    assert f"42H was answered {profile.model_code:04X}H, its model code" in (
+        found.matches[0].reasons
+    )
+    others = [of(found, one.name) for one in MODELS if one is not profile]
+    assert [one.score for one in others] == [0] * len(others)
+    assert all("and its model code is" in one.against[0] for one in others)
+
+
+def test_models_without_a_code_are_told_apart_by_their_addresses() -> None:
+    analog = verdict(on_tcp(3, 0x0102, response_values=[0]), on_tcp(4, 2, response_values=[1]))
+    assert set(best(analog)) <= {"fa3-at1m8x", "fa3-at1m8y"}
+    outputs = verdict(on_tcp(15, 0x10, quantity=16, request_values=[1] * 16))
+    inputs = verdict(on_tcp(2, 0, quantity=16, response_values=[0] * 16))
+    assert not set(best(outputs)) & set(best(inputs))
+
+
+def test_what_nothing_confirms_is_told_so() -> None:
+    reads = [on_tcp(4, at, quantity=2, response_values=[1, 2]) for at in range(2, 9)]
+    found = verdict(*reads, on_tcp(2, 0x10, quantity=8, response_values=[1] * 8))
+    assert len(found.best) == 1
+    assert found.sentence == (
+        f"explained best by {best(found)[0]}, though no refusal, model code or name confirms it"
+    )
+    refused = on_tcp(3, 0x10, quantity=2, exception=2, outcome=Outcome.EXCEPTION)
+    assert "confirms" not in verdict(*reads, refused).sentence
+
+
+def test_a_tie_is_told_as_a_tie() -> None:
+    found = verdict(transaction(3, 5, quantity=1, response_values=[1]))
+    assert len(found.best) > 1
+    assert found.sentence == (
+        f"a tie of {' and '.join(best(found))}: nothing in one request tells them apart"
+    )
+
+
+def test_a_refusal_that_the_manual_wants_speaks_for_it() -> None:
+    found = verdict(
+        transaction(3, 0, quantity=4, response_values=[1, 2, 3, 4]),
+        transaction(15, 0, quantity=1, exception=1, outcome=Outcome.EXCEPTION),
+    )
+    assert best(found) == ["idec-ft1a-touch"]
+    assert "0F C1 refused, as it has no function 0F" in of(found, "idec-ft1a-touch").reasons
+
+
+def test_an_answer_that_the_manual_does_not_know_speaks_against_it() -> None:
+    found = verdict(transaction(3, 60_000, quantity=1, response_values=[1]))
+    touch = of(found, "idec-ft1a-touch")
+    assert (touch.explained, touch.contradicted) == (0, 1)
+    assert touch.against == ("03 HR460001 answered, though it is outside its areas",)
+
+
+def test_an_exception_that_no_manual_has_speaks_against_it() -> None:
+    busy = transaction(3, 0, quantity=1, exception=0x55, outcome=Outcome.EXCEPTION)
+    found = verdict(busy, transaction(3, 1, quantity=1, response_values=[1]))
+    assert "exception 55 is none of its manual's" in of(found, "idec-ft1a-touch").against
+
+
+def test_a_device_of_another_line_is_none_and_one_behind_a_gateway_may_be() -> None:
+    on_line = verdict(transaction(3, 0, quantity=1, response_values=[1]))
+    assert not of(on_line, "fa3-at1m8x").is_plausible
+    reads = [on_tcp(3, at, quantity=1, response_values=[1]) for at in range(4_000, 4_040)]
+    behind = of(verdict(*reads), "idec-ft1a-touch")
+    assert behind.is_plausible
+    assert "only behind a gateway" in behind.against[0]
+
+
+def test_its_own_words_speak_for_a_profile() -> None:
+    pdu = bytes.fromhex("2b 0e 01 01 00 00 01 00 04") + b"WAGO"
+    named = on_tcp(0x2B, response_raw=mbap_adu(1, 0, pdu))
+    found = verdict(named, on_tcp(3, 0, quantity=1, response_values=[1]))
+    assert found.matches[0].profile == "wago-750"
+    assert "it says of itself: vendor 'WAGO'" in found.matches[0].reasons
+
+
+def test_silence_says_nothing() -> None:
+    found = verdict(transaction(3, 0, quantity=1, outcome=Outcome.NO_ANSWER))
+    assert found.sentence == "never answered, so nothing tells what it is"
+    assert {one.score for one in found.matches} == {0}
+
+
+def test_what_no_profile_explains_is_told() -> None:
+    found = verdict(transaction(0x65, response_raw=rtu_adu(1, b"\x65\x00")))
+    assert found.sentence == "none of the profiles explains it"
+    assert not found.best
+
+
+def test_scores_are_between_0_and_100_and_fall() -> None:
+    found = verdict(
+        transaction(3, 0, quantity=4, response_values=[1, 2, 3, 4]),
+        transaction(1, 0, quantity=200, response_values=[1] * 200),
+        transaction(16, 0, quantity=2, request_values=[1, 2]),
+    )
+    assert all(0 <= one.score <= 100 for one in found.matches)
+    assert [one.rank for one in found.matches] == sorted(
+        (one.rank for one in found.matches), reverse=True
+    )
+
+
+def test_the_models_of_all_profiles_are_found_by_their_codes() -> None:
+    models = models_of(PROFILES)
+    assert {code for function, code in models} == {0x13, 0x14, 0x15, 0x16, 0x17}
+    assert {function for function, code in models} == {0x42}
+    assert model_function(load_profile("idec-ft1a-touch")) is None

@@ -1,0 +1,78 @@
+/* libmodbus as a master:  libmodbus_master tcp PORT UNIT | libmodbus_master rtu PATH BAUD UNIT
+ *
+ * Each line of its input is a request, decimal:  CODE ADDRESS QUANTITY  for functions 1 to 4,
+ * CODE ADDRESS VALUE...  for 5, 6, 15 and 16. It says  ok VALUE...  or  exception CODE.
+ */
+
+#include <errno.h>
+#include <modbus.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { MAX = 2000 };
+
+static int say(int count, const uint8_t *bits, const uint16_t *words)
+{
+    if (count < 0) {
+        int code = errno - MODBUS_ENOBASE;
+        if (code < 1 || code > 11) {
+            fprintf(stderr, "%s\n", modbus_strerror(errno));
+            return 1;
+        }
+        printf("exception %d\n", code);
+    } else {
+        printf("ok");
+        for (int i = 0; (bits || words) && i < count; i++)
+            printf(" %d", bits ? bits[i] : words[i]);
+        printf("\n");
+    }
+    fflush(stdout);
+    return 0;
+}
+
+int main(int argc, char **argv)
+{
+    static uint8_t bits[MAX];
+    static uint16_t words[MAX];
+    static char line[16 * MAX];
+    if (argc < 4)
+        return 2;
+    int is_tcp = strcmp(argv[1], "tcp") == 0;
+    modbus_t *master = is_tcp ? modbus_new_tcp("127.0.0.1", atoi(argv[2]))
+                              : modbus_new_rtu(argv[2], atoi(argv[3]), 'N', 8, 1);
+    if (master == NULL || modbus_set_slave(master, atoi(argv[is_tcp ? 3 : 4])) < 0)
+        return 2;
+    modbus_set_response_timeout(master, 20, 0);
+    if (modbus_connect(master) < 0) {
+        fprintf(stderr, "%s\n", modbus_strerror(errno));
+        return 2;
+    }
+    while (fgets(line, sizeof line, stdin)) {
+        int numbers[MAX + 2], count = 0, failed = 0;
+        for (char *word = strtok(line, " \n"); word && count < MAX; word = strtok(NULL, " \n"))
+            numbers[count++] = atoi(word);
+        if (count < 3)
+            return 2;
+        int address = numbers[1], quantity = numbers[2];
+        for (int i = 2; i < count; i++) {
+            bits[i - 2] = (uint8_t)numbers[i];
+            words[i - 2] = (uint16_t)numbers[i];
+        }
+        switch (numbers[0]) {
+        case 1: failed = say(modbus_read_bits(master, address, quantity, bits), bits, NULL); break;
+        case 2: failed = say(modbus_read_input_bits(master, address, quantity, bits), bits, NULL); break;
+        case 3: failed = say(modbus_read_registers(master, address, quantity, words), NULL, words); break;
+        case 4: failed = say(modbus_read_input_registers(master, address, quantity, words), NULL, words); break;
+        case 5: failed = say(modbus_write_bit(master, address, bits[0]), NULL, NULL); break;
+        case 6: failed = say(modbus_write_register(master, address, words[0]), NULL, NULL); break;
+        case 15: failed = say(modbus_write_bits(master, address, count - 2, bits), NULL, NULL); break;
+        case 16: failed = say(modbus_write_registers(master, address, count - 2, words), NULL, NULL); break;
+        default: return 2;
+        }
+        if (failed)
+            return failed;
+    }
+    return 0;
+}

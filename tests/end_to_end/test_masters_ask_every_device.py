@@ -1,0 +1,290 @@
+"""Independent masters ask every built-in device, over every transport that both of them have.
+
+What a master makes of an answer must be what the device's image says. docs/slave.md has the table.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+from pymodbus import FramerType
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.pdu.file_message import ReadFifoQueueRequest
+
+from mbtool.core import Endpoint, SerialFormat, SerialLink, TcpLink
+from mbtool.devices import builtin_profiles, load_profile
+from mbtool.modbus import FUNCTIONS, Transport
+from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave, units_on
+from mbtool.sources.virtual_line import VirtualLine
+from tests.end_to_end.programs import PATIENCE_S, required
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.devices import Area, Profile
+    from mbtool.modbus import Table
+
+UNIT = 5
+READS = (1, 2, 3, 4)
+WRITES = ((5, 1), (6, 1), (15, 11), (16, 3))
+"""Functions that write, and how many values each gets."""
+MOST = 11
+SETTLED = 16
+"""An area of fewer addresses may be settings, which need not read back as they were written."""
+
+MBPOLL_TABLES = {1: "0", 2: "1", 4: "3", 3: "4", 5: "0", 15: "0", 6: "4", 16: "4"}
+MBPOLL_REFUSALS = {"Illegal function": 1, "Illegal data address": 2, "Illegal data value": 3}
+
+Reply = tuple[str, list[int]]
+"""ok and the values that were read, or exception and its code."""
+
+
+class Master(Protocol):
+    def ask(self, code: int, address: int, values: Sequence[int]) -> Reply:
+        """Read (the one value is the quantity) or write."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a device answers, for a master of another make."""
+
+    transport: Transport
+    port: int = 0
+    path: str = ""
+
+
+def _devices() -> list[tuple[str, Transport]]:
+    return [
+        (name, transport)
+        for name in builtin_profiles()
+        for transport in load_profile(name).transports
+    ]
+
+
+@pytest.mark.parametrize(("name", "transport"), _devices())
+def test_pymodbus_agrees(name: str, transport: Transport) -> None:
+    with _slave(name, transport) as (device, place), _pymodbus(place) as client:
+        master = _Pymodbus(client)
+        _ask_all(device, load_profile(name), master)
+        fifo = client.execute(False, ReadFifoQueueRequest(address=0, dev_id=UNIT))
+        assert fifo.exception_code == load_profile(name).exceptions.function
+
+
+@pytest.mark.peers
+@pytest.mark.parametrize(
+    ("name", "transport"), [each for each in _devices() if each[1] is not Transport.ASCII]
+)
+def test_libmodbus_agrees(name: str, transport: Transport, tmp_path: Path) -> None:
+    program = _libmodbus(tmp_path)
+    with _slave(name, transport) as (device, place):
+        to = ["tcp", str(place.port)] if place.port else ["rtu", place.path, "115200"]
+        with subprocess.Popen(
+            [program, *to, str(UNIT)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as child:
+            _ask_all(device, load_profile(name), _Libmodbus(child))
+            assert child.stdin is not None
+            child.stdin.close()
+
+
+@pytest.mark.peers
+@pytest.mark.parametrize(
+    ("name", "transport"), [each for each in _devices() if each[1] is not Transport.ASCII]
+)
+def test_mbpoll_agrees(name: str, transport: Transport) -> None:
+    mbpoll = required("mbpoll", "mbpoll")
+    with _slave(name, transport) as (device, place):
+        _ask_all(device, load_profile(name), _Mbpoll(mbpoll, place))
+
+
+def _ask_all(device: DeviceResponder, profile: Profile, master: Master) -> None:
+    """Read the ends of each area, write and read back, and go beyond its end."""
+    asked = 0
+    for area in profile.areas:
+        reads = [code for code in READS if _table(code) is area.table and profile.rule(code)]
+        for code in reads if area.access.allows(writing=False) else ():
+            for address, quantity in _ends(area, profile, code):
+                assert master.ask(code, address, [quantity]) == _own(
+                    device, code, address, quantity
+                )
+                asked += 1
+        if area.access.allows(writing=True) and area.last - area.first >= SETTLED:
+            asked += _write_all(device, profile, master, area)
+        beyond = area.last + 1
+        if reads and not profile.allows(area.table, range(beyond, beyond + 1)):
+            refused = ("exception", [profile.exceptions.address])
+            assert master.ask(reads[0], beyond, [1]) == refused
+            asked += 1
+    assert asked >= len(profile.areas)
+
+
+def _write_all(device: DeviceResponder, profile: Profile, master: Master, area: Area) -> int:
+    asked = 0
+    for code, most in WRITES:
+        rule = profile.rule(code)
+        if rule is None or _table(code) is not area.table:
+            continue
+        count = min(most, rule.limit or most)
+        for first in (area.first, area.last - count + 1):
+            values = [
+                (first * 3 + at) % (2 if area.table.is_bits else 0x8000) for at in range(count)
+            ]
+            assert master.ask(code, first, values) == ("ok", [])
+            if area.access.allows(writing=False):
+                assert device.image.get(area.table, first, count) == values
+            asked += 1
+    return asked
+
+
+def _ends(area: Area, profile: Profile, code: int) -> set[tuple[int, int]]:
+    rule = profile.rule(code)
+    assert rule is not None
+    quantity = min(area.last - area.first + 1, MOST, rule.limit or MOST)
+    return {(area.first, quantity), (area.last - quantity + 1, quantity)}
+
+
+def _own(device: DeviceResponder, code: int, address: int, quantity: int) -> Reply:
+    table = _table(code)
+    pdu = bytes([code]) + address.to_bytes(2, "big") + quantity.to_bytes(2, "big")
+    answer = device.respond(UNIT, pdu, 0)
+    assert answer is not None
+    data = answer.pdu[2:]
+    if answer.pdu[0] & 0x80:
+        return "exception", [answer.pdu[1]]
+    if table.is_bits:
+        return "ok", [data[at // 8] >> at % 8 & 1 for at in range(quantity)]
+    return "ok", [int.from_bytes(data[at : at + 2], "big") for at in range(0, 2 * quantity, 2)]
+
+
+def _table(code: int) -> Table:
+    table = FUNCTIONS[code].table
+    assert table is not None
+    return table
+
+
+@contextmanager
+def _slave(name: str, transport: Transport) -> Iterator[tuple[DeviceResponder, Place]]:
+    profile = load_profile(name).in_mode(transport)
+    device = DeviceResponder(profile, RegisterImage.of(profile))
+    for area in profile.areas:
+        for address in {*range(area.first, area.first + MOST), *range(area.last - 9, area.last)}:
+            value = (address * 31 + 7) % (2 if area.table.is_bits else 0x8000)
+            device.image.set(area.table, max(address, 0), [value])
+    if transport is Transport.TCP:
+        link = TcpLink(Endpoint("127.0.0.1", 0))
+        units = units_on(link, profile, UNIT, device)
+        with TcpSlave(link, units, rules=device.behaviour.rules) as tcp:
+            yield device, Place(transport, port=tcp.endpoint.port)
+        return
+    line = SerialFormat(115200, 8, "N", 1)
+    with VirtualLine(ends=2, format=line) as virtual:
+        serial = SerialLink(virtual.ports[0], line, ascii=transport is Transport.ASCII)
+        with SerialSlave(serial, units_on(serial, profile, UNIT, device)):
+            yield device, Place(transport, path=virtual.ports[1])
+
+
+@contextmanager
+def _pymodbus(place: Place) -> Iterator[Any]:
+    client: Any
+    if place.port:
+        client = ModbusTcpClient("127.0.0.1", port=place.port, timeout=PATIENCE_S, retries=0)
+    else:
+        framer = FramerType.ASCII if place.transport is Transport.ASCII else FramerType.RTU
+        client = ModbusSerialClient(
+            place.path, framer=framer, baudrate=115200, timeout=PATIENCE_S, retries=0
+        )
+    assert client.connect()
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+class _Pymodbus:
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def ask(self, code: int, address: int, values: Sequence[int]) -> Reply:
+        client, to = self._client, {"device_id": UNIT}
+        match code:
+            case 1:
+                reply = client.read_coils(address, count=values[0], **to)
+            case 2:
+                reply = client.read_discrete_inputs(address, count=values[0], **to)
+            case 3:
+                reply = client.read_holding_registers(address, count=values[0], **to)
+            case 4:
+                reply = client.read_input_registers(address, count=values[0], **to)
+            case 5:
+                reply = client.write_coil(address, bool(values[0]), **to)
+            case 6:
+                reply = client.write_register(address, values[0], **to)
+            case 15:
+                reply = client.write_coils(address, [bool(one) for one in values], **to)
+            case _:
+                reply = client.write_registers(address, list(values), **to)
+        if reply.isError():
+            return "exception", [reply.exception_code]
+        if code not in READS:
+            return "ok", []
+        return "ok", [int(one) for one in (reply.bits if code < 3 else reply.registers)][
+            : values[0]
+        ]
+
+
+class _Libmodbus:
+    def __init__(self, child: subprocess.Popen[str]) -> None:
+        self._child = child
+
+    def ask(self, code: int, address: int, values: Sequence[int]) -> Reply:
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._child.stdin.write(f"{code} {address} {' '.join(map(str, values))}\n")
+        self._child.stdin.flush()
+        word, *numbers = self._child.stdout.readline().split()
+        return word, [int(each) for each in numbers]
+
+
+class _Mbpoll:
+    """One process for each request."""
+
+    def __init__(self, program: str, place: Place) -> None:
+        if place.port:
+            self._command = [program, "-m", "tcp", "-p", str(place.port), "-a", str(UNIT)]
+            self._to = "127.0.0.1"
+        else:
+            self._command = [program, "-m", "rtu", "-b", "115200", "-P", "none", "-a", str(UNIT)]
+            self._to = place.path
+
+    def ask(self, code: int, address: int, values: Sequence[int]) -> Reply:
+        table = ["-0", "-1", "-o", "10", "-t", MBPOLL_TABLES[code], "-r", str(address)]
+        count = ["-c", str(values[0])] if code in READS else []
+        written = [] if code in READS else [str(each) for each in values]
+        command = [*self._command, *table, *count, self._to, *written]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        )
+        for reason, exception in MBPOLL_REFUSALS.items():
+            if reason in done.stderr + done.stdout:
+                return "exception", [exception]
+        assert done.returncode == 0, done.stderr
+        return "ok", [int(each) for each in re.findall(r"^\[\d+\]:\s+(\d+)", done.stdout, re.M)]
+
+
+def _libmodbus(folder: Path) -> str:
+    compiler, finder = required("gcc", "gcc"), required("pkg-config", "pkg-config")
+    found = subprocess.run(
+        [finder, "--cflags", "--libs", "libmodbus"], capture_output=True, text=True, check=False
+    )
+    if found.returncode:
+        pytest.skip("needs libmodbus: apt install libmodbus-dev")
+    source, program = Path(__file__).with_name("libmodbus_master.c"), folder / "libmodbus_master"
+    flags = ["-Wall", "-Wextra", "-Werror", *shlex.split(found.stdout)]
+    subprocess.run([compiler, source, "-o", program, *flags], check=True)
+    return str(program)

@@ -1,0 +1,86 @@
+"""What a device says about itself."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.modbus import Transport, mbap_adu, rtu_adu
+from mbtool.modbus.identification import Identity, identities, text_of
+from tests.devices.transactions import transaction
+
+# MODBUS Application Protocol V1.1b3, 6.21: the example's first answer.
+OBJECTS = bytes.fromhex(
+    "2b 0e 01 01 00 00 03"  # read code 1, conformity 1, no more follows, next 0, three objects
+    "00 16"
+) + b"Company identification" + bytes.fromhex("01 0d") + b"Product code " + bytes.fromhex(
+    "02 05"
+) + b"V2.11"  # fmt: skip
+
+
+def said(pdu: bytes, transport: Transport = Transport.RTU) -> list[Identity]:
+    raw = mbap_adu(1, 5, pdu) if transport is Transport.TCP else rtu_adu(5, pdu)
+    return identities(transaction(pdu[0] & 0x7F, transport=transport, response_raw=raw))
+
+
+@pytest.mark.parametrize("transport", [Transport.RTU, Transport.TCP])
+def test_objects_of_2b_have_the_names_of_the_standard(transport: Transport) -> None:
+    assert said(OBJECTS, transport) == [
+        Identity("vendor", "Company identification", 0),
+        Identity("product code", "Product code", 1),
+        Identity("revision", "V2.11", 2),
+    ]
+
+
+def test_an_object_of_the_makers_own_is_called_by_its_id() -> None:
+    pdu = bytes.fromhex("2b 0e 03 83 00 00 01 80 02 41 01")
+    assert said(pdu) == [Identity("object 80H", "A\\x01", 0x80)]
+
+
+def test_of_objects_that_are_cut_the_whole_ones_count() -> None:
+    assert said(OBJECTS[:-2]) == [
+        Identity("vendor", "Company identification", 0),
+        Identity("product code", "Product code", 1),
+    ]
+
+
+def test_a_server_id_has_its_run_indicator_and_text() -> None:
+    assert said(bytes.fromhex("11 09 1a ff") + b"Touch 1") == [
+        Identity("server id", "1a"),
+        Identity("run indicator", "on"),
+        Identity("additional data", "Touch 1"),
+    ]
+
+
+def test_a_server_id_may_be_a_text_before_the_run_indicator() -> None:
+    assert said(bytes.fromhex("11 06") + b"PLC-1\x00") == [
+        Identity("server id", "PLC-1"),
+        Identity("run indicator", "off"),
+    ]
+
+
+def test_a_server_id_without_run_indicator_is_one_thing() -> None:
+    assert said(bytes.fromhex("11 02 01 02")) == [Identity("server id", "01 02")]
+
+
+@pytest.mark.parametrize("pdu", ["91 01", "11 00", "2b 0d 01 02", "ab 01", "03 02 00 01"])
+def test_other_answers_say_nothing(pdu: str) -> None:
+    assert said(bytes.fromhex(pdu)) == []
+
+
+def test_an_exception_and_no_answer_say_nothing() -> None:
+    assert identities(transaction(0x2B)) == []
+    raw = rtu_adu(5, b"\xab\x01")
+    assert identities(transaction(0x2B, exception=1, response_raw=raw)) == []
+
+
+@given(st.sampled_from([0x11, 0x2B]), st.sampled_from(list(Transport)), st.binary(max_size=300))
+def test_no_answer_makes_it_raise(function: int, transport: Transport, raw: bytes) -> None:
+    for one in identities(transaction(function, transport=transport, response_raw=raw)):
+        assert one.text.isascii()
+        assert one.text.isprintable()
+
+
+def test_a_text_keeps_to_printable_ascii() -> None:
+    assert text_of(b"Caf\xe9 \x1b[0m \x00\x00") == "Caf\\xe9 \\x1b[0m"

@@ -1,0 +1,111 @@
+"""What a behaviour may change, seen through the responder."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.devices import Access, Area, FunctionRule, Profile
+from mbtool.modbus import Table, Transport
+from mbtool.slave.behaviour import Behaviour
+from mbtool.slave.image import RegisterImage
+from mbtool.slave.responder import DeviceResponder
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pytest
+
+    from mbtool.modbus import Reach
+
+HOLDING = Table.HOLDING_REGISTERS
+
+
+def _profile(*areas: tuple[int, int, Access], behaviour: str | None = None) -> Profile:
+    return Profile(
+        name="own",
+        title="Own",
+        vendor="Own",
+        transports=[Transport.TCP],
+        source="none",
+        areas=[
+            Area(name=f"area {access}", table=HOLDING, first=first, last=last, access=access)
+            for first, last, access in areas
+        ],
+        functions={code: FunctionRule() for code in ("03", "06", "10", "16")},
+        behaviour=behaviour,
+    )
+
+
+def _ask(device: DeviceResponder, request: str, now_ns: int = 0) -> str:
+    answer = device.respond(1, bytes.fromhex(request), now_ns)
+    assert answer is not None
+    return answer.pdu.hex(" ")
+
+
+def test_without_behaviour_of_its_own_a_device_keeps_and_puts_out_nothing() -> None:
+    plain = Behaviour(_profile((0, 9, Access.READ_WRITE)), RegisterImage())
+    assert (plain.kept, plain.rules, plain.outputs(), dict(plain.own)) == ((), None, (), {})
+
+
+def test_what_is_written_where_something_else_is_read_does_not_show_there() -> None:
+    profile = _profile((0, 9, Access.READ), (0, 4, Access.WRITE), (20, 29, Access.READ_WRITE))
+    device = DeviceResponder(profile, RegisterImage())
+    device.image.set(HOLDING, 0, [1, 2, 3])
+    assert _ask(device, "06 0000 AAAA") == "06 00 00 aa aa"
+    assert _ask(device, "10 0001 0002 04 AAAA BBBB") == "10 00 01 00 02"
+    assert _ask(device, "03 0000 0003") == "03 06 00 01 00 02 00 03"
+    assert _ask(device, "06 0014 AAAA") == "06 00 14 aa aa"
+    assert _ask(device, "03 0014 0001") == "03 02 aa aa"
+    assert _ask(device, "06 0005 AAAA") == "86 02"
+
+
+class _Moody(Behaviour):
+    """Refuses writes of address 1, and shows the time at address 2."""
+
+    def refusal(
+        self, function: int, reach: Reach, values: Sequence[int], now_ns: int
+    ) -> int | None:
+        return 4 if 1 in reach.writes else None
+
+    def is_live(self, table: Table, span: range) -> bool:
+        return 2 in span
+
+    def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
+        return [
+            now_ns if address == 2 else value for address, value in zip(span, values, strict=True)
+        ]
+
+
+def test_a_behaviour_refuses_after_all_other_checks_and_shows_what_it_likes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mbtool.slave.behaviours.BEHAVIOURS", {"moody": _Moody})
+    profile = _profile((0, 9, Access.READ_WRITE), behaviour="moody")
+    device = DeviceResponder(profile, RegisterImage())
+    assert _ask(device, "06 0001 0007") == "86 04"
+    assert device.image.get(HOLDING, 1) == [0]
+    assert _ask(device, "10 0001 000A 14" + 10 * "0000") == "90 02"
+    for now_ns in (5, 6):
+        assert _ask(device, "03 0001 0002", now_ns) == f"03 04 00 00 00 {now_ns:02x}"
+
+
+class _Apart(Behaviour):
+    """Writes go to a place 16 addresses higher."""
+
+    def standing(self, table: Table, span: range) -> list[int]:
+        return self.image.get(table, span.start + 16, len(span))
+
+    def store(self, table: Table, span: range, values: Sequence[int]) -> None:
+        self.image.set(table, span.start + 16, values)
+
+
+def test_a_behaviour_says_where_writes_go_and_what_a_mask_leaves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mbtool.slave.behaviours.BEHAVIOURS", {"apart": _Apart})
+    profile = _profile((0, 31, Access.READ_WRITE), behaviour="apart")
+    device = DeviceResponder(profile, RegisterImage())
+    assert _ask(device, "06 0001 1234") == "06 00 01 12 34"
+    assert _ask(device, "16 0001 FF00 0055") == "16 00 01 ff 00 00 55"
+    assert device.image.get(HOLDING, 1) == [0]
+    assert device.image.get(HOLDING, 17) == [0x1255]

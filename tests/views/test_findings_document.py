@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import jsonschema
+import pytest
+
+from mbtool.devices.checking.finding import Finding
+from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
+
+NOON_NS = 1_767_268_800_123_456_789
+"""2026-01-01 12:00 UTC and a little."""
+
+FULL = Finding(
+    code="FT1A-Q16",
+    message="limit is 100",
+    ts_ns=NOON_NS,
+    link="10.0.0.2",
+    source="10.0.0.1:5",
+    destination="10.0.0.2:502",
+    unit=1,
+    function=16,
+    reference="HR400001..400110",
+    device="idec-ft1a-touch",
+    count=3,
+)
+BARE = Finding(code="RTU-202", message="3 bytes", ts_ns=0, link="rs485")
+
+# What of the schema of SARIF 2.1.0 concerns a log like these: required properties, no others than
+# it knows, its enumerations.
+_TEXT = {"type": "object", "required": ["text"], "properties": {"text": {"type": "string"}}}
+_LEVEL = {"enum": ["none", "note", "warning", "error"]}
+_URI = {"type": "string", "pattern": r"^[A-Za-z0-9._~:/?#\[\]@!$&'()*+,;=%-]+$"}
+
+
+def _object(required: list[str], **properties: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "required": required,
+        "properties": {**properties, "properties": {"type": "object"}},
+    }
+
+
+SARIF = _object(
+    ["version", "runs"],
+    **{
+        "$schema": {"type": "string", "format": "uri"},
+        "version": {"const": "2.1.0"},
+        "runs": {
+            "type": "array",
+            "items": _object(
+                ["tool", "results"],
+                columnKind={"enum": ["utf16CodeUnits", "unicodeCodePoints"]},
+                tool=_object(
+                    ["driver"],
+                    driver=_object(
+                        ["name"],
+                        name={"type": "string"},
+                        version={"type": "string"},
+                        rules={
+                            "type": "array",
+                            "uniqueItems": True,
+                            "items": _object(
+                                ["id"],
+                                id={"type": "string"},
+                                shortDescription=_TEXT,
+                                help=_TEXT,
+                                defaultConfiguration=_object([], level=_LEVEL),
+                            ),
+                        },
+                    ),
+                ),
+                results={
+                    "type": "array",
+                    "items": _object(
+                        ["message"],
+                        ruleId={"type": "string"},
+                        ruleIndex={"type": "integer", "minimum": -1},
+                        level=_LEVEL,
+                        message=_TEXT,
+                        occurrenceCount={"type": "integer", "minimum": 1},
+                        locations={
+                            "type": "array",
+                            "items": _object(
+                                [],
+                                physicalLocation=_object(
+                                    ["artifactLocation"], artifactLocation=_object([], uri=_URI)
+                                ),
+                                logicalLocations={
+                                    "type": "array",
+                                    "uniqueItems": True,
+                                    "items": _object(
+                                        [],
+                                        name={"type": "string"},
+                                        fullyQualifiedName={"type": "string"},
+                                        kind={"type": "string"},
+                                    ),
+                                },
+                            ),
+                        },
+                    ),
+                },
+            ),
+        },
+    },
+)
+
+
+def written(document: Document, *findings: Finding, place: str = "plant.pcap") -> Any:
+    text = document.begin() + "".join(document.add(one, place) for one in findings)
+    return json.loads(text + document.end(42))
+
+
+def test_json_is_one_object_with_all_that_a_finding_says() -> None:
+    document = written(JsonDocument("1.2"), FULL, BARE, BARE)
+    assert (document["version"], document["transactions"]) == ("1.2", 42)
+    full, bare, _ = document["findings"]
+    assert full == {
+        "code": "FT1A-Q16",
+        "severity": "error",
+        "message": "limit is 100",
+        "ts_ns": NOON_NS,
+        "time": "2026-01-01T12:00:00.123456Z",
+        "link": "10.0.0.2",
+        "source": "10.0.0.1:5",
+        "destination": "10.0.0.2:502",
+        "unit": 1,
+        "function": 16,
+        "reference": "HR400001..400110",
+        "device": "idec-ft1a-touch",
+        "count": 3,
+        "file": "plant.pcap",
+    }
+    assert set(bare) == {"code", "severity", "message", "ts_ns", "time", "link", "count", "file"}
+    assert set(document["rules"]) == {"FT1A-Q16", "RTU-202"}
+    assert document["rules"]["RTU-202"]["meaning"] == "Bytes on the line are no frame."
+
+
+def test_sarif_is_a_run_of_the_schema() -> None:
+    document = written(SarifDocument("1.2"), FULL, BARE, FULL)
+    jsonschema.validate(document, SARIF)
+    (run,) = document["runs"]
+    assert run["properties"] == {"transactions": 42}
+    assert [one["id"] for one in run["tool"]["driver"]["rules"]] == ["FT1A-Q16", "RTU-202"]
+    assert [one["ruleIndex"] for one in run["results"]] == [0, 1, 0]
+    first = run["results"][0]
+    assert (first["ruleId"], first["level"], first["occurrenceCount"]) == ("FT1A-Q16", "error", 3)
+    (location,) = first["locations"]
+    assert location["physicalLocation"]["artifactLocation"]["uri"] == "plant.pcap"
+    (logical,) = location["logicalLocations"]
+    assert logical["fullyQualifiedName"] == "10.0.0.2/unit 1/HR400001..400110"
+
+
+@pytest.mark.parametrize("document", [JsonDocument, SarifDocument])
+def test_a_document_without_findings_is_whole(document: type[Document]) -> None:
+    empty = written(document("1"))  # type: ignore[call-arg]
+    assert empty.get("findings", empty.get("runs", [{}])[0].get("results")) == []
+
+
+def test_names_that_no_uri_and_no_text_can_have_are_written_all_the_same() -> None:
+    for place in ("a b/#1.pcap", "C:\\x.pcap", "bad\udce9.pcap", "-"):
+        jsonschema.validate(written(SarifDocument("1"), BARE, place=place), SARIF)
+        written(JsonDocument("1"), BARE, place=place)
+
+
+def test_a_time_that_no_calendar_has_is_left_out() -> None:
+    odd = Finding(code="MB-401", message="x", ts_ns=10**30, link="x")
+    (finding,) = written(JsonDocument("1"), odd)["findings"]
+    assert "time" not in finding
+    assert finding["ts_ns"] == 10**30

@@ -1,0 +1,86 @@
+"""Exchanges of a slave as transactions, and its outputs."""
+
+from __future__ import annotations
+
+from mbtool.core import Direction, parse_link
+from mbtool.devices import load_profile
+from mbtool.modbus import Answer, MbapSplitter, Outcome, RtuStreamSplitter, mbap_adu, rtu_adu
+from mbtool.modbus.adu import Adu
+from mbtool.modbus.spoiling import Spoiling
+from mbtool.slave import DeviceResponder, RegisterImage
+from mbtool.workflows.exchanges import MAX_WAITING, Exchanges
+
+TOUCH = load_profile("idec-ft1a-touch")
+READ = bytes.fromhex("03 0000 0001")
+VALUE = bytes.fromhex("03 02 1234")
+
+
+def _tcp() -> Exchanges:
+    return Exchanges(TOUCH, parse_link("tcp:127.0.0.1:1502"))
+
+
+def _request(unit: int = 1) -> Adu:
+    (adu,) = MbapSplitter(Direction.REQUEST).feed(mbap_adu(7, unit, READ), 1_000)
+    assert isinstance(adu, Adu)
+    return adu
+
+
+def test_an_exchange_is_a_transaction_in_the_devices_words() -> None:
+    exchanges = _tcp()
+    exchanges.take(_request(), Answer(VALUE, delay_ns=5_000_000))
+    (transaction,) = exchanges.transactions()
+    assert transaction.outcome is Outcome.OK
+    assert (transaction.device, transaction.reference) == ("idec-ft1a-touch", "HR400001")
+    assert (transaction.response_values, transaction.latency_ns) == ([0x1234], 5_000_000)
+    assert transaction.response_raw == mbap_adu(7, 1, VALUE)
+    assert exchanges.profile_for(transaction) is TOUCH
+    assert exchanges.transactions() == []
+
+
+def test_silence_and_a_spoilt_answer_that_is_not_sent_are_no_answer() -> None:
+    exchanges = _tcp()
+    exchanges.take(_request(), None)
+    exchanges.take(_request(), Answer(VALUE, spoiling=Spoiling(silent=True)))
+    assert [one.outcome for one in exchanges.transactions()] == [Outcome.NO_ANSWER] * 2
+
+
+def test_a_spoilt_answer_is_shown_as_it_left() -> None:
+    exchanges = _tcp()
+    exchanges.take(_request(), Answer(VALUE, spoiling=Spoiling(cut=1, pieces=2, gap_ns=3)))
+    (transaction,) = exchanges.transactions()
+    assert transaction.response_raw == mbap_adu(7, 1, VALUE)[:-1]
+    assert transaction.response_ns == 1_003
+
+
+def test_unit_0_is_a_broadcast_on_a_line_only() -> None:
+    serial = Exchanges(TOUCH, parse_link("rtu+tcp:127.0.0.1:1502"))
+    (adu,) = RtuStreamSplitter(Direction.REQUEST).feed(rtu_adu(0, READ), 1_000)
+    assert isinstance(adu, Adu)
+    serial.take(adu, None)
+    tcp = _tcp()
+    tcp.take(_request(unit=0), None)
+    outcomes = [each.transactions()[0].outcome for each in (serial, tcp)]
+    assert outcomes == [Outcome.BROADCAST, Outcome.NO_ANSWER]
+
+
+def test_what_nobody_takes_is_bounded_and_counted() -> None:
+    exchanges = _tcp()
+    for _ in range(MAX_WAITING + 3):
+        exchanges.take(_request(), Answer(VALUE))
+    assert exchanges.missed() == 3
+    assert exchanges.missed() == 0
+    assert len(exchanges.transactions()) == MAX_WAITING
+
+
+def test_outputs_are_told_when_they_change() -> None:
+    profile = load_profile("fa3-th1m16y")
+    device = DeviceResponder(profile, RegisterImage.of(profile))
+    exchanges = Exchanges(profile, parse_link("tcp:127.0.0.1:1502"))
+    assert exchanges.changed_outputs() == []
+    exchanges.begin(device.behaviour)
+    assert device.behaviour.rules is not None
+    device.behaviour.rules.admit("127.0.0.1", 0)
+    assert exchanges.changed_outputs() == []
+    device.respond(0, bytes.fromhex("05 0003 FF00"), 0)
+    assert [(one.name, one.text) for one in exchanges.changed_outputs()] == [("Y3", "on")]
+    assert exchanges.changed_outputs() == []
