@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.modbus.pdu import parse_pdu, pdu_of
+from mbtool.modbus.pdu import parse_pdu, whole_pdu
 
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
@@ -50,13 +50,10 @@ def identities(transaction: Transaction) -> list[Identity]:
     """What the answer of a transaction says about its device; empty for every other answer."""
     if transaction.function not in (REPORT_SERVER_ID, ENCAPSULATED):
         return []
-    if transaction.response_raw is None or transaction.exception is not None:
+    if transaction.exception is not None:
         return []
-    try:
-        _, pdu = pdu_of(transaction.transport, transaction.response_raw)
-    except (IndexError, ValueError):
-        return []  # A log that others wrote may hold anything.
-    if not pdu or pdu[0] != transaction.function:
+    pdu = whole_pdu(transaction.transport, transaction.response_raw)
+    if pdu is None or pdu[0] != transaction.function:
         return []
     fields = parse_pdu(pdu, Direction.RESPONSE).fields
     if transaction.function == REPORT_SERVER_ID:

@@ -313,7 +313,9 @@ class Tiling:
         burst = self._burst(place) if self._window.silences[place] else 0
         if burst >= MIN_FRAME and crc(head[:burst]) == 0:
             for role in self._roles:
-                odd = weights.MALFORMED if frame_size(head, role) else 0.0
+                usual = frame_size(head, role)
+                is_longer = head[1:4] == _QUERY_DATA and burst > (usual or burst)
+                odd = weights.MALFORMED if usual and not is_longer else 0.0
                 cost = weights.UNKNOWN_BETWEEN_SILENCES + odd
                 if head[burst - 1] == 0:
                     cost += self._ends_in_zero(place, burst)

@@ -340,7 +340,8 @@ class Turns:
                 owed.pdu,
             )
             return (weights.LATE_ELSEWHERE if is_elsewhere else weights.LATE_ANSWER), 0.0
-        if turn.lost and (unit, pdu[0] & ~EXCEPTION_BIT) not in self._asked:
+        is_exception = pdu[0] & EXCEPTION_BIT
+        if turn.lost and is_exception and (unit, pdu[0] ^ EXCEPTION_BIT) not in self._asked:
             odd += weights.UNASKED
         if waiting is None and (turn.lost or turn.last_ns is None):
             return (weights.ANSWER_WHEN_LOST if turn.lost else weights.ANSWER_AT_START) + odd, 0.0

@@ -39,8 +39,8 @@ ANSWER_WHEN_LOST = 4.0
 ANSWER_AT_START = 6.0
 """The same as the first frame of a capture."""
 UNASKED = 4.0
-"""More for one behind damage of a function that its unit was not asked for as long as this line is
-heard: masters repeat a list."""
+"""More for an exception behind damage, to a function that its unit was not asked for as long as
+this line is heard: masters repeat a list."""
 ECHO_OF_A_READ = 16.0
 """A response of bits whose bytes are its very request: 24 bits would have to agree."""
 ECHO_OF_UNKNOWN = 4.0

@@ -649,6 +649,12 @@ def test_zero_is_the_end_of_an_unknown_form_though_its_answer_is_torn() -> None:
     assert told(events) == by_turns(request, response, *NEIGHBOURS)
 
 
+@pytest.mark.parametrize("head", ["41 0102 0304", "08 0000 6A75"])
+def test_zero_before_a_silence_is_the_end_of_an_unknown_form(head: str) -> None:
+    raw = ending_in_zero(head)
+    assert told(on_a_clean_line(raw)) == [(raw, REQUEST)]
+
+
 def test_write_behind_a_damaged_frame_is_waited_for_though_it_holds_frames() -> None:
     """Its byte count agrees with its quantity, which says more than that frames lie in it."""
     held = b"".join(NEIGHBOURS) + b"\xa5"
