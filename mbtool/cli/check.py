@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol, TextIO
 
 import typer
@@ -14,6 +13,7 @@ from mbtool.cli.options import (
     DeviceOption,
     LineOption,
     PortOption,
+    RawOption,
     RtuPortOption,
     T15Option,
     T35Option,
@@ -77,10 +77,7 @@ def check(
     each: Annotated[
         bool, typer.Option("--all", help="In a table, a line for each finding, not for each code.")
     ] = False,
-    raw: Annotated[
-        bool,
-        typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
-    ] = False,
+    raw: RawOption = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
@@ -93,45 +90,31 @@ def check(
     1 means that there are findings, 0 that there are none. docs/findings.md explains each code.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.options import assignments, file_line, silence, tcp_ports
+    from mbtool.cli.options import reading_options
     from mbtool.cli.output import (
-        STANDARD_OUTPUT,
-        STANDARD_OUTPUT_NAME,
         demand_other_file,
-        demand_standard_output,
-        open_file,
+        format_by_name,
+        named_file,
+        opened,
         told_as_lost,
     )
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError
     from mbtool.workflows.checking import Checking, Selection
-    from mbtool.workflows.reading import ReadingOptions
 
-    ports, any_port = tcp_ports(port)
-    options = ReadingOptions(
-        assignments=assignments(device),
-        ports=ports,
-        rtu_ports=rtu_port or (),
-        any_port=any_port,
-        line=file_line(link),
-        t1_5=silence("--t1-5", t1_5),
-        t3_5=silence("--t3-5", t3_5),
-        raw=raw,
+    options = reading_options(
+        device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
     )
     checking = Checking(files, options, Selection.parse(select or (), ignore or ()))
     checking.demand_selection()
     demand_other_file(files, output)
-    chosen = format_ or _format_of(output)
-    to_file = output is not None and output != STANDARD_OUTPUT
-    name = str(output) if to_file else STANDARD_OUTPUT_NAME
-    if not to_file:
-        demand_standard_output()
-    checking.reading.demand_files()
+    path = named_file(output)
+    chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
     with (
-        open_file(output if to_file else None) as file,
+        opened(path, checking.reading.demand_files) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
-        _finished(file, _printer(chosen, file, each=each), checking, name) as printer,
+        _finished(file, _printer(chosen, file, each=each), checking, path) as printer,
     ):
         for placed in interrupt.breakable(checking.findings()):
             printer.add(placed)
@@ -144,9 +127,10 @@ def check(
 
 
 @contextmanager
-def _finished(file: TextIO, printer: _Printer, checking: Checking, name: str) -> Iterator[_Printer]:
+def _finished(
+    file: TextIO, printer: _Printer, checking: Checking, path: str | None
+) -> Iterator[_Printer]:
     """A printer whose output is whole at the end, however that comes, and is talked about."""
-    from mbtool.cli.output import STANDARD_OUTPUT_NAME
     from mbtool.cli.talk import say
 
     try:
@@ -156,8 +140,7 @@ def _finished(file: TextIO, printer: _Printer, checking: Checking, name: str) ->
         file.flush()
         for remark in checking.remarks:
             say(remark)
-        where = "" if name == STANDARD_OUTPUT_NAME else f" -> {name}"
-        say(_sentence(checking) + where)
+        say(_sentence(checking) + ("" if path is None else f" -> {path}"))
 
 
 class _Printer(Protocol):
@@ -231,18 +214,3 @@ def _sentence(checking: Checking) -> str:
     findings = "1 finding" if number == 1 else f"{number} findings"
     kinds = "" if number == 1 else f" of {codes} code{'' if codes == 1 else 's'}"
     return f"{findings}{kinds} in {transactions}; docs/findings.md explains each code"
-
-
-def _format_of(path: str | None) -> CheckFormat:
-    from mbtool.cli.output import STANDARD_OUTPUT
-    from mbtool.core import UsageError
-
-    if path is None or path == STANDARD_OUTPUT:
-        return CheckFormat.TABLE
-    try:
-        return _SUFFIXES[Path(path).suffix.lower()]
-    except KeyError:
-        raise UsageError(
-            f"{path}: its name says no format; let it end in {', '.join(_SUFFIXES)}, "
-            "or add --format"
-        ) from None

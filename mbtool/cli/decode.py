@@ -16,6 +16,7 @@ from mbtool.cli.options import (
     Format,
     LineOption,
     PortOption,
+    RawOption,
     RtuPortOption,
     T15Option,
     T35Option,
@@ -68,10 +69,7 @@ def decode(
     follow: Annotated[
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
     ] = False,
-    raw: Annotated[
-        bool,
-        typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
-    ] = False,
+    raw: RawOption = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
@@ -80,28 +78,19 @@ def decode(
     events: EventsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
-    from mbtool.cli.options import assignments, condition, file_line, silence, tcp_ports
+    from mbtool.cli.options import condition, reading_options
     from mbtool.cli.output import demand_other_file, open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError, UsageError
     from mbtool.workflows.model_hints import ModelHints
-    from mbtool.workflows.reading import Reading, ReadingOptions, followed
+    from mbtool.workflows.reading import Reading, followed
 
     if follow and (raw or link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
     demand_other_file(files, output)
-    devices = assignments(device)
     wanted = condition(where)
-    ports, any_port = tcp_ports(port)
-    options = ReadingOptions(
-        assignments=devices,
-        ports=ports,
-        rtu_ports=rtu_port or (),
-        any_port=any_port,
-        line=file_line(link),
-        t1_5=silence("--t1-5", t1_5),
-        t3_5=silence("--t3-5", t3_5),
-        raw=raw,
+    options = reading_options(
+        device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
     )
     reading = Reading(files, options)
 

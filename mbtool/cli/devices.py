@@ -75,9 +75,8 @@ def _devices(
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
 ) -> None:
-    from mbtool.cli.options import file_line, tcp_ports
+    from mbtool.cli.options import reading_options
     from mbtool.core import UsageError
-    from mbtool.workflows.reading import ReadingOptions
 
     is_about_match = port or rtu_port or link or format_ is not MatchFormat.TABLE
     if matched is None:
@@ -88,10 +87,7 @@ def _devices(
         return
     if context.invoked_subcommand not in (None, _SHOW):
         raise UsageError(f"--match does not go with {context.invoked_subcommand}")
-    ports, any_port = tcp_ports(port)
-    options = ReadingOptions(
-        ports=ports, rtu_ports=rtu_port or (), any_port=any_port, line=file_line(link)
-    )
+    options = reading_options(port=port, rtu_port=rtu_port, link=link)
     if context.invoked_subcommand is None:
         _match(matched, (), options, format_)
     else:

@@ -97,10 +97,10 @@ def import_(
     that cannot be read each is told, with its row and column, and no profile is made.
     """
     from mbtool.cli.talk import say
-    from mbtool.devices.importing import WrongCellsError, import_register_list
-    from mbtool.devices.importing_addresses import Counting
-    from mbtool.devices.importing_placing import ImportOptions
-    from mbtool.devices.importing_rows import Scaling
+    from mbtool.devices.importing.addresses import Counting
+    from mbtool.devices.importing.placing import ImportOptions
+    from mbtool.devices.importing.register_list import WrongCellsError, import_register_list
+    from mbtool.devices.importing.rows import Scaling
     from mbtool.devices.starting import name_for
     from mbtool.modbus.tables import Table
 
@@ -143,31 +143,27 @@ def draft(
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
 ) -> None:
-    """Draft a profile from what a slave was seen to be asked and to answer.
+    """Draft a profile from what a slave was asked and answered.
 
     Areas, functions and exceptions are those seen. Types of registers are guessed from their
     values; each guess has its reason above it.
     """
-    from mbtool.cli.options import file_line, tcp_ports
+    from mbtool.cli.options import reading_options
     from mbtool.cli.talk import say
     from mbtool.devices import parse_who
-    from mbtool.devices.drafting import draft_profile
+    from mbtool.devices.drafting.draft import draft_profile
     from mbtool.devices.starting import name_for
-    from mbtool.workflows.reading import ReadingOptions
 
     _demand_new(output)
     who = parse_who(unit) if unit is not None else None
-    ports, any_port = tcp_ports(port)
-    options = ReadingOptions(
-        ports=ports, rtu_ports=rtu_port or (), any_port=any_port, line=file_line(link)
-    )
+    options = reading_options(port=port, rtu_port=rtu_port, link=link)
     seen = survey(file, options, who, with_values=True).only("--unit")
     name = name_for(output) if output is not None and _is_file(output) else f"unit-{seen.unit}"
     drafted = draft_profile(seen, name, _shown(file))
     _give(drafted.text, output)
     if _is_file(output):
-        count = len(drafted.profile.points)
-        say(f"unit {seen.who}: {len(drafted.profile.areas)} areas, {count} points -> {output}")
+        areas, points = len(drafted.profile.areas), len(drafted.profile.points)
+        say(f"unit {seen.unit}: {areas} areas, {points} points -> {output}")
 
 
 def export(
@@ -216,7 +212,7 @@ def survey(
 
 def _read(file: str) -> bytes:
     from mbtool.core import InputError
-    from mbtool.devices.importing import MAX_BYTES
+    from mbtool.devices.importing.register_list import MAX_BYTES
 
     try:
         if file == _STANDARD:

@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from mbtool.cli.options import DeviceOption, LineOption, PortOption, RtuPortOption, WhereOption
+from mbtool.cli.options import (
+    DeviceOption,
+    LineOption,
+    PortOption,
+    RawOption,
+    RtuPortOption,
+    WhereOption,
+)
 
 
 class DiffFormat(StrEnum):
@@ -39,10 +46,7 @@ def diff(
     format_: Annotated[
         DiffFormat, typer.Option("--format", help="How to print.")
     ] = DiffFormat.TABLE,
-    raw: Annotated[
-        bool,
-        typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
-    ] = False,
+    raw: RawOption = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
@@ -57,22 +61,13 @@ def diff(
 
     from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.options import assignments, condition, file_line, tcp_ports
+    from mbtool.cli.options import condition, reading_options
     from mbtool.cli.talk import say
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.differing import DiffOptions, compare
-    from mbtool.workflows.reading import ReadingOptions
 
-    ports, any_port = tcp_ports(port)
     options = DiffOptions(
-        reading=ReadingOptions(
-            assignments=assignments(device),
-            ports=ports,
-            rtu_ports=rtu_port or (),
-            any_port=any_port,
-            line=file_line(link),
-            raw=raw,
-        ),
+        reading=reading_options(device=device, port=port, rtu_port=rtu_port, link=link, raw=raw),
         wanted=condition(where),
         ignore=ignore or (),
         latency=latency,

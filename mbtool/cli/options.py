@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import LineSettings, Silence
     from mbtool.devices import Assignments
+    from mbtool.workflows.reading import ReadingOptions
     from mbtool.workflows.where import Where
 
 
@@ -104,6 +105,10 @@ T35Option = Annotated[
         "[default: what profile, baud rate and format say]",
     ),
 ]
+RawOption = Annotated[
+    bool,
+    typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
+]
 RemoteOption = Annotated[
     bool,
     typer.Option(
@@ -111,6 +116,32 @@ RemoteOption = Annotated[
         help="Listen also where other machines can connect; without it, on loopback only.",
     ),
 ]
+
+
+def reading_options(
+    *,
+    device: Sequence[str] | None = None,
+    port: Sequence[str] | None = None,
+    rtu_port: Sequence[int] | None = None,
+    link: str | None = None,
+    t1_5: str | None = None,
+    t3_5: str | None = None,
+    raw: bool = False,
+) -> ReadingOptions:
+    """How files are read, by the options of those names. Raises UsageError, ProfileError."""
+    from mbtool.workflows.reading import ReadingOptions
+
+    ports, any_port = tcp_ports(port)
+    return ReadingOptions(
+        assignments=assignments(device),
+        ports=ports,
+        rtu_ports=rtu_port or (),
+        any_port=any_port,
+        line=file_line(link),
+        t1_5=silence("--t1-5", t1_5),
+        t3_5=silence("--t3-5", t3_5),
+        raw=raw,
+    )
 
 
 def tcp_ports(texts: Sequence[str] | None) -> tuple[list[int], bool]:

@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.printers import printer_for
@@ -15,14 +15,16 @@ from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.workflows.decoding import Record
     from mbtool.workflows.where import Where
 
-STANDARD_OUTPUT = "-"
-STANDARD_OUTPUT_NAME = "standard output"
+_STANDARD_OUTPUT = "-"
+_STANDARD_OUTPUT_NAME = "standard output"
+
+F = TypeVar("F")
 
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
@@ -114,18 +116,12 @@ def open_output(
     older output. `is_kept` says that a log keeps the records whether they are seen or not. Raises
     UsageError, and OutputError where standard output is closed and nothing keeps the records.
     """
-    to_file = path is not None and path != STANDARD_OUTPUT
-    if to_file and os.path.isdir(str(path)):
-        raise UsageError(f"{path}: a directory; name a file in it")
-    chosen = format_ or _format_of(path)
+    path = named_file(path)
+    chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if chosen is Format.CSV and shown is not EventChoice.NONE:
         raise UsageError("--events goes with table and jsonl; a CSV row is a transaction")
-    name = path if path is not None and to_file else STANDARD_OUTPUT_NAME
-    if not to_file and not is_kept:
-        demand_standard_output()
-    demand_inputs()
-    with open_file(path if to_file else None) as file:
+    with opened(path, demand_inputs, is_kept=is_kept) as (file, name):
         with told_as_lost(name):
             printer = printer_for(chosen, file, profile_for)
         output = Output(file, name, printer, shown, wanted, limit)
@@ -139,26 +135,50 @@ def open_output(
                 say(output.sentence())
             raise
         output.finish()
-        say(f"{output.sentence()} -> {path}" if to_file else output.sentence())
+        say(output.sentence() if path is None else f"{output.sentence()} -> {path}")
 
 
-def _format_of(path: str | None) -> Format:
-    if path is None or path == STANDARD_OUTPUT:
-        return Format.TABLE
+def named_file(path: str | None) -> str | None:
+    """The file that --output names; None for standard output. Raises UsageError."""
+    if path is None or path == _STANDARD_OUTPUT:
+        return None
+    if os.path.isdir(path):
+        raise UsageError(f"{path}: a directory; name a file in it")
+    return path
+
+
+def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F:
+    """The format that a file's name says; the default for standard output. Raises UsageError."""
+    if path is None:
+        return default
     try:
-        return _SUFFIXES[Path(path).suffix.lower()]
+        return suffixes[Path(path).suffix.lower()]
     except KeyError:
         raise UsageError(
-            f"{path}: its name says no format; let it end in {', '.join(_SUFFIXES)}, "
-            "or add --format"
+            f"{path}: its name says no format; let it end in {', '.join(suffixes)}, or add --format"
         ) from None
 
 
-def demand_standard_output() -> None:
+@contextmanager
+def opened(
+    path: str | None, demand_inputs: Callable[[], None], *, is_kept: bool = False
+) -> Iterator[tuple[TextIO, str]]:
+    """A file or standard output, and its name for messages; the arguments are open_output's.
+
+    Raises UsageError, OutputError, and what `demand_inputs` raises.
+    """
+    if path is None and not is_kept:
+        _demand_standard_output()
+    demand_inputs()
+    with _open_file(path) as file:
+        yield file, path or _STANDARD_OUTPUT_NAME
+
+
+def _demand_standard_output() -> None:
     """See that what is printed goes somewhere. Raises OutputError."""
     if sys.__stdout__ is None:
         raise OutputError(
-            f"{STANDARD_OUTPUT_NAME}: closed, so what goes there is lost; redirect it to a file"
+            f"{_STANDARD_OUTPUT_NAME}: closed, so what goes there is lost; redirect it to a file"
         )
 
 
@@ -172,7 +192,7 @@ def demand_other_file(files: Sequence[str], output: str | None) -> None:
 
 
 def _is_same(file: str, output: str) -> bool:
-    if STANDARD_OUTPUT in (file, output):
+    if _STANDARD_OUTPUT in (file, output):
         return False
     try:
         return os.path.samefile(file, output)
@@ -181,7 +201,7 @@ def _is_same(file: str, output: str) -> bool:
 
 
 @contextmanager
-def open_file(path: str | None) -> Iterator[TextIO]:
+def _open_file(path: str | None) -> Iterator[TextIO]:
     """A file to write text to, standard output where there is none. Raises UsageError."""
     if path is None:
         yield sys.stdout

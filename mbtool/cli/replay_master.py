@@ -11,8 +11,10 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
+from mbtool.cli.keys import keyboard
 from mbtool.cli.talk import interruptible, say
 from mbtool.core import InputError, OutputError, UsageError
+from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
 from mbtool.workflows.mastering import MasterRun, junit
 
@@ -34,9 +36,15 @@ def play_as_master(
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
     run = MasterRun(file, options, say)
     say(_what_is_played(file, run, to, options))
-    with interruptible() as interrupt:
-        report = run.play(to, stops=lambda: interrupt.asked)
-        was_stopped = interrupt.asked
+    if options.rate is not None:
+        run_promptly()
+    with interruptible() as interrupt, keyboard() as desk:
+
+        def stops() -> bool:
+            return interrupt.asked or (desk is not None and desk.has_quit)
+
+        report = run.play(to, stops=stops, desk=desk)
+        was_stopped = stops()
     print_differences(PipeConsole(), report.differences, SIDES)
     say(_outcome(report))
     if report_file is not None:

@@ -97,6 +97,7 @@ def sniff(
     from mbtool.sources.clock import now_ns
     from mbtool.workflows.decoding import Decoder
     from mbtool.workflows.line_timing import LineTiming
+    from mbtool.workflows.model_hints import ModelHints
     from mbtool.workflows.reading import DEFAULT_PORT
     from mbtool.workflows.recording import begin_log, demand_log
     from mbtool.workflows.settling import settled
@@ -153,6 +154,7 @@ def sniff(
         on_discarded=lambda event: say(f"mbtool: {event.link}: {event.message}"),
         on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),
     )
+    hints = ModelHints(devices.profile_for)
     with (
         interruptible() as interrupt,
         sniffer,
@@ -174,6 +176,8 @@ def sniff(
             return interrupt.asked or out.is_full or at_ns >= end_ns
 
         for record in sniffer.records(stop):
+            if (hint := hints.note(record)) is not None:
+                say(f"mbtool: {hint}")
             if not out.is_full:
                 out.add(record)
     if write is not None:

@@ -38,6 +38,16 @@ class Who:
     port: int | None = None
     unit: int | None = None
 
+    @classmethod
+    def of_slave(cls, destination: str | None, unit: int) -> Who:
+        """A slave as a transaction names it; None is the slave of a line."""
+        host, port = _split_endpoint(destination) if destination is not None else (None, None)
+        return cls(host, int(port) if port is not None and port.isdecimal() else None, unit)
+
+    @property
+    def at_any_port(self) -> Who:
+        return Who(self.host, None, self.unit)
+
     @property
     def specificity(self) -> int:
         return 4 * (self.host is not None) + 2 * (self.unit is not None) + (self.port is not None)
@@ -51,9 +61,8 @@ class Who:
 
     def fits_slave(self, destination: str | None, unit: int) -> bool:
         """The same for a slave as a transaction names it."""
-        host, port = _split_endpoint(destination) if destination is not None else (None, None)
-        number = int(port) if port is not None and port.isdigit() else None
-        return self.fits(host, number, unit)
+        slave = Who.of_slave(destination, unit)
+        return self.fits(slave.host, slave.port, unit)
 
     def __str__(self) -> str:
         if self.host is None:
@@ -164,12 +173,10 @@ class Assignments:
 
     def profiles_at(self, destination: str) -> list[Profile]:
         """The profiles of all units that an endpoint may have."""
-        host, port = _split_endpoint(destination)
-        number = int(port) if port is not None and port.isdigit() else None
         return [
             each.profile
             for each in self._assignments
-            if each.who.fits(host, number, each.who.unit or 0)
+            if each.who.fits_slave(destination, each.who.unit or 0)
         ]
 
     def _find(self, destination: str | None, unit: int) -> Profile | None:

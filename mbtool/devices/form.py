@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_LIMIT_17H
-from mbtool.modbus.pdu import parse_pdu, pdu_length, pdu_of
+from mbtool.modbus.matching import mismatch
+from mbtool.modbus.pdu import parse_pdu, pdu_length, whole_pdu
 from mbtool.modbus.transaction import Outcome
-from mbtool.modbus.turns import mismatch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -125,9 +125,4 @@ def padding_of(transaction: Transaction) -> tuple[int, int] | None:
 
 def _pdu(transaction: Transaction, raw: bytes | None) -> bytes:
     """The PDU of an ADU; empty where there is none, or none that can be read."""
-    if raw is None:
-        return b""
-    try:
-        return pdu_of(transaction.transport, raw)[1]
-    except (IndexError, ValueError):
-        return b""  # A log that others wrote may hold anything.
+    return whole_pdu(transaction.transport, raw) or b""

@@ -2,9 +2,9 @@
 
 # Every different request is asked of a profile: would the device answer it? An answer where it
 # would, and a refusal where it would not, speak for the profile. An answer to what it lacks, and a
-# refusal of what it has, speak against it. A silence, and exceptions that tell of its state (04 to
-# 06, 0B) say nothing. Exceptions that its manual does not have, and a line that it does not speak,
-# count against it.
+# refusal of what it has, speak against it. A silence, and exceptions of its state or of a
+# gateway (04 to 0B) say nothing. Exceptions that its manual does not have, and a line that it does
+# not speak, count against it.
 #
 # A model code is decisive either way: the answer to 42H of an FA3 module is its model. Vendor and
 # product names that the slave gives (2B/0E, 11H) speak for the profile that they name.
@@ -21,19 +21,22 @@ from typing import TYPE_CHECKING
 from mbtool.devices.references import write_reference
 from mbtool.devices.seen import Seen
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import FUNCTIONS, function_name
-from mbtool.modbus.tables import Table
+from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, function_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from mbtool.devices.model import Profile
     from mbtool.devices.seen import Ask, Replies
+    from mbtool.modbus.tables import Table
 
-_TELLS_NOTHING = frozenset((4, 5, 6, 7, 8, 10, 11))
+_TELLS_NOTHING = frozenset(ExceptionCode) - {
+    ExceptionCode.ILLEGAL_FUNCTION,
+    ExceptionCode.ILLEGAL_DATA_ADDRESS,
+    ExceptionCode.ILLEGAL_DATA_VALUE,
+}
 _CLEAR = 0.9
 """What share of the requests a profile must explain to be named as the device."""
-_SERIAL = frozenset((Transport.RTU, Transport.ASCII))
 _MAX_REASONS = 6
 _UNCONFIRMED = ", though no refusal, model code or name confirms it"
 _LEAST_WORD = 4
@@ -130,7 +133,7 @@ class Verdict:
 def match(seen: Seen, profiles: Iterable[Profile]) -> Verdict:
     """Compare a slave with profiles."""
     in_ascii = seen.transports == {Transport.ASCII}
-    given = _given(seen)
+    given = seen.given()
     matches = [
         _match(seen, profile.in_mode(Transport.ASCII) if in_ascii else profile, given)
         for profile in profiles
@@ -145,22 +148,7 @@ def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match
     against: list[str] = []
     is_model, is_other = _compare_models(seen, profile, reasons, against)
     is_called_so = _compare_words(seen, profile, reasons)
-    explained, contradicted = 0, 0
-    refusals: list[str] = []
-    for ask, replies in seen.asked.items():
-        problem, would = _expected(profile, ask)
-        told = _told(replies)
-        if told is None:
-            continue
-        if told is would:
-            explained += 1
-            if not told:
-                refusals.append(f"{_said(profile, ask)} refused, as {problem}")
-        else:
-            contradicted += 1
-            against.append(
-                f"{_said(profile, ask)} {'answered' if told else 'refused'}, though {problem}"
-            )
+    explained, contradicted, refusals = _compare_requests(seen, profile, against)
     if explained:
         count = explained + contradicted
         what = "the one request" if count == 1 else f"{explained} of {count} different requests"
@@ -184,6 +172,29 @@ def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match
         reasons=tuple([*reasons, *refusals][:_MAX_REASONS]),
         against=tuple(against[:_MAX_REASONS]),
     )
+
+
+def _compare_requests(
+    seen: Seen, profile: Profile, against: list[str]
+) -> tuple[int, int, list[str]]:
+    """How many requests ended as the profile says, how many did not, and whose refusal it says."""
+    explained, contradicted = 0, 0
+    refusals: list[str] = []
+    for ask, replies in seen.asked.items():
+        problem, would = _expected(profile, ask)
+        told = _told(replies)
+        if told is None:
+            continue
+        if told is would:
+            explained += 1
+            if not told:
+                refusals.append(f"{_said(profile, ask)} refused, as {problem}")
+        else:
+            contradicted += 1
+            against.append(
+                f"{_said(profile, ask)} {'answered' if told else 'refused'}, though {problem}"
+            )
+    return explained, contradicted, refusals
 
 
 def _told(replies: Replies) -> bool | None:
@@ -288,21 +299,12 @@ def _compare_transports(seen: Seen, profile: Profile, against: list[str]) -> int
     if seen.transports & spoken or not seen.transports:
         return 0
     heard = ", ".join(sorted(seen.transports))
-    if seen.transports <= _SERIAL or not spoken & _SERIAL:
+    is_on_line = all(one.is_serial for one in seen.transports)
+    if is_on_line or not any(one.is_serial for one in spoken):
         against.append(f"it speaks {', '.join(sorted(spoken))}, and this is {heard}")
         return 1 + len(seen.asked)
     against.append(f"it is a serial device, and this is {heard}: only behind a gateway")
     return 1
-
-
-def _given(seen: Seen) -> dict[Table, bytearray]:
-    """The addresses that were asked for and given, marked by 1."""
-    given = {table: bytearray(1 << 16) for table in Table}
-    for ask, replies in seen.asked.items():
-        if ask.table is not None and ask.address is not None and replies.ok:
-            span = ask.span
-            given[ask.table][span.start : span.stop] = b"\x01" * len(span)
-    return given
 
 
 def _named(given: dict[Table, bytearray], profile: Profile) -> int:
@@ -314,10 +316,10 @@ def _named(given: dict[Table, bytearray], profile: Profile) -> int:
     )
 
 
-def models_of(profiles: Sequence[Profile]) -> dict[tuple[int, int], str]:
+def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
     """Which profile a model code stands for, by the function that gives it and the code."""
     return {
-        (function, profile.model_code): profile.name
+        (function, profile.model_code): profile
         for profile in profiles
         if profile.model_code is not None and (function := model_function(profile)) is not None
     }

@@ -26,14 +26,13 @@ from mbtool.devices.findings import (
     values_outside,
 )
 from mbtool.devices.form import form_codes
-from mbtool.devices.identity import identity_points
+from mbtool.devices.identity import answer_word, identity_points
 from mbtool.devices.model import AnswerWord, Point, PointType, Profile
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
 from mbtool.devices.values import Place, places_of
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
-from mbtool.modbus.pdu import pdu_of
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 
@@ -248,7 +247,7 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     if meaning.read and transaction.response_values:
         points += _values(meaning.read, transaction.response_values)
     if meaning.answer is not None:
-        word = _answer_word(transaction)
+        word = answer_word(transaction)
         if word is not None:
             points.append(meaning.answer.value([word]))
     if transaction.function in (REPORT_SERVER_ID, ENCAPSULATED):
@@ -263,14 +262,3 @@ def _values(places: Sequence[tuple[int, Place]], values: Sequence[int]) -> list[
         for index, place in places
         if index + place.words <= len(values)
     ]
-
-
-def _answer_word(transaction: Transaction) -> int | None:
-    """The word behind the function code, where that is the whole answer."""
-    if transaction.response_raw is None or transaction.exception is not None:
-        return None
-    try:
-        _, pdu = pdu_of(transaction.transport, transaction.response_raw)
-    except (IndexError, ValueError):
-        return None  # A log that others wrote may hold anything.
-    return int.from_bytes(pdu[1:], "big") if len(pdu) == 3 else None

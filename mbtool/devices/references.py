@@ -56,7 +56,8 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
         address = _address_in(area, wanted)
         if address is not None:
             return area.table, address
-    ranges = ", ".join(area.span(area.first, area.last) for area in profile.areas)
+    spans = dict.fromkeys(area.span(area.first, area.last) for area in profile.areas)
+    ranges = ", ".join(spans)
     example = profile.areas[0].reference(profile.areas[0].first) if profile.areas else "none"
     raise UsageError(
         f"reference {text!r}: {profile.name} has {ranges or 'no areas'}; "

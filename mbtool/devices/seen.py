@@ -1,6 +1,6 @@
 """What was seen of one slave: what it was asked, how it answered, and the values it gave."""
 
-# For saying which device it is (matching.py) and for a profile from its traffic (drafting.py).
+# For saying which device it is (matching.py) and for a profile from its traffic (drafting/).
 # Equal requests are counted together.
 #
 # Limits, of each slave: MAX_ASKS different requests, of which the further ones are counted in
@@ -13,9 +13,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from mbtool.devices.assignment import Who
+from mbtool.devices.identity import answer_word
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import identities
-from mbtool.modbus.pdu import pdu_of
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 
@@ -111,16 +112,22 @@ class Seen:
         self._with_values = with_values
 
     @property
-    def who(self) -> str:
-        """As --device would name it: 5, 192.168.3.250/5."""
-        if self.destination is None:
-            return str(self.unit)
-        host, _, _ = self.destination.rpartition(":")
-        return f"{host}/{self.unit}"
+    def who(self) -> Who:
+        """As --device would name it, its port included."""
+        return Who.of_slave(self.destination, self.unit)
 
     @property
     def answered(self) -> bool:
         return any(one.ok or one.exceptions for one in self.asked.values())
+
+    def given(self) -> dict[Table, bytearray]:
+        """Each table's addresses, those marked by 1 that were asked for and given, or taken."""
+        given = {table: bytearray(1 << 16) for table in Table}
+        for ask, replies in self.asked.items():
+            if ask.table is not None and replies.ok:
+                span = ask.span
+                given[ask.table][span.start : span.stop] = b"\x01" * len(span)
+        return given
 
     def note(self, transaction: Transaction) -> None:
         """Take one transaction of this slave."""
@@ -163,17 +170,6 @@ class Seen:
             word = answer_word(transaction)
             if word is not None:
                 self.answer_words.add((transaction.function, word))
-
-
-def answer_word(transaction: Transaction) -> int | None:
-    """The word behind the function code, where that is the whole answer."""
-    if transaction.response_raw is None or transaction.exception is not None:
-        return None
-    try:
-        _, pdu = pdu_of(transaction.transport, transaction.response_raw)
-    except (IndexError, ValueError):
-        return None  # A log that others wrote may hold anything.
-    return int.from_bytes(pdu[1:]) if len(pdu) == 3 else None
 
 
 def _asks(transaction: Transaction) -> list[tuple[Ask, Sequence[int] | None]]:

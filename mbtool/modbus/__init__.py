@@ -5,7 +5,13 @@ from mbtool.modbus.answer import Answer, Responder
 from mbtool.modbus.ascii import AsciiSplitter
 from mbtool.modbus.conversation import Bus, Conversation, Decoded
 from mbtool.modbus.framing import ascii_adu, crc, lrc, mbap_adu, rtu_adu
-from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    ExceptionCode,
+    exception_name,
+    function_name,
+    short_name,
+)
 from mbtool.modbus.mbap import MbapSplitter
 from mbtool.modbus.pdu import (
     Pdu,
@@ -65,6 +71,7 @@ __all__ = [
     "reach_of",
     "response_to",
     "rtu_adu",
+    "short_name",
     "values_after",
     "whole_pdu",
 ]

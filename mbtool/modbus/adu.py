@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+import msgspec
+
 from mbtool.core import Direction, EventKind
 
 MAX_PDU = 253
@@ -20,6 +22,11 @@ class Transport(StrEnum):
     ASCII = "ascii"
     TCP = "tcp"
     RTU_TCP = "rtu-tcp"
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether its frames are on a serial line, where silences count and units share a link."""
+        return self in (Transport.RTU, Transport.ASCII)
 
 
 class DirectionBy(StrEnum):
@@ -66,8 +73,7 @@ class Verdict(StrEnum):
     """The answer carries another transaction id than the only request it can belong to."""
 
 
-@dataclass(frozen=True, slots=True)
-class Checksum:
+class Checksum(msgspec.Struct, frozen=True, gc=False):
     """A CRC or LRC as received and as it should be."""
 
     received: int
@@ -78,8 +84,7 @@ class Checksum:
         return self.received == self.computed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Adu:
+class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """One application data unit: a PDU and what the line adds to it."""
 
     start_ns: int

@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Adu
+from mbtool.modbus.matching import answers, is_answer_to
 from mbtool.modbus.pairing import BUS_TIMEOUT_NS
 from mbtool.modbus.pdu import Pdu, parse_pdu
-from mbtool.modbus.turns import answers, is_answer_to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

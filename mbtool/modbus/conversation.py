@@ -55,7 +55,7 @@ class Bus:
         return [*self._join(self._splitter.close()), *self._pairing.close()]
 
     def _join(self, events: list[Adu | Skipped]) -> list[Decoded]:
-        return _join(events, self._pairing, self._ends, None)
+        return _join(events, self._pairing, self._ends, None) if events else []
 
 
 class Conversation:

@@ -5,24 +5,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import lru_cache
 
-from mbtool.modbus.functions import EXCEPTION_BIT
+import msgspec
+
+from mbtool.modbus.functions import EXCEPTION_BIT, QUERY_DATA, READ_BITS, READ_REGISTERS
 from mbtool.modbus.packing import bit_bytes
 
 UNKNOWN_SIZE = 0
+MAX_KNOWN = 1024
+"""Requests whose responses are remembered; beyond that the one unasked longest is forgotten."""
 
 _ECHOED = frozenset({0x05, 0x06, 0x15, 0x16})
-_REGISTERS = frozenset({0x03, 0x04, 0x17})
-_BITS = frozenset({0x01, 0x02})
 _ADDRESS_AND_QUANTITY_ECHOED = frozenset({0x0F, 0x10})
 _FIXED = {0x07: 2, 0x0B: 5}
-_QUERY_DATA, _FORCE_LISTEN_ONLY = 0, 4
-"""Sub-functions of 08; the second is the one that nobody answers (V1.1b3, 6.8)."""
+_FORCE_LISTEN_ONLY = 4
+"""The sub-function of 08 that nobody answers (V1.1b3, 6.8.1)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Expectation:
+class Expectation(msgspec.Struct, frozen=True, gc=False):
     """The response that a request asks for."""
 
     code: int
@@ -32,14 +33,15 @@ class Expectation:
     """How long its PDU is; UNKNOWN_SIZE where only the response itself says."""
 
     @classmethod
+    @lru_cache(maxsize=MAX_KNOWN)  # Masters ask the same few requests over and over.
     def of(cls, request: bytes) -> Expectation | None:
         """Read a request's PDU; None where nobody answers it."""
         code = request[0]
         if code in _ECHOED:
             return cls(code, request, len(request))
-        if code in _REGISTERS or code in _BITS:
+        if code in READ_REGISTERS or code in READ_BITS:
             quantity = int.from_bytes(request[3:5])
-            count = 2 * quantity if code in _REGISTERS else bit_bytes(quantity)
+            count = 2 * quantity if code in READ_REGISTERS else bit_bytes(quantity)
             # More than a byte can count has no response but an exception: no PDU is so long.
             return cls(code, bytes((code, count & 0xFF)), 2 + count)
         if code in _ADDRESS_AND_QUANTITY_ECHOED:
@@ -48,7 +50,7 @@ class Expectation:
             sub_function = int.from_bytes(request[1:3])
             if sub_function == _FORCE_LISTEN_ONLY:
                 return None
-            echoed = request if sub_function == _QUERY_DATA else request[:3]
+            echoed = request if sub_function == QUERY_DATA else request[:3]
             return cls(code, echoed, len(request))
         if code == 0x2B:
             return cls(code, request[:2])

@@ -140,6 +140,13 @@ FUNCTIONS: dict[int, Function] = {
     ),
 }  # fmt: skip
 
+READ_BITS = frozenset({0x01, 0x02})
+READ_REGISTERS = frozenset({0x03, 0x04, 0x17})
+"""Functions whose responses have the registers that were asked for, and nothing else."""
+
+QUERY_DATA = 0
+"""The sub-function of 08 that returns its data, however much that is (6.8.1)."""
+
 WRITE_LIMIT_17H = 121
 """How many registers function 17H writes at most (6.17)."""
 
@@ -164,6 +171,12 @@ def function_name(code: int) -> str:
     """The standard's name, or `function 41H`."""
     function = FUNCTIONS.get(code)
     return function.name if function is not None else f"function {code:02X}H"
+
+
+def short_name(code: int, name: str) -> str:
+    """The short form of the standard's name; any other, as a maker's own, as it is."""
+    function = FUNCTIONS.get(code)
+    return function.short if function is not None and name == function.name else name
 
 
 def exception_name(code: int) -> str:

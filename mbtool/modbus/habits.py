@@ -15,23 +15,31 @@ _SLOWER = 31 / 32
 class Habit:
     """How often something is seen at a frame, as what it costs to suppose it."""
 
-    __slots__ = ("_least", "_most", "_often", "_pace", "_slowest", "bits")
+    __slots__ = ("_bits", "_least", "_most", "_pace", "_slowest", "often")
 
     def __init__(self, bits: float, limits: tuple[float, float], *, slowest: float = _PACE) -> None:
         """`bits` is what it costs before anything was heard."""
         self._least, self._most = limits
-        self._often: float = 2**-bits
+        self.often: float = 2**-bits
+        """At how many frames of one it is seen."""
         self._pace, self._slowest = _PACE, slowest
-        self.bits = bits
+        self._bits: float | None = bits
+        """What `bits` is; None where that has changed since somebody asked."""
 
-    def learn(self, *, seen: bool) -> None:
+    def learn(self, seen: bool) -> None:
         """Note one more frame."""
-        self._often += (seen - self._often) * self._pace
+        self.often += (seen - self.often) * self._pace
         if self._pace > self._slowest:
             self._pace *= _SLOWER
-        self.bits = (
-            min(max(-log2(self._often), self._least), self._most) if self._often else self._most
-        )
+        self._bits = None
+
+    @property
+    def bits(self) -> float:
+        """What it costs to suppose it."""
+        if self._bits is None:
+            bits = -log2(self.often) if self.often else self._most
+            self._bits = min(max(bits, self._least), self._most)
+        return self._bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +84,7 @@ class Latency:
     def octaves_late(self, silence_ns: int) -> float:
         """How many doublings a silence is above the longest latency; below 0 for a shorter one."""
         longest_ns = self._longest_ns
-        if not self.is_known and longest_ns < self.FIRST_NS:
+        if self._heard < self.FEW and longest_ns < self.FIRST_NS:
             # Each response makes what was heard so far count more against what is supposed.
             longest_ns *= (self.FIRST_NS / longest_ns) ** (1 - self._heard / self.FEW)
         return log2(max(silence_ns, 1) / longest_ns)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
+
+import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Adu, Verdict
-from mbtool.modbus.functions import exception_name, function_name
+from mbtool.modbus.functions import READ_BITS, exception_name, function_name
+from mbtool.modbus.layouts import COIL_VALUES
+from mbtool.modbus.matching import mismatch
 from mbtool.modbus.pdu import Pdu, parse_pdu
 from mbtool.modbus.transaction import Outcome, Transaction
-from mbtool.modbus.turns import mismatch
 
-COIL_VALUES = {0x0000: 0, 0xFF00: 1}  # V1.1b3, 6.5
+MAX_KNOWN = 256
+"""Requests whose meaning is remembered; beyond that the one unasked longest is forgotten."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +35,16 @@ def together(
     ends: Ends, request: Adu, response: Adu, retries: int, verdicts: tuple[Verdict, ...]
 ) -> Transaction:
     """A request with its response."""
-    asked = parse_pdu(request.pdu, Direction.REQUEST)
+    asked = _asked(request.pdu)
     answered = parse_pdu(response.pdu, Direction.RESPONSE)
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
-    if asked.problem is not None:
+    if asked.is_malformed:
         noticed.append(Verdict.MALFORMED_REQUEST)
-    malformed = answered.problem or (asked.problem is None and mismatch(asked, answered))
+    malformed = answered.problem or (not asked.is_malformed and mismatch(asked.pdu, answered))
     if malformed:
         noticed.append(Verdict.MALFORMED_RESPONSE)
-    if answered.exception_code is not None:
+    exception = answered.exception_code
+    if exception is not None:
         outcome = Outcome.EXCEPTION
     else:
         outcome = Outcome.MALFORMED if malformed else Outcome.OK
@@ -46,16 +52,17 @@ def together(
         ends,
         request,
         asked,
-        answered,
+        exception,
         outcome=outcome,
-        response_values=_response_values(asked, answered),
+        request_values=_listed(asked.values),
+        response_values=_response_values(asked.pdu, answered),
         request_ns=request.end_ns,
         response_ns=response.end_ns,
         latency_ns=_latency_ns(request, response) if ends.timed else None,
         retries=retries,
         request_raw=request.raw,
         response_raw=response.raw,
-        verdicts=list(dict.fromkeys(noticed)),
+        verdicts=list(dict.fromkeys(noticed)) if noticed else noticed,
         confidence=min(request.confidence, response.confidence),
     )
 
@@ -88,10 +95,10 @@ def unsolicited(ends: Ends, response: Adu) -> Transaction:
     return _record(
         ends,
         response,
-        Pdu(answered.function, answered.fields, None),
-        answered,
+        _Asked.of(Pdu(answered.function, answered.fields, None)),
+        answered.exception_code,
         outcome=Outcome.UNSOLICITED,
-        response_values=_values(answered),
+        response_values=_listed(_values(answered)),
         response_ns=response.end_ns,
         retries=0,
         response_raw=response.raw,
@@ -101,14 +108,15 @@ def unsolicited(ends: Ends, response: Adu) -> Transaction:
 
 
 def _alone(ends: Ends, request: Adu, outcome: Outcome, retries: int) -> Transaction:
-    asked = parse_pdu(request.pdu, Direction.REQUEST)
-    malformed = [Verdict.MALFORMED_REQUEST] if asked.problem else []
+    asked = _asked(request.pdu)
+    malformed = [Verdict.MALFORMED_REQUEST] if asked.is_malformed else []
     return _record(
         ends,
         request,
         asked,
         None,
         outcome=outcome,
+        request_values=_listed(asked.values),
         request_ns=request.end_ns,
         retries=retries,
         request_raw=request.raw,
@@ -117,9 +125,48 @@ def _alone(ends: Ends, request: Adu, outcome: Outcome, retries: int) -> Transact
     )
 
 
-def _record(ends: Ends, adu: Adu, asked: Pdu, answered: Pdu | None, **facts: Any) -> Transaction:
-    exception = answered.exception_code if answered is not None else None
-    sub_function = asked.number("sub_function")
+class _Asked(msgspec.Struct, frozen=True):
+    """What a request asks."""
+
+    pdu: Pdu
+    is_malformed: bool
+    function: int
+    function_name: str
+    sub_function: int | None
+    address: int | None
+    quantity: int | None
+    """How many; a write of one value is of one."""
+    write_address: int | None
+    values: tuple[int, ...] | None
+
+    @classmethod
+    def of(cls, pdu: Pdu) -> _Asked:
+        sub_function = pdu.number("sub_function")
+        quantity = pdu.number("quantity")
+        if quantity is None and pdu.code in (0x05, 0x06, 0x16) and "address" in pdu.fields:
+            quantity = 1
+        return cls(
+            pdu=pdu,
+            is_malformed=pdu.problem is not None,
+            function=pdu.code,
+            function_name=function_name(pdu.code),
+            sub_function=pdu.number("mei_type") if sub_function is None else sub_function,
+            address=pdu.number("address"),
+            quantity=quantity,
+            write_address=pdu.number("write_address"),
+            values=_values(pdu),
+        )
+
+
+@lru_cache(maxsize=MAX_KNOWN)
+def _asked(request: bytes) -> _Asked:
+    """Read a request's PDU, once: masters ask the same few over and over."""
+    return _Asked.of(parse_pdu(request, Direction.REQUEST))
+
+
+def _record(
+    ends: Ends, adu: Adu, asked: _Asked, exception: int | None, **facts: Any
+) -> Transaction:
     return Transaction(
         link=ends.link,
         transport=adu.transport,
@@ -127,13 +174,12 @@ def _record(ends: Ends, adu: Adu, asked: Pdu, answered: Pdu | None, **facts: Any
         destination=ends.slave,
         unit=adu.unit,
         transaction_id=adu.transaction_id,
-        function=asked.code,
-        function_name=function_name(asked.code),
-        sub_function=asked.number("mei_type") if sub_function is None else sub_function,
-        address=asked.number("address"),
-        quantity=_quantity(asked),
-        write_address=asked.number("write_address"),
-        request_values=None if "request_raw" not in facts else _values(asked),
+        function=asked.function,
+        function_name=asked.function_name,
+        sub_function=asked.sub_function,
+        address=asked.address,
+        quantity=asked.quantity,
+        write_address=asked.write_address,
         exception=exception,
         exception_name=None if exception is None else exception_name(exception),
         direction_by=adu.direction_by,
@@ -141,31 +187,23 @@ def _record(ends: Ends, adu: Adu, asked: Pdu, answered: Pdu | None, **facts: Any
     )
 
 
-def _quantity(asked: Pdu) -> int | None:
-    """How many; a write of one value is of one."""
-    quantity = asked.number("quantity")
-    if quantity is None and asked.code in (0x05, 0x06, 0x16) and "address" in asked.fields:
-        return 1
-    return quantity
-
-
-def _values(pdu: Pdu) -> list[int] | None:
+def _values(pdu: Pdu) -> tuple[int, ...] | None:
     """The registers or bits that a PDU carries."""
     values = pdu.numbers("values")
-    if values is None:
-        values = pdu.numbers("fifo")
-        values = values[1:] if values is not None else None
     if values is not None:
-        return list(values)
+        return values
+    values = pdu.numbers("fifo")
+    if values is not None:
+        return values[1:]
     value = pdu.number("value")
     if value is not None:
         if pdu.function == 0x05:
-            return [COIL_VALUES[value]] if value in COIL_VALUES else None
-        return [value]
+            return (COIL_VALUES[value],) if value in COIL_VALUES else None
+        return (value,)
     for names in (("and_mask", "or_mask"), ("status", "event_count"), ("status",)):
         numbers = [pdu.number(name) for name in names]
         if None not in numbers:
-            return [number for number in numbers if number is not None]
+            return tuple(number for number in numbers if number is not None)
     return None
 
 
@@ -174,7 +212,10 @@ def _response_values(asked: Pdu, answered: Pdu) -> list[int] | None:
     if asked.code in (0x05, 0x06, 0x16):
         return None
     values = _values(answered)
-    quantity = asked.number("quantity")
-    if values is not None and quantity is not None and asked.code in (0x01, 0x02):
-        return values[:quantity]  # The rest of the last byte is padding.
-    return values
+    if values is not None and asked.code in READ_BITS:
+        values = values[: asked.number("quantity")]  # The rest of the last byte is padding.
+    return _listed(values)
+
+
+def _listed(values: tuple[int, ...] | None) -> list[int] | None:
+    return None if values is None else list(values)

@@ -32,6 +32,10 @@ USUAL_DIAGNOSTIC_BYTES = 2
 """Only sub-function 0 of function 08 may have more (V1.1b3, 6.8), and nothing tells how many."""
 
 
+COIL_VALUES = {0x0000: 0, 0xFF00: 1}
+"""What function 05 writes, as bits (V1.1b3, 6.5)."""
+
+
 class Tail(Protocol):
     """The variable part of a layout. `at` is where it begins in the PDU."""
 
@@ -56,21 +60,23 @@ class Layout:
         self._size = 1 + self._head.size
         self._tail = tail
 
-    def length(self, pdu: bytes) -> int | None:
-        """The whole PDU's length by its structure.
+    def length(self, pdu: bytes, at: int = 0) -> int | None:
+        """The whole PDU's length by its structure; `at` is where it begins.
 
         NO_LENGTH where its structure does not say, None where more bytes are needed to know.
         """
         if self._tail is None:
             return self._size
-        tail = self._tail.length(pdu, self._size)
+        tail = self._tail.length(pdu, at + self._size)
         return self._size + tail if tail else tail
 
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
         """Its fields, and what is wrong with its form, if anything."""
         if len(pdu) < self._size:
             return self._parse_short(pdu), self._wrong_size(pdu)
-        fields: Fields = dict(zip(self._names, self._head.unpack_from(pdu, 1), strict=True))
+        fields: Fields = {}
+        if self._names:
+            fields.update(zip(self._names, self._head.unpack_from(pdu, 1), strict=True))
         if self._tail is not None:
             return fields, self._tail.parse(pdu, self._size, fields)
         return fields, self._wrong_size(pdu) if len(pdu) > self._size else None
@@ -121,7 +127,9 @@ class Registers:
             return problem
         if len(data) % 2:
             return "an odd number of bytes for registers"
-        quantity = fields.get(self.quantity) if self.quantity else None
+        if self.quantity is None:
+            return None
+        quantity = fields.get(self.quantity)
         if isinstance(quantity, int) and len(data) != 2 * quantity:
             return f"{len(data) // 2} registers for a quantity of {quantity}"
         return None
@@ -215,7 +223,7 @@ class CoilValue:
         fields[self.name] = value = int.from_bytes(pdu[at : at + 2])
         if len(pdu) > at + 2:
             return f"{len(pdu)} bytes, where its function has {at + 2}"
-        return None if value in (0x0000, 0xFF00) else f"value {value:04X}H for a coil"
+        return None if value in COIL_VALUES else f"value {value:04X}H for a coil"
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
         value = _field(fields, self.name)
@@ -234,7 +242,7 @@ class Choice:
     def length(self, pdu: bytes, at: int) -> int | None:
         if len(pdu) <= at:
             return None
-        return self.layouts.get(pdu[at], _OPAQUE).length(pdu[at:])
+        return self.layouts.get(pdu[at], _OPAQUE).length(pdu, at)
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
         if len(pdu) <= at:
@@ -258,14 +266,14 @@ def counted_length(pdu: bytes, at: int, width: int) -> int | None:
     """The length of a byte count of a width and of what it counts."""
     if len(pdu) < at + width:
         return None
-    return width + int.from_bytes(pdu[at : at + width])
+    return width + (pdu[at] if width == 1 else int.from_bytes(pdu[at : at + width]))
 
 
 def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
     """What a byte count counts, as far as it is there, and what is wrong with it."""
     if len(pdu) < at + width:
         return b"", "its byte count is missing"
-    count = int.from_bytes(pdu[at : at + width])
+    count = pdu[at] if width == 1 else int.from_bytes(pdu[at : at + width])
     data = pdu[at + width : at + width + count]
     held = len(pdu) - at - width
     return data, None if held == count else f"byte count {count}, but {held} bytes follow"

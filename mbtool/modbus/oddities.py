@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.functions import EXCEPTION_BIT, READ_REGISTERS
 from mbtool.modbus.packing import bit_bytes
 
-READ_BITS = (0x01, 0x02)
-READ_REGISTERS = (0x03, 0x04, 0x17)
 COUNTS = frozenset((2, *range(11, 19)))
 """Sub-functions of 08 that ask for a register or a count (V1.1b3, 6.8.1)."""
 ODD_EXCEPTIONS = 0x40

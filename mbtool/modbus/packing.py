@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -11,7 +12,12 @@ if TYPE_CHECKING:
 
 def words(data: bytes) -> tuple[int, ...]:
     """Big-endian 16-bit registers; an odd last byte is left out."""
-    return struct.unpack_from(f">{len(data) // 2}H", data)
+    return _registers(len(data) // 2).unpack_from(data)
+
+
+@lru_cache(maxsize=128)
+def _registers(count: int) -> struct.Struct:
+    return struct.Struct(f">{count}H")
 
 
 def pack_words(values: Sequence[int]) -> bytes:

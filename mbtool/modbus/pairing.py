@@ -17,15 +17,16 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Adu, Verdict
 from mbtool.modbus.joining import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.modbus.matching import answers, is_answer_to
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.turns import answers, is_answer_to
 
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
@@ -49,7 +50,7 @@ class Pairing:
 
     def feed(self, adu: Adu) -> list[Transaction]:
         """Take the next ADU, in order of time."""
-        done = self.advance(adu.start_ns)
+        done = self.advance(adu.start_ns) if self._open else []
         if adu.direction is not Direction.RESPONSE:
             self._ask(adu, done)
             return done
@@ -79,7 +80,8 @@ class Pairing:
 
     def _ask(self, request: Adu, done: list[Transaction]) -> None:
         if self._bus:
-            done += self.close()
+            if self._open:
+                done += self.close()
             if request.unit == 0:
                 done.append(broadcast(self._ends, request))
                 return
@@ -107,12 +109,12 @@ class Pairing:
 
     def _retries(self, answered: _Open, place: int) -> int:
         """How many equal requests without an answer an answered one ends."""
-        earlier = [
-            one for one in islice(self._open, place) if one.key == answered.key and one.counts
-        ]
-        for one in earlier:
-            one.counts = False
-        return self._unanswered.pop(answered.key, 0) + len(earlier)
+        retries = self._unanswered.pop(answered.key, 0) if self._unanswered else 0
+        for one in islice(self._open, place):
+            if one.counts and one.key == answered.key:
+                one.counts = False
+                retries += 1
+        return retries
 
     def _give_up(self, done: list[Transaction]) -> None:
         given_up = self._open.popleft()
@@ -125,8 +127,7 @@ class Pairing:
         done.append(no_answer(self._ends, given_up.adu, retries))
 
 
-@dataclass(slots=True)
-class _Open:
+class _Open(msgspec.Struct, gc=False):
     """A request that waits for its response."""
 
     adu: Adu

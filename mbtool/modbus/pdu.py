@@ -18,7 +18,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import MAX_PDU, Transport
@@ -29,9 +29,21 @@ from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 _EXCEPTION = Layout(("exception_code", 1))
 _UNKNOWN = Layout(tail=Bytes(count_width=0))
 
+_REQUESTS = [
+    FUNCTIONS[code].request if code in FUNCTIONS else _UNKNOWN for code in range(EXCEPTION_BIT << 1)
+]
+_RESPONSES = [
+    FUNCTIONS[code].response if code in FUNCTIONS else _UNKNOWN for code in range(EXCEPTION_BIT)
+] + [_EXCEPTION] * EXCEPTION_BIT
+LAYOUTS = {
+    Direction.REQUEST: _REQUESTS,
+    Direction.RESPONSE: _RESPONSES,
+    Direction.UNKNOWN: _REQUESTS,
+}
+"""By direction and function code, since each byte of a line may have to be asked."""
 
-@dataclass(frozen=True, slots=True)
-class Pdu:
+
+class Pdu(msgspec.Struct, frozen=True):
     """A parsed PDU. It holds what could be read, also of one that breaks its form."""
 
     code: int
@@ -63,7 +75,7 @@ def parse_pdu(pdu: bytes, direction: Direction) -> Pdu:
     """Parse one PDU of known direction. Never raises."""
     if not pdu:
         return Pdu(0, {}, "no function code")
-    fields, problem = _layout(pdu[0], direction).parse(pdu)
+    fields, problem = LAYOUTS[direction][pdu[0]].parse(pdu)
     if problem is None and len(pdu) > MAX_PDU:
         problem = f"{len(pdu)} bytes, where a PDU has at most {MAX_PDU}"
     return Pdu(pdu[0], fields, problem)
@@ -83,7 +95,7 @@ def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
             fields.setdefault("quantity", len(values))
         elif code == 0x17:
             fields.setdefault("write_quantity", len(values))
-    pdu = bytes([code]) + _layout(code, direction).encode(fields)
+    pdu = bytes([code]) + LAYOUTS[direction][code].encode(fields)
     if len(pdu) > MAX_PDU:
         raise ValueError(f"{len(pdu)} bytes, where a PDU has at most {MAX_PDU}")
     return pdu
@@ -94,15 +106,15 @@ def exception_pdu(function: int, exception_code: int) -> bytes:
     return bytes([function | EXCEPTION_BIT, exception_code])
 
 
-def pdu_length(pdu: bytes, direction: Direction) -> int | None:
-    """How long a PDU is by its structure, from its first bytes.
+def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
+    """How long a PDU is by its structure, from its first bytes; `at` is where it begins.
 
     None where more bytes are needed to know, 0 where nothing in it says. For function 08, which
     does not say either, it is the usual length.
     """
-    if not pdu:
+    if len(pdu) <= at:
         return None
-    return _layout(pdu[0], direction).length(pdu)
+    return LAYOUTS[direction][pdu[at]].length(pdu, at)
 
 
 def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
@@ -128,12 +140,3 @@ def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
     except (IndexError, ValueError):
         return None
     return pdu or None
-
-
-def _layout(code: int, direction: Direction) -> Layout:
-    if direction is Direction.RESPONSE and code & EXCEPTION_BIT:
-        return _EXCEPTION
-    function = FUNCTIONS.get(code)
-    if function is None:
-        return _UNKNOWN
-    return function.response if direction is Direction.RESPONSE else function.request

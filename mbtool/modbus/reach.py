@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 from mbtool.core import Direction
 from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H
+from mbtool.modbus.layouts import COIL_VALUES
 from mbtool.modbus.pdu import encode_pdu
 from mbtool.modbus.tables import Table
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from mbtool.modbus.pdu import Pdu
 
 REACHING = frozenset({0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F, 0x10, 0x16, 0x17})
-
-_COIL_VALUES = {0x0000: 0, 0xFF00: 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ def reach_of(request: Pdu) -> Reach | None:
     match request.code:
         case 0x01 | 0x02 | 0x03 | 0x04:
             reach = Reach(table, reads=_span(address, _number(request, "quantity")))
-        case 0x05 if _number(request, "value") not in _COIL_VALUES:
+        case 0x05 if _number(request, "value") not in COIL_VALUES:
             return None
         case 0x05 | 0x06 | 0x16:
             reach = Reach(table, writes=_span(address, 1))
@@ -61,7 +60,7 @@ def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
     """What a request leaves in the range that it writes; `before` is what stands there."""
     match request.code:
         case 0x05:
-            return (_COIL_VALUES[_number(request, "value")],)
+            return (COIL_VALUES[_number(request, "value")],)
         case 0x06:
             return (_number(request, "value"),)
         case 0x16:

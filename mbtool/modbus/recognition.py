@@ -166,6 +166,8 @@ class Recognition:
             return self._readings[0].gap(direction, missing, ts_ns, kind)
         if self.state is State.FOREIGN:
             return []
+        if not self._seen:
+            self._first_ns = ts_ns
         self._heads[direction] = None
         self._seen += GAP_COUNTS
         for reading in self._readings:

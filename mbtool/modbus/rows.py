@@ -6,10 +6,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import groupby, takewhile
 from typing import TYPE_CHECKING
+
+import msgspec
+from msgspec.structs import replace
 
 from mbtool.core import Direction
 from mbtool.modbus.turns import Turn, likelihood
@@ -30,8 +32,7 @@ class Kind(Enum):
     OPEN = "open"
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
+class Piece(msgspec.Struct, frozen=True, gc=False):
     """A part of the window."""
 
     kind: Kind
@@ -49,8 +50,7 @@ class Piece:
         return self.kind, self.place, self.size, self.role
 
 
-@dataclass(slots=True, eq=False)
-class Row:
+class Row(msgspec.Struct, eq=False):
     """Pieces from the first byte to a place, the last of them first."""
 
     cost: float

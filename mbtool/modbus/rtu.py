@@ -48,8 +48,8 @@ HOLD_NS = 300_000_000
 MAX_TEARS = 16
 """Silences in what is held, after which it is decided: a frame in 32-byte pieces has 8."""
 
-_RARELY = 0.8
-"""Bits: from so rarely glued frames on, the silences between them tell who speaks."""
+_RARELY = 2**-0.8
+"""Where no more of the frames are glued, the silences between them tell who speaks."""
 _ALMOST_CERTAIN = 0.98
 _NEARLY_CERTAIN = 0.95
 _LIKELY = weights.REQUEST + weights.NEW_REQUEST
@@ -84,7 +84,7 @@ class RtuSplitter:
             glue=Habit(weights.GLUED if timed else 0.0, weights.GLUED_LIMITS),
             tear=Habit(weights.TORN, weights.TORN_LIMITS),
         )
-        self._data = bytearray()
+        self._data = b""
         self._times: list[int] = []
         self._decided = 0
         """How many of the bytes held were already decided to be the beginning of a frame."""
@@ -92,6 +92,8 @@ class RtuSplitter:
         """The silences since something was last given out."""
         self._awaited = MIN_FRAME
         """How many bytes there have to be before the front can tell more."""
+        self._sizes: list[tuple[Direction, int]] = []
+        """How long the front is as a frame of each role, once its bytes say so."""
         self._was_noise = False
         """Whether the bytes skipped last were all such as a line makes that turns around."""
         self._given: tuple[int, Verdict] | None = None
@@ -112,11 +114,11 @@ class RtuSplitter:
         if self._given is not None and ts_ns < self._given[0]:
             events += self._begin_anew()
         elif self._data:
-            last_ns = self._times[-1]
-            if ts_ns < last_ns:
+            silence_ns = first_ns - step_ns - self._times[-1]
+            if ts_ns < self._times[-1]:
                 events += self._begin_anew()
-            elif first_ns - step_ns - last_ns >= self._t3_5_ns:
-                events += self.advance(first_ns - step_ns)
+            elif silence_ns >= self._t3_5_ns:
+                self._hear_silence(events, silence_ns >= HOLD_NS)
         while data:
             room = WINDOW - len(self._data)
             piece, data = data[:room], data[room:]
@@ -137,7 +139,7 @@ class RtuSplitter:
             return events
         silence_ns = now_ns - self._times[-1]
         if silence_ns >= self._t3_5_ns:
-            self._hear_silence(events, is_long=silence_ns >= HOLD_NS)
+            self._hear_silence(events, silence_ns >= HOLD_NS)
         return events
 
     def close(self) -> list[Adu | Skipped]:
@@ -154,61 +156,68 @@ class RtuSplitter:
         self._turns.begin_anew()
         return events
 
-    def _hear_silence(self, events: list[Adu | Skipped], *, is_long: bool) -> None:
+    def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
         """Decide what a silence ends; a long one ends what is held, too."""
         if len(self._data) > self._decided:
             self._tears += 1
-            self._end_burst(events, may_go_on=self._tears < MAX_TEARS)
+            self._end_burst(events, self._tears < MAX_TEARS)
         if is_long and self._data:
             self._end_burst(events, may_go_on=False)
 
-    def _end_burst(self, events: list[Adu | Skipped], *, may_go_on: bool) -> None:
-        self._take_front(events, burst_over=True)
+    def _end_burst(self, events: list[Adu | Skipped], may_go_on: bool) -> None:
+        self._take_front(events, True)
         if self._data:
             self._search(events, may_go_on=may_go_on)
         self._decided = len(self._data)
 
-    def _take_front(self, events: list[Adu | Skipped], *, burst_over: bool = False) -> None:
+    def _take_front(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Give out the frames at the front that are beyond doubt."""
-        while frame := self._front(burst_over=burst_over):
+        while len(self._data) >= MIN_FRAME and (frame := self._front(burst_over)):
             size, judgement = frame
             self._give(size, judgement, events)
 
-    def _front(self, *, burst_over: bool) -> tuple[int, Judgement] | None:
+    def _front(self, burst_over: bool) -> tuple[int, Judgement] | None:
         """The frame at the front and what it is, if that is beyond doubt."""
+        sizes = self._sizes or self._measure()
         have = len(self._data)
-        if have < MIN_FRAME:
+        if not sizes or (have < self._awaited and not burst_over):
             return None
-        head = bytes(self._data[:MAX_RTU_ADU])
-        found, roles, waits = 0, [], False
-        for role in self._roles:
-            size = frame_size(head, role)
-            if not size:
-                self._awaited = have + 1 if size is None else WINDOW
-                return None
-            if size > MAX_RTU_ADU:
-                continue
-            if size > have or (size == have and not burst_over):
-                waits = True
-                self._awaited = size + 1
-            elif crc(head[:size]) == 0:
+        head = self._data[:MAX_RTU_ADU]
+        found, roles = 0, []
+        for role, size in sizes:
+            if size <= have and crc(head[:size]) == 0:
                 if found not in (0, size):
                     return None
                 found = size
                 roles.append(role)
-        if not found or (waits and not burst_over):
+        if not found:
             return None
         unit, pdu, start_ns = head[0], head[1 : found - 2], self._times[0] - self._character_ns
         if self._speaker is not None:
             return found, Judgement(self._speaker, DirectionBy.PORT, 1.0)
-        judgement = self._turns.judge(unit, pdu, start_ns, roles)
-        turn = self._turns.turn
-        cost = self._turns.weigh(turn, unit, pdu, judgement.direction, start_ns)
-        if cost > _LIKELY:
+        turns = self._turns
+        judgement = turns.judge(unit, pdu, start_ns, roles)
+        if turns.weigh(turns.turn, unit, pdu, judgement.direction, start_ns) > _LIKELY:
             return None
         if len(roles) > 1 and not self._is_told(judgement, head, found):
             return None
         return found, judgement
+
+    def _measure(self) -> list[tuple[Direction, int]]:
+        """How long the front is as a frame of each role; empty where one has no known length."""
+        head = self._data[:MAX_RTU_ADU]
+        sizes, longest = [], 0
+        for role in self._roles:
+            size = frame_size(head, role)
+            if not size:
+                self._awaited = len(head) + 1 if size is None else WINDOW
+                return []
+            if size <= MAX_RTU_ADU:
+                sizes.append((role, size))
+                longest = size if size > longest else longest
+        self._awaited = longest + 1 if sizes else WINDOW
+        self._sizes = sizes
+        return sizes
 
     def _is_told(self, judgement: Judgement, head: bytes, size: int) -> bool:
         """Whether the direction of a frame that has the form of both is beyond doubt."""
@@ -232,7 +241,7 @@ class RtuSplitter:
         """
         end = len(self._data)
         window = Window(
-            bytes(self._data),
+            self._data,
             self._times[:],
             self._character_ns,
             self._silences(keep),
@@ -266,7 +275,7 @@ class RtuSplitter:
         """What a frame is that the search has found."""
         if self._speaker is not None:
             return Judgement(self._speaker, DirectionBy.PORT, piece.confidence)
-        unit, pdu = self._data[0], bytes(self._data[1 : piece.size - 2])
+        unit, pdu = self._data[0], self._data[1 : piece.size - 2]
         start_ns = self._times[0] - self._character_ns
         alone = self._turns.judge(unit, pdu, start_ns, piece.roles)
         if alone.direction is piece.role:
@@ -275,18 +284,19 @@ class RtuSplitter:
         return Judgement(piece.role, DirectionBy.IDLE, piece.confidence)
 
     def _give(self, size: int, judgement: Judgement, events: list[Adu | Skipped]) -> None:
-        raw = bytes(self._data[:size])
+        raw = self._data[:size]
         times = self._times
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
         before_ns = None if self._given is None else max(start_ns - self._given[0], 0)
-        longest_ns = self._longest_ns(size)
+        is_even = end_ns - start_ns == size * self._character_ns
+        longest_ns = 0 if is_even else self._longest_ns(size)
         verdicts = self._verdicts(size, before_ns, longest_ns, judgement)
         unit, pdu = raw[0], raw[1:-2]
         self._learn(size, before_ns, longest_ns)
         if self._speaker is None:
             self._turns.hear(judgement, unit, pdu, start_ns, end_ns, longest_ns)
         self._drop(size, Verdict.GLUED)
-        check = int.from_bytes(raw[-2:], "little")
+        check = raw[-2] | raw[-1] << 8
         events.append(
             Adu(
                 start_ns=start_ns,
@@ -308,21 +318,20 @@ class RtuSplitter:
     def _longest_ns(self, size: int) -> int:
         """The longest silence inside the frame at the front."""
         times = self._times
-        if times[size - 1] - times[0] == (size - 1) * self._character_ns:
-            return 0
         steps = map(int.__sub__, times[1:size], times[: size - 1])
         return max(max(steps) - self._character_ns, 0)
 
     def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
         """Note what the frame at the front tells of the line and its adapter."""
         was_skipped = self._is_behind_noise
-        self._habits.skip.learn(seen=was_skipped)
-        self._habits.noise.learn(seen=was_skipped and self._was_noise)
+        habits = self._habits
+        habits.skip.learn(was_skipped)
+        habits.noise.learn(was_skipped and self._was_noise)
         if self._timed:
             if before_ns is not None and not was_skipped:
-                self._habits.glue.learn(seen=before_ns < self._t3_5_ns)
-                self._turns.trusts_silences = self._habits.glue.bits >= _RARELY
-            self._habits.tear.learn(seen=longest_ns >= self._t3_5_ns)
+                habits.glue.learn(before_ns < self._t3_5_ns)
+                self._turns.trusts_silences = habits.glue.often <= _RARELY
+            habits.tear.learn(longest_ns >= self._t3_5_ns)
 
     def _verdicts(
         self, size: int, before_ns: int | None, longest_ns: int, judgement: Judgement
@@ -332,8 +341,7 @@ class RtuSplitter:
         if self._timed:
             if self._given is not None and before_ns is not None and before_ns < self._t3_5_ns:
                 verdicts.append(self._given[1])
-            behind = self._times[size : size + 1]
-            if behind and behind[0] - self._times[size - 1] - self._character_ns < self._t3_5_ns:
+            if size < len(self._times) and not self._is_silent(size):
                 verdicts.append(Verdict.GLUED)
             if longest_ns >= self._t3_5_ns:
                 verdicts.append(Verdict.SPLIT)
@@ -349,11 +357,11 @@ class RtuSplitter:
         """Give out bytes as skipped: a frame with a wrong CRC whole, other bytes by bursts."""
         while size:
             cut = size
-            kind, reason, check = why_skipped(bytes(self._data[:size]), self._roles)
+            kind, reason, check = why_skipped(self._data[:size], self._roles)
             if kind is not EventKind.BAD_CHECK:
                 cut = next((each for each in range(1, size) if self._is_silent(each)), size)
-                kind, reason, check = why_skipped(bytes(self._data[:cut]), self._roles)
-            raw, first_ns = bytes(self._data[:cut]), self._times[0]
+                kind, reason, check = why_skipped(self._data[:cut], self._roles)
+            raw, first_ns = self._data[:cut], self._times[0]
             goes_on = self._is_behind_noise
             self._was_noise = NOISE.issuperset(raw) and (self._was_noise or not goes_on)
             self._drop(cut, Verdict.NOISE_BEFORE)
@@ -372,8 +380,10 @@ class RtuSplitter:
     def _drop(self, size: int, leaves: Verdict) -> None:
         """Remove the first bytes, which were given out."""
         self._given = self._times[size - 1], leaves
-        del self._data[:size]
+        self._data = self._data[size:]
         del self._times[:size]
-        self._decided = max(self._decided - size, 0)
+        if self._decided:
+            self._decided = max(self._decided - size, 0)
         self._awaited = MIN_FRAME
+        self._sizes = []
         self._tears = 0

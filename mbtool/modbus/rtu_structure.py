@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.modbus.adu import Checksum
 from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc, crc_on
-from mbtool.modbus.pdu import pdu_length
+from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,7 +23,9 @@ def frame_size(head: bytes, direction: Direction) -> int | None:
 
     None where more bytes are needed to know, 0 where nothing in it says.
     """
-    length = pdu_length(head[1:], direction)
+    if len(head) < 2:
+        return None
+    length = LAYOUTS[direction][head[1]].length(head, 1)
     return length + RTU_EXTRA_BYTES if length else length
 
 

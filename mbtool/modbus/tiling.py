@@ -19,6 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import MAX_RTU_ADU
@@ -67,8 +69,7 @@ class Window:
         return self.times[place] - self.character_ns
 
 
-@dataclass(slots=True)
-class _Frame:
+class _Frame(msgspec.Struct, gc=False):
     size: int
     role: Direction
     roles: tuple[Direction, ...]

@@ -16,21 +16,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.expectation import Expectation
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_BITS
 from mbtool.modbus.habits import Habit, Latency
-from mbtool.modbus.oddities import READ_BITS, is_odd_request, is_odd_response, is_padded
-from mbtool.modbus.packing import bit_bytes
-from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
+from mbtool.modbus.oddities import is_odd_request, is_odd_response, is_padded
+from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
 TURN_NS = 1_000_000_000
 """How long a request waits for its answer before the turn goes back to the master.
@@ -44,8 +44,6 @@ SURE = 0.8
 
 CERTAIN = frozenset((DirectionBy.FORM, DirectionBy.PORT))
 ROLES = (Direction.REQUEST, Direction.RESPONSE)
-ECHOED = ("address", "value", "sub_function", "and_mask", "or_mask", "mei_type", "quantity")
-"""The numbers that a response has only to repeat them."""
 TIMER_NS = 255_000_000
 """The longest latency timer of an FTDI adapter."""
 MARGIN_OCTAVES = 0.25
@@ -54,8 +52,7 @@ MAX_UNIT = 247
 """The largest address of a slave (Serial Line V1.02, 2.2)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Judgement:
+class Judgement(msgspec.Struct, frozen=True, gc=False):
     """What a frame is taken for."""
 
     direction: Direction
@@ -63,8 +60,12 @@ class Judgement:
     confidence: float
 
 
-@dataclass(frozen=True, slots=True)
-class Waiting:
+_REQUEST_BY_FORM = Judgement(Direction.REQUEST, DirectionBy.FORM, 1.0)
+_RESPONSE_BY_FORM = Judgement(Direction.RESPONSE, DirectionBy.FORM, 1.0)
+_ANSWER = Judgement(Direction.RESPONSE, DirectionBy.PENDING, 1.0)
+
+
+class Waiting(msgspec.Struct, frozen=True, gc=False):
     """A request that has not been answered."""
 
     unit: int
@@ -86,8 +87,7 @@ class Waiting:
         return unit == self.unit and self.expected.is_named_by(code)
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(msgspec.Struct, frozen=True, gc=False):
     """Who may speak next."""
 
     waiting: Waiting | None = None
@@ -132,7 +132,7 @@ class Turns:
         self._doubt = 1.0
 
     def judge(
-        self, unit: int, pdu: bytes, at_ns: int, roles: Iterable[Direction] = ()
+        self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()
     ) -> Judgement:
         """Say what a whole frame is. `at_ns` is the time of its first byte.
 
@@ -140,20 +140,21 @@ class Turns:
         """
         judgement = self.judge_under(self.turn, unit, pdu, at_ns, roles or roles_of(pdu))
         if self._doubted == (unit, pdu) and judgement.by not in CERTAIN:
-            return replace(judgement, confidence=min(judgement.confidence, self._doubt))
+            confidence = min(judgement.confidence, self._doubt)
+            return Judgement(judgement.direction, judgement.by, confidence)
         return judgement
 
     def judge_under(
-        self, turn: Turn, unit: int, pdu: bytes, at_ns: int, roles: Iterable[Direction]
+        self, turn: Turn, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction]
     ) -> Judgement:
         """Say what a frame would be if this were the turn."""
-        waiting = self._waiting(turn, at_ns)
-        answers_it = waiting is not None and waiting.fits(unit, pdu)
-        roles = tuple(roles)
         if len(roles) == 1:
-            if answers_it and roles[0] is Direction.RESPONSE:
-                return Judgement(roles[0], DirectionBy.PENDING, 1.0)
-            return Judgement(roles[0], DirectionBy.FORM, 1.0)
+            if roles[0] is Direction.RESPONSE:
+                waiting = self._waiting(turn, at_ns)
+                if waiting is not None and waiting.fits(unit, pdu):
+                    return _ANSWER
+                return _RESPONSE_BY_FORM
+            return _REQUEST_BY_FORM
         request, response = (self._cost(turn, unit, pdu, role, at_ns) for role in ROLES)
         if request[0] + request[1] <= response[0] + response[1]:
             best, other, direction, by = request, response, Direction.REQUEST, DirectionBy.IDLE
@@ -224,22 +225,22 @@ class Turns:
 
         `inside_ns` is the longest silence in it.
         """
-        role = judgement.direction
+        role, turn, is_sure = judgement.direction, self.turn, judgement.confidence >= SURE
         if role is Direction.REQUEST:
             self._remember(unit, pdu)
-            answered = self.turn.answered
-            if answered is not None and judgement.confidence >= SURE:
-                self._again.learn(seen=(answered.unit, answered.pdu) == (unit, pdu))
-        elif self.trusts_silences and judgement.confidence >= SURE:
-            waiting = self.turn.waiting
+            answered = turn.answered
+            if answered is not None and is_sure:
+                self._again.learn(answered.unit == unit and answered.pdu == pdu)
+        elif self.trusts_silences and is_sure:
+            waiting = turn.waiting
             if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
                 self._latency.learn(start_ns - waiting.since_ns)
-        sure = judgement.by in CERTAIN
-        is_doubtful = judgement.confidence < SURE and self._doubted != (unit, pdu)
+        is_doubtful = not is_sure and self._doubted != (unit, pdu)
         self._doubted, self._doubt = ((unit, pdu) if is_doubtful else None), judgement.confidence
-        if self.ends_pause(self.turn, role, start_ns, inside_ns):
-            self._pauses.learn_warily(self.turn.pause_ns)
-        self.turn = self.follow(self.turn, unit, pdu, role, start_ns, end_ns, inside_ns, sure=sure)
+        if turn.pause_ns and self.ends_pause(turn, role, start_ns, inside_ns):
+            self._pauses.learn_warily(turn.pause_ns)
+        by_form = judgement.by in CERTAIN
+        self.turn = self.follow(turn, unit, pdu, role, start_ns, end_ns, inside_ns, by_form)
 
     def begin_anew(self) -> None:
         """Forget whose turn it was: the clock was set back."""
@@ -259,7 +260,6 @@ class Turns:
         start_ns: int,
         end_ns: int,
         inside_ns: int = 0,
-        *,
         sure: bool = False,
     ) -> Turn:
         """The turn after a frame."""
@@ -329,7 +329,7 @@ class Turns:
         if unit == 0:
             return weights.STRAY_ANSWER + weights.MALFORMED, 0.0
         if turn.waiting is not None and turn.waiting.fits(unit, pdu):
-            return self._answer_cost(turn.waiting, pdu, at_ns, sure=turn.sure)
+            return self._answer_cost(turn.waiting, pdu, at_ns, turn.sure)
         odd = weights.MALFORMED if is_odd_response(pdu) else 0.0
         if waiting is not None and waiting.is_named_by(unit, pdu[0]):
             return weights.WRONG_ANSWER + odd, 0.0
@@ -348,7 +348,7 @@ class Turns:
         return weights.STRAY_ANSWER + odd, 0.0
 
     def _answer_cost(
-        self, waiting: Waiting, pdu: bytes, at_ns: int, *, sure: bool
+        self, waiting: Waiting, pdu: bytes, at_ns: int, sure: bool
     ) -> tuple[float, float]:
         silence_ns = at_ns - waiting.since_ns
         octaves = self._latency.octaves_late(silence_ns)
@@ -389,35 +389,3 @@ def roles_of(pdu: bytes) -> tuple[Direction, ...]:
     """The directions whose form a whole PDU has; both where no table says."""
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES
-
-
-def answers(request_code: int, response_code: int) -> bool:
-    """Whether a function code answers another, as its response or as its exception response."""
-    return response_code in (request_code, request_code | EXCEPTION_BIT)
-
-
-def is_answer_to(request: Pdu, pdu: bytes) -> bool:
-    """Whether a PDU can be the response to a request of the same unit."""
-    if not pdu or not answers(request.code, pdu[0]):
-        return False
-    response = parse_pdu(pdu, Direction.RESPONSE)
-    return response.problem is None and mismatch(request, response) is None
-
-
-def mismatch(request: Pdu, response: Pdu) -> str | None:
-    """How a response does not belong to its request, or None where it does."""
-    quantity, values = request.number("quantity"), response.numbers("values")
-    if quantity is not None and values is not None:
-        bits = request.code in READ_BITS
-        if len(values) != (8 * bit_bytes(quantity) if bits else quantity):
-            held = f"{len(values) // 8} bytes of bits" if bits else f"{len(values)} registers"
-            return f"{held} for a quantity of {quantity}"
-    for echoed in ECHOED:
-        asked, answered = request.number(echoed), response.number(echoed)
-        if asked is not None and answered is not None and asked != answered:
-            return f"{echoed.replace('_', ' ')} {answered} for {asked}"
-    if request.code == 0x08 and request.number("sub_function") == 0:
-        asked_for, echo = request.numbers("values"), response.numbers("values")
-        if asked_for is not None and echo is not None and asked_for != echo:
-            return f"data {echo} for {asked_for}"  # It is returned as it is (V1.1b3, 6.8.1).
-    return None

@@ -31,21 +31,20 @@ _FAMILIES = frozenset(
 
 
 def _ethernet(data: bytes) -> int:
-    if data[12:14] == b"\x08\x00":
-        return 14
-    return _behind_tags(data, 12)
+    kind = data[12:14]
+    return 14 if kind == b"\x08\x00" else _behind(data, kind, 14)
 
 
 def behind_ethernet(data: bytes, at: int) -> int:
     """The same for an Ethernet frame that begins at an offset."""
-    return _behind_tags(data, at + 12)
+    return _behind(data, data[at + 12 : at + 14], at + 14)
 
 
-def _behind_tags(data: bytes, at: int) -> int:
-    """Look from an EtherType through tags to IP."""
-    while (kind := data[at : at + 2]) in _TAGGED:
+def _behind(data: bytes, kind: bytes, at: int) -> int:
+    """Look through what an EtherType says to be at an offset to IP."""
+    while kind in _TAGGED:  # A tag ends with the EtherType of what follows.
         at += 6 if kind == _HSR else 4
-    at += 2
+        kind = data[at - 2 : at]
     if kind in _IP:
         return at
     if kind == _PPPOE and data[at + 6 : at + 8] in _IP_IN_PPP:
@@ -63,15 +62,11 @@ def _behind_labels(data: bytes, at: int) -> int:
 
 
 def _cooked(data: bytes) -> int:
-    return _behind_tags(data, 14)
+    return _behind(data, data[14:16], 16)
 
 
 def _cooked_v2(data: bytes) -> int:
-    # The protocol opens the header; a VLAN tag, where it is kept, stands behind the header.
-    kind = data[:2]
-    if kind in _IP:
-        return 20
-    return _behind_tags(data, 22) if kind in _VLAN else NOT_IP
+    return _behind(data, data[:2], 20)  # The protocol opens the header.
 
 
 def _null(data: bytes) -> int:

@@ -79,22 +79,8 @@ class TcpReassembler:
         at = finder(data)
         if at == NOT_IP:
             return []
-        length = packet.original_length
-        for _ in range(1 + MAX_TUNNELS):
-            if self._feed_ip(data, at, length, packet.ts_ns, packet.link):
-                break
-            fragment = find_fragment(data, at, length)
-            if fragment is not None:
-                among = self._among(packet.link)
-                done = self._fragments.feed(fragment, packet.ts_ns, packet.link, among)
-                self._end(done, packet.ts_ns)
-                break
-            at = find_inner(data, at, length)
-            if at == GRE_IN_FRAGMENTS:
-                message = "fragments of packets that carry others (GRE), which are not put together"
-                self._tell(packet.ts_ns, packet.link, EventKind.UNREADABLE, message)
-            if at < 0:
-                break
+        if not self._feed_ip(data, at, packet.original_length, packet.ts_ns, packet.link):
+            self._feed_other(packet, at)
         return self._take_out()
 
     def advance(self, now_ns: int) -> list[StreamItem]:
@@ -119,6 +105,21 @@ class TcpReassembler:
         self._out.clear()
         return items
 
+    def _feed_other(self, packet: Packet, at: int) -> None:
+        """Take an IP packet that is a fragment, or may carry another."""
+        data, length, ts_ns, link = packet.data, packet.original_length, packet.ts_ns, packet.link
+        for _ in range(MAX_TUNNELS):
+            fragment = find_fragment(data, at, length)
+            if fragment is not None:
+                self._end(self._fragments.feed(fragment, ts_ns, link, self._among(link)), ts_ns)
+                return
+            at = find_inner(data, at, length)
+            if at == GRE_IN_FRAGMENTS:
+                message = "fragments of packets that carry others (GRE), which are not put together"
+                self._tell(ts_ns, link, EventKind.UNREADABLE, message)
+            if at < 0 or self._feed_ip(data, at, length, ts_ns, link):
+                return
+
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
         """Take an IP packet. False where it is none of TCP, or a fragment of one."""
         place = find_tcp(data, at, length)
@@ -136,7 +137,7 @@ class TcpReassembler:
         if source_port in ports or destination_port in ports:
             segment = read_segment(data, at, place, length)
             if segment is not None:
-                self._follow(segment, ts_ns, self._among(link))
+                self._follow(segment, ts_ns, link)
         return True
 
     def _among(self, link: str) -> str:
@@ -178,10 +179,12 @@ class TcpReassembler:
         )
         self._out += (StreamEvent(identity, event) for event in events)
 
-    def _follow(self, segment: Segment, ts_ns: int, among: str) -> None:
+    def _follow(self, segment: Segment, ts_ns: int, link: str) -> None:
         if not -PATIENCE_NS < ts_ns - self._checked_ns < PATIENCE_NS:
             self._advance(ts_ns)
-        key, from_lower = _key(among, *segment[:4])
+        source, source_port, destination, destination_port = segment[:4]
+        among = self._among(link)
+        key, from_lower = _key(among, source, source_port, destination, destination_port)
         connection = self._connections.get(key)
         if connection is None or connection.is_replaced_by(segment, from_lower=from_lower):
             opens = segment.flags & SYN or segment.payload or segment.missing

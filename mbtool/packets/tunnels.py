@@ -59,7 +59,10 @@ def find_inner(data: bytes, at: int, original_length: int) -> int:
         first, fragment, protocol = _IPV4_HEADER.unpack_from(data, at)
         if fragment & 0x3FFF:
             return GRE_IN_FRAGMENTS if protocol == GRE else NOT_IP
-        start = at + (first & 0x0F) * 4
+        header = (first & 0x0F) * 4
+        if header < 20:
+            return NOT_IP
+        start = at + header
     elif version == 6 and len(data) >= at + 40:
         _, protocol, start = walk_ipv6(data, at, original_length)
     else:

@@ -13,6 +13,9 @@
 # open, or before `pause_ns` have passed since the last sign of life on it; behind a broadcast
 # `turnaround_ns` must pass (Serial Line V1.02, 2.4.1: typically 100 to 200 ms).
 #
+# While the clock stands nothing is sent, but for a step that is let go on its own; the clock then
+# stands at that step's place.
+#
 # How late a step leaves is kept only where it waits for nothing but the clock: that is what the
 # player can help.
 #
@@ -67,6 +70,8 @@ class Conductor:
         """By the step's number."""
         self._free_ns: int | None = None
         """From when on the line may be used; None: at once."""
+        self._let_go = 0
+        """How many steps may be sent while the clock stands."""
         self.lateness = Sample()
         """Of steps that waited for the clock only, in nanoseconds."""
         self.strays = 0
@@ -91,10 +96,16 @@ class Conductor:
         step = self._upcoming()
         if step is None or not self._is_free(step, now_ns):
             return None
-        due_ns = self._clock.when(self._place(step))
-        if due_ns is None or due_ns > now_ns:
+        place_ns = self._place(step)
+        due_ns = self._clock.when(place_ns)
+        if due_ns is None:
+            if not self._let_go:
+                return None
+            self._let_go -= 1
+            self._clock.jump(max(place_ns, self._clock.place(now_ns)), now_ns)
+        elif due_ns > now_ns:
             return None
-        if self._free_ns is None or self._free_ns <= due_ns:
+        elif self._free_ns is None or self._free_ns <= due_ns:
             self.lateness.add(now_ns - due_ns)
         self._next += 1
         if step.is_broadcast:
@@ -103,6 +114,10 @@ class Conductor:
         else:
             self._open[step.number] = _Open(step, now_ns)
         return step
+
+    def let_go(self, _now_ns: int) -> None:
+        """Have one more step sent while the clock stands."""
+        self._let_go += 1
 
     def has_left(self, step: Step, now_ns: int) -> None:
         """Say that the last byte of a step was sent."""
@@ -118,6 +133,8 @@ class Conductor:
         step = self._upcoming()
         if step is not None and not self._is_held(step):
             due_ns = self._clock.when(self._place(step))
+            if due_ns is None and self._let_go:
+                due_ns = now_ns
             if due_ns is not None:
                 free_ns = due_ns if self._free_ns is None else self._free_ns
                 moments.append(max(due_ns, free_ns))

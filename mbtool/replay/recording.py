@@ -3,28 +3,37 @@
 # Two views of the same transactions:
 #
 #     answers   by unit and request PDU, so by function, addresses and written values; in the order
-#               of the requests, each with its recorded time and latency, silence among them
+#               of the requests, each with its recorded time and latency, silence among them; and
+#               all together in that order
 #     values    by unit and table a Timeline, from every read that was answered well and every write
 #               that was acknowledged; a broadcast write counts for every unit
 #
 # Units are all that a slave is known by: from a capture of several links with equal units the
 # caller picks one link's transactions. Answers that no request asked for are left out.
 #
+# Of a window the answers are those to the requests in it; values are known from all of the
+# recording, so that the window begins with what stood there.
+#
 # Memory grows with the recording: one entry for each transaction, one for each change of a value.
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_right
 from dataclasses import dataclass
 from statistics import median_low
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Direction
 from mbtool.modbus import Outcome, Table, parse_pdu, reach_of, values_after, whole_pdu
+from mbtool.replay.damaged import DamagedAnswer, damaged_answers
 from mbtool.replay.timeline import Timeline
+from mbtool.replay.window import Window
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
+    from mbtool.core import WireEvent
     from mbtool.modbus import Transaction
 
 Key = tuple[int, bytes]
@@ -40,6 +49,13 @@ class RecordedAnswer:
     at_ns: int
     """When it was complete on the wire; for silence, when the request was."""
     latency_ns: int
+    asked_ns: int = 0
+    """When its request was complete on the wire."""
+    damaged: DamagedAnswer | None = None
+    """What came in place of an answer, where that was known to be one."""
+
+
+_ALL = Window()
 
 
 class Recording:
@@ -49,24 +65,41 @@ class Recording:
         self.units: set[int] = set()
         """The units that were asked, broadcasts apart."""
         self.answers: dict[Key, list[RecordedAnswer]] = {}
+        self.order: list[tuple[Key, RecordedAnswer]] = []
         self._values: dict[tuple[int, Table], Timeline] = {}
-        self._latencies: dict[tuple[int, int | None], int] = {}
+        self._latencies: dict[tuple[int, int | None], array[int]] = {}
+        self._medians: dict[tuple[int, int | None], int] = {}
         self.begin_ns = 0
-        """The time of the first request."""
+        """The time of the first request, or of the window's beginning."""
+        self.length_ns = 0
+        """From there to the last answer, or the window's end."""
 
     @classmethod
-    def of(cls, transactions: Iterable[Transaction]) -> Self:
-        """Build a recording; the transactions may come in any order."""
+    def of(
+        cls,
+        transactions: Iterable[Transaction],
+        window: Window = _ALL,
+        events: Iterable[WireEvent] = (),
+    ) -> Self:
+        """Build a recording; the transactions may come in any order.
+
+        `events` of the same links say which answers were damaged.
+        """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
-        if asked:
-            recording.begin_ns = asked[0].start_ns
+        first_ns = asked[0].start_ns if asked else 0
+        recording.begin_ns = first_ns + window.start_ns
         recording.units = {one.unit for one in asked if one.outcome is not Outcome.BROADCAST}
-        for transaction in asked:
-            recording._add_answer(transaction)
+        damaged = damaged_answers(asked, events)
+        for place, transaction in enumerate(asked):
+            if transaction.start_ns - first_ns in window:
+                recording._add_answer(transaction, damaged.get(place))
         for transaction in sorted(asked, key=_answered_ns):
             recording._add_values(transaction)
-        recording._latencies = _median_latencies(asked)
+        recording._add_latencies(asked)
+        last_ns = max((answer.at_ns for _, answer in recording.order), default=0)
+        end_ns = last_ns if window.end_ns is None else first_ns + window.end_ns
+        recording.length_ns = max(end_ns - recording.begin_ns, 0)
         return recording
 
     def timeline(self, unit: int, table: Table) -> Timeline:
@@ -75,10 +108,20 @@ class Recording:
 
     def latency_ns(self, unit: int, function: int) -> int:
         """The median latency of a unit for a function, else of the unit; 0 where none is known."""
-        of_unit = self._latencies.get((unit, None), 0)
-        return self._latencies.get((unit, function), of_unit)
+        of_unit = self._medians.get((unit, None), 0)
+        return self._medians.get((unit, function), of_unit)
 
-    def _add_answer(self, transaction: Transaction) -> None:
+    def latencies(self, unit: int, function: int) -> Sequence[int]:
+        """All latencies of a unit for a function, else of the unit."""
+        seen = self._latencies.get((unit, function)) or self._latencies.get((unit, None))
+        return seen or ()
+
+    def next_ns(self, at_ns: int) -> int | None:
+        """When something was asked first behind a moment."""
+        place = bisect_right(self.order, at_ns, key=lambda each: each[1].asked_ns)
+        return self.order[place][1].asked_ns if place < len(self.order) else None
+
+    def _add_answer(self, transaction: Transaction, damaged: DamagedAnswer | None) -> None:
         request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
             return
@@ -86,8 +129,21 @@ class Recording:
             whole_pdu(transaction.transport, transaction.response_raw),
             _answered_ns(transaction),
             transaction.latency_ns or 0,
+            transaction.start_ns,
+            damaged,
         )
-        self.answers.setdefault((transaction.unit, request), []).append(answer)
+        key = transaction.unit, request
+        self.answers.setdefault(key, []).append(answer)
+        self.order.append((key, answer))
+
+    def _add_latencies(self, asked: Iterable[Transaction]) -> None:
+        """By unit and function, and by unit and None for all functions of the unit."""
+        for one in asked:
+            if one.latency_ns is not None:
+                for function in (one.function, None):
+                    seen = self._latencies.setdefault((one.unit, function), array("q"))
+                    seen.append(one.latency_ns)
+        self._medians = {key: median_low(seen) for key, seen in self._latencies.items()}
 
     def _add_values(self, transaction: Transaction) -> None:
         pdu = whole_pdu(transaction.transport, transaction.request_raw)
@@ -118,13 +174,3 @@ def _is_asked(transaction: Transaction) -> bool:
 
 def _answered_ns(transaction: Transaction) -> int:
     return transaction.start_ns if transaction.response_ns is None else transaction.response_ns
-
-
-def _median_latencies(transactions: Iterable[Transaction]) -> dict[tuple[int, int | None], int]:
-    """By unit and function, and by unit and None for all functions of the unit."""
-    seen: dict[tuple[int, int | None], list[int]] = {}
-    for transaction in transactions:
-        if transaction.latency_ns is not None:
-            for function in (transaction.function, None):
-                seen.setdefault((transaction.unit, function), []).append(transaction.latency_ns)
-    return {key: median_low(latencies) for key, latencies in seen.items()}

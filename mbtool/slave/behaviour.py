@@ -4,6 +4,7 @@
 # device's own overrides what differs:
 #
 #     own          functions that the standard's table of registers and bits has no place for
+#     watches      whether it learns of each request: of `barred` before, of `answered` behind it
 #     barred       an exception for any request, before it is looked at (check 0)
 #     allows       whether a range may be read, or written (check 3)
 #     refusal      an exception for a request that has passed every other check (check 4)
@@ -55,6 +56,7 @@ class Behaviour:
 
     kept: tuple[tuple[Table, range], ...] = ()
     """The addresses whose values outlast a restart."""
+    watches = False
     units = range(1, 248)
     """The unit numbers that it can be given on a serial line."""
 
@@ -68,7 +70,7 @@ class Behaviour:
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
-        """The exception code that a request gets whatever it is, or None."""
+        """The exception code that a request gets whatever it is, or None; if it `watches`."""
         return None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
@@ -119,7 +121,7 @@ class Behaviour:
         """Learn that a master has written a range, which is stored already."""
 
     def answered(self, pdu: bytes, response: bytes | None, now_ns: int) -> None:
-        """Learn what a request came to. Reads of ranges that are not live are not told."""
+        """Learn what a request came to; if it `watches`."""
 
     def inputs_set(self, now_ns: int) -> None:
         """Learn that inputs in the image may have been set; for a device that averages them."""

@@ -49,6 +49,10 @@ _PLAIN_READS = frozenset({0x01, 0x02, 0x03, 0x04})
 """Functions whose response is a byte count and what they read."""
 
 
+_Known = tuple[bytes, bytearray, slice, bool]
+"""Of a read: the head of the response, where the rest stands, and whether that is bits."""
+
+
 class DeviceResponder:
     """One device. Its image may be read and written from outside between two requests."""
 
@@ -57,30 +61,33 @@ class DeviceResponder:
         self._profile = profile
         self.behaviour = behaviour_of(profile, image)
         self.image = image
-        self._known: dict[bytes, tuple[bytes, bytearray, slice, bool]] = {}
-        """Of reads by their PDU: the head of the response, where the rest stands, whether bits."""
+        self._known: dict[bytes, _Known] = {}
+        """Of reads by their PDU."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
         """Answer a request PDU whatever its unit, or None where the device stays silent."""
         known = self._known.get(pdu)
-        if known is not None:
-            head, cells, part, is_bits = known
-            return Answer(head + (packed_bits(cells[part]) if is_bits else cells[part]))
+        if known is not None and not self.behaviour.watches:
+            return Answer(_response(known))
         if not pdu:
             return None
         try:
-            response = self._respond(pdu, now_ns)
+            response = self._respond(pdu, now_ns, known)
         except _RefusedError as refused:
             response = exception_pdu(pdu[0], refused.code)
-        self.behaviour.answered(pdu, response, now_ns)
+        if self.behaviour.watches:
+            self.behaviour.answered(pdu, response, now_ns)
         return None if response is None else Answer(response)
 
-    def _respond(self, pdu: bytes, now_ns: int) -> bytes | None:
+    def _respond(self, pdu: bytes, now_ns: int, known: _Known | None) -> bytes | None:
         exceptions = self._profile.exceptions
         function = pdu[0]
-        barred = self.behaviour.barred(pdu, now_ns)
-        if barred is not None:
-            raise _RefusedError(barred)
+        if self.behaviour.watches:
+            barred = self.behaviour.barred(pdu, now_ns)
+            if barred is not None:
+                raise _RefusedError(barred)
+        if known is not None:
+            return _response(known)
         rule = self._profile.rule(function)
         own = self.behaviour.own.get(function)
         if rule is None or (own is None and function not in REACHING):
@@ -137,6 +144,11 @@ class _RefusedError(Exception):
     def __init__(self, code: int) -> None:
         super().__init__(code)
         self.code = code
+
+
+def _response(known: _Known) -> bytes:
+    head, cells, part, is_bits = known
+    return head + (packed_bits(cells[part]) if is_bits else cells[part])
 
 
 def _quantity(reach: Reach) -> int:

@@ -49,8 +49,22 @@ class Units:
         return slave.respond(unit, pdu, now_ns) if slave is not None else None
 
 
-def units_on(link: SerialLink | TcpLink, profile: Profile, unit: int, device: Responder) -> Units:
-    """One device as the only slave on a link, under a unit and by the rules of that link."""
-    serial = isinstance(link, SerialLink) or link.rtu
+def units_on(
+    link: SerialLink | TcpLink,
+    profile: Profile,
+    unit: int,
+    device: Responder,
+    others: Mapping[int, Responder] | None = None,
+) -> Units:
+    """A device on a link, under a unit and by the rules of that link, and others beside it.
+
+    Where it answers any unit, it gets those that are no other's.
+    """
+    serial = is_line(link)
     any_unit = device if profile.any_unit and not serial else None
-    return Units({unit: device}, any_unit=any_unit, broadcast=serial)
+    return Units({**(others or {}), unit: device}, any_unit=any_unit, broadcast=serial)
+
+
+def is_line(link: SerialLink | TcpLink) -> bool:
+    """Whether a link has the rules of a serial line."""
+    return isinstance(link, SerialLink) or link.rtu

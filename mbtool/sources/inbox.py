@@ -8,16 +8,17 @@
 # decoder does. So an inbox that is full loses what comes, until the consumer has taken half of what
 # was held: few large holes are easier to read than many small ones. Where the hole is, a DISCARDED
 # event for each link says how much was lost, and a StreamGap for each direction of a connection
-# that lost bytes, so that no decoder joins what stood before it to what comes after.
+# that lost bytes, so that no decoder joins what stood before it to what comes after; for one that
+# ends meanwhile, before its end, so that no more is kept than of those that are open.
 #
 # In one interpreter a busy consumer would keep a capture from its packets: each call of the kernel
 # lets go of the interpreter's lock, and gets it back milliseconds later. So a source that takes
 # what waits in a kernel does it `first`: meanwhile the consumer stands still, unless half of the
 # bound is held, and no longer than STANDSTILL_S at a time.
 #
-# StreamOpened and StreamClosed get through up to twice the bound, so that a consumer keeps its
-# books; the end of a source always does. A Quiet that follows a Quiet of the same link replaces
-# it, and one that does not fit is no loss.
+# StreamOpened and StreamClosed, with its gaps, get through up to twice the bound, so that a
+# consumer keeps its books; the end of a source always does. A Quiet that follows a Quiet of the
+# same link replaces it, and one that does not fit is no loss.
 
 from __future__ import annotations
 
@@ -93,6 +94,8 @@ class Inbox:
             elif not self._has_room(item):
                 self._lose(item)
                 return
+            elif isinstance(item, StreamClosed):
+                self._tell_gaps(item.connection)
             self._append(item)
             self._changed.notify()
 
@@ -154,6 +157,13 @@ class Inbox:
         if isinstance(item, Chunk) and item.connection is not None:
             stream = (item.connection, item.direction)
             loss.streams[stream] = loss.streams.get(stream, 0) + len(item.data)
+        elif isinstance(item, StreamClosed):
+            loss.take_gaps(item.connection)
+
+    def _tell_gaps(self, connection: Connection) -> None:
+        loss = self._losses.get(connection.link)
+        for gap in () if loss is None else loss.take_gaps(connection):
+            self._append(gap)
 
     def _tell_losses(self) -> None:
         for link, loss in self._losses.items():
@@ -168,8 +178,9 @@ class Inbox:
                     packets=loss.packets + loss.dropped,
                 )
             )
-            for (connection, direction), size in loss.streams.items():
-                self._append(StreamGap(loss.ts_ns, connection, direction, size))
+            for connection in [connection for connection, _ in loss.streams]:
+                for gap in loss.take_gaps(connection):
+                    self._append(gap)
         self._losses.clear()
 
 
@@ -189,6 +200,14 @@ class _Loss:
     @property
     def dropped_text(self) -> str:
         return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
+
+    def take_gaps(self, connection: Connection) -> list[StreamGap]:
+        """What a connection has lost, to be told now."""
+        lost = [
+            (direction, self.streams.pop((connection, direction), 0))
+            for direction in (Direction.REQUEST, Direction.RESPONSE)
+        ]
+        return [StreamGap(self.ts_ns, connection, way, size) for way, size in lost if size]
 
 
 def _link(item: StreamItem | Packet) -> str:

@@ -16,7 +16,8 @@
 # interfaces is made promiscuous.
 #
 # net:A,B has a socket for each, and gives their packets in the order of their times: each holds
-# back, at most _FETCH packets, what another may yet precede.
+# back, at most _FETCH packets, what another may yet precede. Where the clock was set back, what it
+# stamped before is let go as it is.
 #
 # scapy takes a tenth of a second to import, so only a capture that starts imports it.
 
@@ -65,6 +66,8 @@ _SOON_S = 0.002
 """As long as it takes until what is held back is let go."""
 _SETTLE_NS = 1_000_000
 """A packet may be stamped this long before it can be fetched."""
+_AHEAD_NS = 1_000_000_000
+"""A packet stamped so far ahead was stamped before the clock was set back."""
 _STATISTICS_NS = 1_000_000_000
 
 # asm-generic/socket.h and linux/if_packet.h, linux/if_ether.h; Python's socket module lacks them.
@@ -188,7 +191,7 @@ class InterfaceSource:
         except OSError as os_error:
             error = LinkError(f"{self._link}: capture ended: {os_error.strerror}; is it still up?")
         finally:
-            self._put(held for ear in self._ears for held in ear.release())
+            self._release()
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
@@ -198,7 +201,8 @@ class InterfaceSource:
             packets, more = self._receive(ear)
             self._put(packets)
             return more
-        horizon_ns = now_ns() - _SETTLE_NS
+        asked_ns = now_ns()
+        horizon_ns = asked_ns - _SETTLE_NS
         more = False
         for ear in self._ears:
             may_have_more = bool(ear.held)
@@ -207,12 +211,17 @@ class InterfaceSource:
             if may_have_more and ear.held:
                 more = True
                 horizon_ns = min(horizon_ns, ear.held[-1].ts_ns)
-        self._put(held for ear in self._ears for held in ear.release(horizon_ns))
+        if any(ear.held and ear.held[0].ts_ns > asked_ns + _AHEAD_NS for ear in self._ears):
+            self._put(held for ear in self._ears for held in ear.release())
+        else:
+            self._release(horizon_ns)
         return more
 
+    def _release(self, horizon_ns: int | None = None) -> None:
+        released = (held for ear in self._ears for held in ear.release(horizon_ns))
+        self._put(sorted(released, key=attrgetter("ts_ns")))
+
     def _put(self, packets: Iterable[Packet]) -> None:
-        if len(self._ears) > 1:
-            packets = sorted(packets, key=attrgetter("ts_ns"))
         for packet in packets:
             self._inbox.put(packet)
 

@@ -8,7 +8,8 @@
 #   TCP over IPv4 or IPv6 from or to one of the ports; any TCP where no port is named
 #   IPv4 fragments of TCP, since only the first one carries ports
 #   IPv6 with an extension header before TCP, or instead of it
-#   packets that still have a VLAN tag after the outer one is off (802.1ad), or the tag of HSR
+#   packets that still have a VLAN tag after the outer one is off (802.1ad), one that the kernel
+#   leaves on (9100H), or the tag of HSR
 #   ERSPAN over IPv4: what a switch mirrors to this machine over a network
 # Other tunnels, PPPoE and MPLS are read from files only: live they would bring all that they carry.
 #
@@ -28,7 +29,7 @@ from mbtool.packets.segment import BEFORE_TCP, TCP
 from mbtool.packets.tunnels import ERSPAN, GRE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 MAX_PORTS = 100
 
@@ -44,7 +45,7 @@ _PROTOCOL, _PACKET_TYPE, _HARDWARE = -0x1000, -0x1000 + 4, -0x1000 + 28
 _PACKET_OUTGOING = 4
 _ARPHRD_LOOPBACK = 772
 _ETHERTYPE_IPV4, _ETHERTYPE_IPV6 = 0x0800, 0x86DD
-_ETHERTYPE_TAGS = (0x8100, 0x88A8, 0x892F)
+_ETHERTYPE_TAGS = (0x8100, 0x88A8, 0x9100, 0x892F)
 _MORE_FRAGMENTS_OR_OFFSET = 0x3FFF
 _WHOLE_PACKET = 0x40000
 
@@ -66,18 +67,8 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
     """
     if len(ports) > MAX_PORTS:
         raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")
-    lines: list[Instruction | str] = []
-    if is_loopback is None:
-        lines += [
-            Instruction(_LD_WORD, _HARDWARE),
-            Instruction(_JUMP_EQUAL, _ARPHRD_LOOPBACK, "", "wanted"),
-        ]
-    if is_loopback is not False:
-        lines += [
-            Instruction(_LD_WORD, _PACKET_TYPE),
-            Instruction(_JUMP_EQUAL, _PACKET_OUTGOING, "drop"),
-        ]
-    lines += [
+    lines: list[Instruction | str] = [
+        *_heard_once(is_loopback),
         "wanted",
         Instruction(_LD_WORD, _PROTOCOL),
         *(Instruction(_JUMP_EQUAL, tag, "keep") for tag in _ETHERTYPE_TAGS),
@@ -97,12 +88,7 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
         Instruction(_JUMP_EQUAL, TCP, "", "drop"),
         Instruction(_LDX_IMMEDIATE, 40),
         "ports",
-    ]
-    for side in (0, 2):
-        if ports:
-            lines.append(Instruction(_LD_HALF_X, _NET + side))
-        lines += [Instruction(_JUMP_EQUAL, port, "keep") for port in ports]
-    lines += [
+        *_from_or_to(ports),
         Instruction(_JUMP, then="drop" if ports else "keep"),
         "gre",
         Instruction(_LDX_HEADER_LENGTH, _NET),
@@ -114,6 +100,22 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
         Instruction(_RETURN, _WHOLE_PACKET),
     ]
     return _assemble(lines)
+
+
+def _heard_once(is_loopback: bool | None) -> Iterator[Instruction]:
+    if is_loopback is None:
+        yield Instruction(_LD_WORD, _HARDWARE)
+        yield Instruction(_JUMP_EQUAL, _ARPHRD_LOOPBACK, "", "wanted")
+    if is_loopback is not False:
+        yield Instruction(_LD_WORD, _PACKET_TYPE)
+        yield Instruction(_JUMP_EQUAL, _PACKET_OUTGOING, "drop")
+
+
+def _from_or_to(ports: Sequence[int]) -> Iterator[Instruction]:
+    for side in (0, 2) if ports else ():
+        yield Instruction(_LD_HALF_X, _NET + side)
+        for port in ports:
+            yield Instruction(_JUMP_EQUAL, port, "keep")
 
 
 def drop_everything() -> list[bytes]:

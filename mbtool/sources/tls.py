@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import re
 import ssl
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError
 from mbtool.sources.clock import now_ns
+from mbtool.sources.tls_peer import PeerTls
 
 if TYPE_CHECKING:
     from mbtool.core import ListenTls, TargetTls
@@ -58,8 +60,7 @@ _REFUSALS = {
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:
     """What masters meet. Raises LinkError."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context = _context(ssl.PROTOCOL_TLS_SERVER)
     _load_own(context, "--tls-cert", tls.cert, tls.key)
     if tls.ca is not None:
         _load_ca(context, "--tls-ca", tls.ca)
@@ -69,8 +70,7 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
 
 def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
     """What the target meets, and the name that its certificate must have. Raises LinkError."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context = _context(ssl.PROTOCOL_TLS_CLIENT)
     if tls.ca is None:
         context.check_hostname = False
         context.verify_mode = ssl.CERT_NONE
@@ -117,6 +117,13 @@ def failure(error: OSError, who: str) -> str | None:
     return f"TLS with the {who} failed: {_words(error)}"
 
 
+def _context(protocol: int) -> ssl.SSLContext:
+    context = ssl.SSLContext(protocol)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.sslobject_class = PeerTls
+    return context
+
+
 def _load_own(context: ssl.SSLContext, option: str, cert: str, key: str | None) -> None:
     held = _pem(option, cert, _CERTIFICATE, "certificate")
     if key is None:
@@ -150,7 +157,9 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
         context.load_verify_locations(path)
     except ssl.SSLError as error:
         raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
-    ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
+    ends: list[str] = []
+    with suppress(UnicodeDecodeError):  # Of names; as long as it lasts, a handshake tells.
+        ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
     last = max(ends, key=ssl.cert_time_to_seconds, default=None)
     if last is not None and ssl.cert_time_to_seconds(last) < now_ns() / 1e9:
         raise LinkError(f"{option} {path}: holds no CA that is still valid; the last ended {last}")

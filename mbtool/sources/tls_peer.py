@@ -13,10 +13,10 @@
 
 from __future__ import annotations
 
+import ssl
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import ssl
     from collections.abc import Iterator, Mapping
 
 ROLE_OID = bytes.fromhex("2b 06 01 04 01 83890c 8622 01")
@@ -37,14 +37,28 @@ _SHORT = {
 Element = tuple[int, bytes]
 
 
+class PeerTls(ssl.SSLObject):
+    """TLS with a peer whose certificate may have names that are not UTF-8, as old CAs wrote them.
+
+    ssl, and with it the handshake of asyncio, fails at these after it has verified them.
+    """
+
+    def getpeercert(self, binary_form: bool = False) -> Any:
+        try:
+            return super().getpeercert(binary_form)
+        except UnicodeDecodeError:
+            return {}
+
+
 def described(tls: ssl.SSLObject) -> str:
     """TLS 1.3, CN=master, O=Test site, role Operator."""
     version = (tls.version() or "TLS").replace("TLSv", "TLS ")
     der = tls.getpeercert(binary_form=True)
     if der is None:
         return f"{version}, no certificate"
-    subject = subject_of(tls.getpeercert() or {})
-    said = [version, subject or "certificate not verified"]
+    is_verified = tls.context.verify_mode is not ssl.CERT_NONE
+    nameless = "certificate without a readable name" if is_verified else "certificate not verified"
+    said = [version, subject_of(tls.getpeercert() or {}) or nameless]
     role = role_of(der)
     if role is not None:
         said.append(f"role {_printable(role)}")
@@ -52,9 +66,14 @@ def described(tls: ssl.SSLObject) -> str:
 
 
 def subject_of(certificate: Mapping[str, Any]) -> str:
-    """The subject of a certificate as ssl gives it, the most particular name first."""
+    """The subject of a certificate as ssl gives it, the most particular name first.
+
+    Where it has none, what else the certificate calls its holder.
+    """
     names = [pair for part in certificate.get("subject", ()) for pair in part]
-    return _printable(", ".join(f"{_SHORT.get(key, key)}={value}" for key, value in names[::-1]))
+    said = [f"{_SHORT.get(key, key)}={value}" for key, value in names[::-1]]
+    said = said or [f"{kind} {name}" for kind, name in certificate.get("subjectAltName", ())]
+    return _printable(", ".join(said))
 
 
 def role_of(der: bytes) -> str | None:

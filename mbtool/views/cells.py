@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
 from mbtool.devices import describe, describe_points, finding_text
-from mbtool.modbus import FUNCTIONS, Outcome, Verdict
+from mbtool.modbus import FUNCTIONS, Outcome, Verdict, short_name
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
@@ -94,11 +94,8 @@ def event_row(event: WireEvent) -> Row:
 
 def function_text(transaction: NamedTransaction) -> str:
     """The code in hexadecimal and the function's name; a vendor's own name where he gives one."""
-    function = FUNCTIONS.get(transaction.function)
-    name = transaction.function_name
-    if function is not None and name == function.name:
-        name = function.short
-    elif function is None and name.startswith("function "):
+    name = short_name(transaction.function, transaction.function_name)
+    if transaction.function not in FUNCTIONS and name.startswith("function "):
         name = "unknown function"
     return f"{transaction.function:02X} {name}"
 

@@ -8,10 +8,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from rich.table import Table
-from rich.text import Text
-
-from mbtool.views.transaction_table import printable
+from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,13 +27,11 @@ def print_differences(
 ) -> None:
     """Each slave's differences as a table of its own, with a column for each side."""
     for slave, group in groupby(found, key=_slave):
-        table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-        for heading in (*_HEADINGS, *sides):
-            table.add_column(heading, overflow="fold")
+        table = plain_table(*_HEADINGS, *sides)
         for one in group:
             cells = (one.what, what_text(one), one.a.text or _NOTHING, one.b.text or _NOTHING)
-            table.add_row(one.kind.value, *map(_text, cells))
-        console.print(_text(slave), style="bold")
+            table.add_row(one.kind.value, *map(plain, cells))
+        console.print(plain(slave, "bold"))
         console.print(table)
         console.print()
 
@@ -65,7 +60,3 @@ def _slave(difference: Difference) -> str:
 
 def _chance(p: float) -> str:
     return f"p < {_SMALLEST_P:g}" if p < _SMALLEST_P else f"p = {p:.2g}"
-
-
-def _text(text: str) -> Text:
-    return Text(printable(text))

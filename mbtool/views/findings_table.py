@@ -19,7 +19,7 @@ from rich.text import Text
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.views.cells import clock_time, day
-from mbtool.views.transaction_table import printable
+from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,7 +108,7 @@ def finding_line(finding: Finding) -> Text:
 
 
 def where(finding: Finding) -> str:
-    """The link, the unit where one is meant, and the master where it has an address."""
+    """The link, and the unit where one is meant."""
     text = finding.link
     if finding.unit is not None:
         text += f" unit {finding.unit}"

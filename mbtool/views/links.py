@@ -11,10 +11,7 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from rich.table import Table
-from rich.text import Text
-
-from mbtool.views.transaction_table import printable
+from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,15 +27,15 @@ _NARROWEST = 20
 
 def print_ports(console: Console, ports: Sequence[SerialPortHere]) -> None:
     """A table of the ports, then how to call each and what is wrong with it."""
-    table = _table("port", "what it is", "driver", "timing", "low latency", "held by")
+    table = plain_table("port", "what it is", "driver", "timing", "low latency", "held by")
     for port in ports:
         table.add_row(
-            _text(port.name),
-            _text(_what(port)),
-            _text(port.driver or _UNKNOWN),
-            _text(_timing(port)),
-            _text(_low_latency(port)),
-            _text(_held_by(port)),
+            plain(port.name),
+            plain(_what(port)),
+            plain(port.driver or _UNKNOWN),
+            plain(_timing(port)),
+            plain(_low_latency(port)),
+            plain(_held_by(port)),
         )
     console.print(table)
     for port in ports:
@@ -50,13 +47,13 @@ def print_ports(console: Console, ports: Sequence[SerialPortHere]) -> None:
 
 def print_interfaces(console: Console, interfaces: Sequence[InterfaceHere]) -> None:
     """A table of the interfaces, then what keeps captures from starting, each once."""
-    table = _table("interface", "what it is", "state", "capture")
+    table = plain_table("interface", "what it is", "state", "capture")
     for one in interfaces:
         table.add_row(
-            _text(one.link),
-            _text(one.description or _UNKNOWN),
-            _text(_state(one)),
-            _text("permitted" if one.may_capture else "no"),
+            plain(one.link),
+            plain(one.description or _UNKNOWN),
+            plain(_state(one)),
+            plain("permitted" if one.may_capture else "no"),
         )
     console.print(table)
     about: dict[Trouble, list[str]] = {}
@@ -81,7 +78,7 @@ def _print_trouble(console: Console, trouble: Trouble, where: str = "") -> None:
 
 
 def _print_whole(console: Console, line: str, style: str = "") -> None:
-    console.print(Text(printable(line), style=style), soft_wrap=True)
+    console.print(plain(line, style), soft_wrap=True)
 
 
 def _what(port: SerialPortHere) -> str:
@@ -121,14 +118,3 @@ def _state(one: InterfaceHere) -> str:
     if not one.is_up:
         return "down"
     return "up, no cable" if one.has_carrier is False else "up"
-
-
-def _text(text: str) -> Text:
-    return Text(printable(text))
-
-
-def _table(*headings: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-    for heading in headings:
-        table.add_column(heading, overflow="fold")
-    return table

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
 from rich.text import Text
 
-from mbtool.views.transaction_table import printable
+from mbtool.views.tables import plain, plain_table, printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import Console
+    from rich.table import Table
 
     from mbtool.devices.matching import Match, Verdict
 
@@ -27,7 +27,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
     for index, verdict in enumerate(verdicts):
         if index:
             console.print()
-        console.print(Text(printable(f"{slave_text(verdict)}: {verdict.sentence}"), style="bold"))
+        console.print(plain(f"{slave_text(verdict)}: {verdict.sentence}", "bold"))
         if verdict.seen.answered:
             console.print(_table(shown_matches(verdict)))
 
@@ -72,16 +72,11 @@ def verdict_record(verdict: Verdict) -> dict[str, Any]:
 
 
 def _table(matches: Sequence[Match]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-    table.add_column("profile", overflow="fold")
+    table = plain_table("profile")
     table.add_column("score", justify="right")
     table.add_column("why", overflow="fold", ratio=1)
     for one in matches:
         lines = [f"+ {reason}" for reason in one.reasons] + [f"- {one}" for one in one.against]
-        table.add_row(one.profile, str(one.score), Text(printable_lines(lines)))
+        why = Text("\n".join(map(printable, lines)))
+        table.add_row(plain(one.profile), str(one.score), why)
     return table
-
-
-def printable_lines(lines: Sequence[str]) -> str:
-    """Each on a line of its own, nothing in them obeyed."""
-    return "\n".join(map(printable, lines))

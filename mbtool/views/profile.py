@@ -1,20 +1,22 @@
 """Shows device profiles."""
 
+# A profile may be of anyone, so nothing in it is obeyed: no markup, no control characters.
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
 from mbtool.devices import Access, ByteOrder, Place, PointType, WordOrder, write_reference
 from mbtool.modbus import FUNCTIONS, function_name
+from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import RenderableType
+    from rich.table import Table
 
     from mbtool.devices import FunctionRule, Point, Profile
 
@@ -23,30 +25,31 @@ _ACCESS = {Access.READ: "read", Access.READ_WRITE: "read, write", Access.WRITE: 
 
 def profile_list(profiles: Sequence[Profile]) -> RenderableType:
     """All profiles, a line each."""
-    table = _table("name", "device", "transports", "areas", "points")
+    table = plain_table("name", "device", "transports", "areas", "points")
     for profile in profiles:
-        table.add_row(
+        cells = (
             profile.name,
             profile.title,
             ", ".join(profile.transports),
             str(len(profile.areas)),
             str(sum(len(point.addresses) for point in profile.points)),
         )
+        table.add_row(*map(plain, cells))
     return table
 
 
 def profile_page(profile: Profile) -> RenderableType:
     """Everything a profile says."""
     parts: list[RenderableType] = [
-        Text(profile.title, style="bold"),
-        Text(f"{profile.name}, by {profile.vendor}; {', '.join(profile.transports)}"),
-        Text(f"source: {profile.source}"),
-        Text(""),
+        plain(profile.title, "bold"),
+        plain(f"{profile.name}, by {profile.vendor}; {', '.join(profile.transports)}"),
+        plain(f"source: {profile.source}"),
+        plain(""),
         _areas(profile),
-        Text(""),
+        plain(""),
         _functions(profile),
-        Text(""),
-        Text(_exceptions(profile)),
+        plain(""),
+        plain(_exceptions(profile)),
     ]
     timing = profile.timing
     silences = [
@@ -56,37 +59,39 @@ def profile_page(profile: Profile) -> RenderableType:
     ]
     said = ", ".join(text.format(silence) for text, silence in silences if silence)
     if said:
-        parts.append(Text(f"timing: {said}"))
+        parts.append(plain(f"timing: {said}"))
     if profile.any_unit:
-        parts.append(Text("units: it answers whatever unit a request names"))
+        parts.append(plain("units: it answers whatever unit a request names"))
     if profile.points:
-        parts += [Text(""), _points(profile)]
+        parts += [plain(""), _points(profile)]
     notes = [*profile.notes, *_point_notes(profile)]
     if notes:
-        parts.append(Text(""))
-        parts += [Text(f"Note: {note}") for note in notes]
+        parts.append(plain(""))
+        parts += [plain(f"Note: {' '.join(note.split())}") for note in notes]
     return Group(*parts)
 
 
 def _areas(profile: Profile) -> Table:
-    table = _table("area", "references", "addresses", "table", "access")
+    table = plain_table("area", "references", "addresses", "table", "access")
     for area in profile.areas:
-        table.add_row(
+        cells = (
             area.name,
             area.span(area.first, area.last),
             f"{area.first:04X}..{area.last:04X}",
             area.table.value.replace("_", " "),
             _ACCESS[area.access],
         )
+        table.add_row(*map(plain, cells))
     return table
 
 
 def _functions(profile: Profile) -> Table:
-    table = _table("function", "name", "at most")
+    table = plain_table("function", "name", "at most")
     for key, rule in sorted(profile.functions.items()):
         code = int(key, 16)
         silent = "" if rule.answers else ", without an answer"
-        table.add_row(key, f"{rule.title or function_name(code)}{silent}", _limit(code, rule))
+        name = f"{rule.title or function_name(code)}{silent}"
+        table.add_row(key, plain(name), _limit(code, rule))
     return table
 
 
@@ -114,10 +119,11 @@ def _exceptions(profile: Profile) -> str:
 
 
 def _points(profile: Profile) -> Table:
-    table = _table("reference", "point", "type", "values")
+    table = plain_table("reference", "point", "type", "values")
     for point in profile.points:
         name = point.name.replace("{n}", "n").replace("{reference}", "(called by its reference)")
-        table.add_row(_reference(profile, point), name, _type(point), _values(profile, point))
+        cells = (_reference(profile, point), name, _type(point), _values(profile, point))
+        table.add_row(*map(plain, cells))
     return table
 
 
@@ -200,10 +206,3 @@ def _default(point: Point, word: int) -> str:
     if point.words == 1:
         return Place(point, point.address, "").value([word]).text
     return str(word)
-
-
-def _table(*headings: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-    for heading in headings:
-        table.add_column(heading, overflow="fold")
-    return table

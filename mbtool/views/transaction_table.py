@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from mbtool.views.cells import HEADINGS, Row
+from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -132,13 +133,6 @@ class TransactionTable:
     def _indent(self) -> int:
         """Where the second column begins."""
         return (self._widths or (0,))[0] + len(_GAP)
-
-
-def printable(text: str) -> str:
-    """Text that came off a wire or from a file, without what a terminal would obey."""
-    if text.isprintable():
-        return text
-    return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:

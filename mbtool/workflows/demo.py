@@ -110,7 +110,7 @@ class Demo:
         """Play the log as the slaves, ask it all that the masters asked, and compare."""
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
-        slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, speed=None))
+        slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
         with slave, TcpMaster(slave.endpoint) as master:
             answers = [master.ask(unit, pdu) for unit, pdu, _ in self._exchanges]
         differences = tuple(

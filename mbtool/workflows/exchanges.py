@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.devices import Assignment, Assignments, Namer, Who
-from mbtool.modbus.adu import Transport
+from mbtool.modbus.adu import Adu, Transport
 from mbtool.modbus.joining import Ends, broadcast, no_answer, together
 from mbtool.modbus.spoiling import wire_pieces
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbtool.core import LinkSpec
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.modbus import Adu, Answer
+    from mbtool.modbus import Answer
     from mbtool.modbus.transaction import Transaction
     from mbtool.slave import Behaviour, Output
 
@@ -32,26 +34,30 @@ MAX_WAITING = 4096
 
 
 class Exchanges:
-    """The exchanges and outputs of one device on a link."""
+    """The exchanges and outputs of the devices on a link."""
 
-    def __init__(self, profile: Profile, link: LinkSpec) -> None:
-        self._assignments = Assignments([Assignment(Who(), profile)])
+    def __init__(
+        self, profile: Profile, link: LinkSpec, others: Mapping[int, Profile] | None = None
+    ) -> None:
+        """`others` are devices beside that of the profile, by their units."""
+        beside = [Assignment(Who(unit=unit), one) for unit, one in (others or {}).items()]
+        self._assignments = Assignments([Assignment(Who(), profile), *beside])
         self._namer = Namer(self._assignments)
         self._ends = Ends(link.name)
         self._waiting: deque[tuple[Adu, Answer | None]] = deque()
         self._missed = 0
-        self._behaviour: Behaviour | None = None
-        self._outputs: tuple[Output, ...] = ()
+        self._behaviours: Mapping[int, Behaviour] = {}
+        self._outputs: list[Output] = []
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
 
     # The slave's side.
 
-    def begin(self, behaviour: Behaviour) -> None:
-        """Learn whose outputs they are."""
-        self._behaviour = behaviour
-        self._outputs = behaviour.outputs()
+    def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
+        """Learn whose outputs they are, by unit."""
+        self._behaviours = behaviours
+        self._outputs = self._all_outputs()
 
     def take(self, request: Adu, answer: Answer | None) -> None:
         if len(self._waiting) < MAX_WAITING:
@@ -75,10 +81,16 @@ class Exchanges:
 
     def changed_outputs(self) -> list[Output]:
         """The outputs that have changed since the last time."""
-        if self._behaviour is None:
-            return []
-        before, self._outputs = self._outputs, self._behaviour.outputs()
+        before, self._outputs = self._outputs, self._all_outputs()
         return [now for was, now in zip(before, self._outputs, strict=True) if now != was]
+
+    def _all_outputs(self) -> list[Output]:
+        """The outputs of all devices; of several, each with its unit."""
+        return [
+            one if len(self._behaviours) == 1 else replace(one, name=f"unit {unit} {one.name}")
+            for unit, behaviour in self._behaviours.items()
+            for one in behaviour.outputs()
+        ]
 
     def _joined(self, request: Adu, answer: Answer | None) -> Transaction:
         if answer is None:
@@ -88,13 +100,16 @@ class Exchanges:
         pieces = wire_pieces(answer, request.transport, request.unit, request.transaction_id or 0)
         if not pieces:
             return no_answer(self._ends, request, 0)
-        response = replace(
-            request,
-            direction=Direction.RESPONSE,
+        response = Adu(
             start_ns=request.end_ns + answer.delay_ns,
             end_ns=request.end_ns + answer.delay_ns + pieces[-1][0],
+            transport=request.transport,
+            direction=Direction.RESPONSE,
+            direction_by=request.direction_by,
+            confidence=request.confidence,
+            unit=request.unit,
             pdu=answer.pdu,
             raw=b"".join(data for _, data in pieces),
-            verdicts=(),
+            transaction_id=request.transaction_id,
         )
         return together(self._ends, request, response, 0, ())

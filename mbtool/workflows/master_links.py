@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import time
@@ -44,6 +45,8 @@ SLOW_S = 0.5
 """How long a connection that was lost may take to come back before a request is given up."""
 READ_BYTES = 4096
 LONGEST_WAIT_S = 3600.0
+_POLL_S = 0.001
+"""How often a port is looked at where one cannot wait for it."""
 
 _NS = 1_000_000_000
 
@@ -210,9 +213,8 @@ class SerialMaster(MasterLink):
         answers: list[Answered] = []
         while not answers:
             rest_ns = until_ns - time.monotonic_ns()
-            self._port.timeout = min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS
             try:
-                data = self._port.read(self._port.in_waiting or 1)
+                data = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS)
             except OSError as error:  # pyserial's errors are OSErrors too.
                 raise self._lost() from error
             now_ns = time.monotonic_ns()
@@ -224,6 +226,21 @@ class SerialMaster(MasterLink):
 
     def close(self) -> None:
         self._port.close()
+
+    def _read(self, wait_s: float) -> bytes:
+        """What has come, or comes within so long.
+
+        The port's own time-out is not touched: pyserial sets the whole port up anew for that, which
+        takes its time, and which a pseudo-terminal refuses where a line has parity.
+        """
+        if os.name == "posix":
+            if not select.select([self._port], [], [], wait_s)[0]:
+                return b""
+        elif not self._port.in_waiting:
+            time.sleep(min(wait_s, _POLL_S))
+            if not self._port.in_waiting:
+                return b""
+        return bytes(self._port.read(self._port.in_waiting or 1))
 
     def _matched(self, adu: Adu) -> Answered:
         number, unit = self._open if self._open is not None else (-1, -1)

@@ -12,11 +12,22 @@ import msgspec
 
 from mbtool.core import CutError, DamageError, InputError
 from mbtool.devices import Difference, NamedTransaction, Span, parse_span, write_reference
-from mbtool.replay import Conductor, Judge, PlayClock, Request, Script, Step, Tolerance
+from mbtool.replay import (
+    Conductor,
+    Desk,
+    Judge,
+    PlayClock,
+    Request,
+    Script,
+    Steering,
+    Step,
+    Tolerance,
+    Window,
+)
 from mbtool.views.junit import Case, junit_xml
 from mbtool.workflows.master_links import open_master
 from mbtool.workflows.reading import ReadingOptions
-from mbtool.workflows.recorded import read_recorded
+from mbtool.workflows.recorded import read_recorded, where_none, within
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
@@ -25,6 +36,8 @@ if TYPE_CHECKING:
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
 """How often a player looks whether it shall stop, while nothing happens."""
+_STEERED_NS = 30_000_000
+"""The same where someone steers it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +49,7 @@ class MasterOptions:
     rate: Fraction | None = Fraction(1)
     """Recorded time for each real time; None: as fast as answers come."""
     is_loop: bool = False
+    window: Window = field(default_factory=Window)
     timeout_ns: int = _NS
     ignore: Sequence[str] = ()
     """Ranges of registers whose values may differ."""
@@ -82,13 +96,12 @@ class MasterRun:
         def on_cut(error: CutError | DamageError) -> None:
             on_remark(f"mbtool: {error}; playing what is there")
 
-        transactions, assignments = read_recorded(
-            path, options.reading, options.wanted, on_cut, on_remark
-        )
-        self._profiles: dict[str, Profile] = {each.name: each for each in assignments.profiles}
-        self.script = Script.of(transactions)
+        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark)
+        profiles = recorded.assignments.profiles
+        self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
+        self.script = Script.of(within(recorded.transactions, options.window))
         if not self.script.steps:
-            raise InputError(f"{path}: no request to ask; see what it holds with decode")
+            raise InputError(f"{path}: no request to ask{where_none(options.window)}")
         self._spans: list[Span] = [
             parse_span(text, self._profiles.values()) for text in options.ignore
         ]
@@ -99,11 +112,13 @@ class MasterRun:
         *,
         stops: Callable[[], bool] = lambda: False,
         on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
+        desk: Desk | None = None,
     ) -> Report:
         """Ask all that was recorded, and compare the answers.
 
         `stops` is asked again and again whether to end early; `on_answer` gets each step, its
-        answer or None, and whether that is right. Raises LinkError, UsageError.
+        answer or None, and whether that is right; at the `desk` someone steers. Raises LinkError,
+        UsageError.
         """
         options = self._options
         judge = Judge(
@@ -117,9 +132,16 @@ class MasterRun:
         )
         with open_master(link, options.timeout_ns) as master:
             conductor = Conductor(self.script, clock, judge, master.manners)
-            clock.run(time.monotonic_ns())
+            steering = Steering(clock, conductor.let_go)
+            look_ns = _LOOK_NS if desk is None else _STEERED_NS
+            steering.begin(time.monotonic_ns())
             while not conductor.has_ended and not stops():
                 now_ns = time.monotonic_ns()
+                if desk is not None:
+                    for control in desk.controls():
+                        steering.apply(control, now_ns)
+                    done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
+                    desk.show(steering.progress(clock.place(now_ns), done))
                 step = conductor.next_step(now_ns)
                 if step is not None:
                     master.send(step.number, step.unit, step.pdu)
@@ -128,7 +150,7 @@ class MasterRun:
                 for late, is_right in conductor.expire(now_ns):
                     on_answer(late, None, is_right)
                 wake_ns = conductor.wake_ns(now_ns)
-                rest_ns = _LOOK_NS if wake_ns is None else min(wake_ns - now_ns, _LOOK_NS)
+                rest_ns = look_ns if wake_ns is None else min(wake_ns - now_ns, look_ns)
                 for answer in master.receive(rest_ns):
                     agrees = conductor.answered(*answer)
                     if agrees is not None:

@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
-from mbtool.devices import builtin_profiles, load_profile
+from mbtool.devices import Who, builtin_profiles, load_profile
+from mbtool.devices.identity import answer_word
 from mbtool.devices.matching import model_function, models_of
-from mbtool.devices.seen import answer_word
 from mbtool.modbus import FUNCTIONS
 
 if TYPE_CHECKING:
@@ -34,20 +34,24 @@ class ModelHints:
         self._models: dict[tuple[int, int], Profile] | None = None
         self._hints: dict[tuple[str, int], str] = {}
 
-    def note(self, record: Record) -> None:
-        """Take the next record; those that tell no model cost a look at their function."""
+    def note(self, record: Record) -> str | None:
+        """Take the next record, and give the hint where it is the first about a slave.
+
+        Records that tell no model cost a look at their function.
+        """
         if isinstance(record, WireEvent) or record.function in FUNCTIONS:
-            return
+            return None
         word = answer_word(record)
         where = record.destination or record.link
         if word is None or (where, record.unit) in self._hints or len(self._hints) >= MAX_HINTS:
-            return
+            return None
         model = self._model(record.function, word)
         if model is None or record.transport not in model.transports:
-            return
+            return None
         hint = _hint(record, model, self._profile_for(record))
         if hint is not None:
             self._hints[where, record.unit] = hint
+        return hint
 
     @property
     def remarks(self) -> list[str]:
@@ -56,16 +60,12 @@ class ModelHints:
 
     def _model(self, function: int, word: int) -> Profile | None:
         if self._models is None:
-            profiles = {name: load_profile(name) for name in builtin_profiles()}
-            self._models = {
-                code: profiles[name] for code, name in models_of(list(profiles.values())).items()
-            }
+            self._models = models_of(map(load_profile, builtin_profiles()))
         return self._models.get((function, word))
 
 
 def _hint(record: NamedTransaction, model: Profile, named_by: Profile | None) -> str | None:
-    host = (record.destination or "").rpartition(":")[0].strip("[]")
-    who = f"{host}/{record.unit}" if host else str(record.unit)
+    who = Who.of_slave(record.destination, record.unit).at_any_port
     said = f"unit {record.unit} at {record.destination or record.link} is {model.title}, "
     said += f"as its answer to {record.function:02X}H says"
     if named_by is None:

@@ -323,9 +323,13 @@ class Reading:
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            with suppress(UsageError):  # The log's transactions are named; only figures lack.
+            # The log's transactions are named and timed: where these fail, only figures lack.
+            with suppress(UsageError):
                 self.assignments = _all_assignments(log, self._options.assignments)
-            lines, timing = _lines(log), LineTiming(self.assignments)
+            lines: dict[str, SerialLink] = {}
+            with suppress(UsageError):
+                lines = _lines(log)
+            timing = LineTiming(self.assignments)
             self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
             yield from _renamed(log, self._options.assignments)
         if not log.closed:

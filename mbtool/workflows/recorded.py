@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import CutError, DamageError, UsageError, WireEvent
 from mbtool.modbus import Outcome
+from mbtool.replay import Window
+from mbtool.replay.damaged import DAMAGED_KINDS
 from mbtool.workflows.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ class Recorded(NamedTuple):
 
     transactions: list[NamedTransaction]
     assignments: Assignments
+    damage: list[WireEvent]
+    """Bytes that could not be read."""
 
 
 def read_recorded(
@@ -36,17 +40,36 @@ def read_recorded(
     several links.
     """
     transactions: list[NamedTransaction] = []
+    damage: list[WireEvent] = []
     reading = Reading([path], options)
     try:
         for record in reading.records():
-            if not isinstance(record, WireEvent) and wanted(record):
+            if isinstance(record, WireEvent):
+                if record.kind in DAMAGED_KINDS:
+                    damage.append(record)
+            elif wanted(record):
                 transactions.append(record)
     except (CutError, DamageError) as error:
         on_cut(error)
     for remark in reading.remarks:
         on_remark(remark)
     _demand_one_slave_each(path, transactions)
-    return Recorded(transactions, reading.assignments)
+    return Recorded(transactions, reading.assignments, damage)
+
+
+def within(transactions: list[NamedTransaction], window: Window) -> list[NamedTransaction]:
+    """Those that begin in a window, which counts from the first request."""
+    first_ns = min(
+        (one.request_ns for one in transactions if one.request_ns is not None), default=0
+    )
+    return [one for one in transactions if one.start_ns - first_ns in window]
+
+
+def where_none(window: Window) -> str:
+    """Where there is nothing to play, and what helps; for a message."""
+    if window == Window():
+        return "; see what it holds with decode"
+    return f" in the part {window}; give another --start and --end"
 
 
 def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> None:

@@ -22,6 +22,7 @@ from mbtool.core import (
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.live import live_source
+from mbtool.workflows.refusals import Refusals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -63,9 +64,9 @@ class Sniffer:
     ) -> None:
         """`on_lost` is told when a link goes away while others stay.
 
-        `on_refused` is told when a tap cannot reach its slave: once, until it could be reached or
-        cannot be for another reason. `on_discarded` is told when bytes or packets that a source has
-        heard, or should have, are not in the log.
+        `on_refused` is told when a tap turns a master away: once for each reason, until a master
+        was served again. `on_discarded` is told when bytes or packets that a source has heard, or
+        should have, are not in the log.
         """
         self._links = links
         self._decoder = decoder
@@ -75,8 +76,7 @@ class Sniffer:
         self._on_lost = on_lost
         self._on_refused = on_refused
         self._on_discarded = on_discarded
-        self._refused: dict[str, str] = {}
-        """Why the slaves of taps cannot be reached, by link."""
+        self._refusals = Refusals()
         self._inbox = Inbox()
         self._open_sources = ExitStack()
         self.sources: list[LiveSource] = []
@@ -159,17 +159,9 @@ class Sniffer:
         for record in records:
             if self._log is not None:
                 self._log.write(record)
-            if isinstance(record, WireEvent):
-                self._note(record)
+            if self._refusals.is_news(record):
+                self._on_refused(record)
         yield from records
-
-    def _note(self, event: WireEvent) -> None:
-        match event.kind:
-            case EventKind.OPENED:
-                self._refused.pop(event.link, None)
-            case EventKind.REFUSED if self._refused.get(event.link) != event.message:
-                self._refused[event.link] = event.message
-                self._on_refused(event)
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
@@ -69,7 +70,13 @@ class Survey:
 def _which(slaves: Sequence[Seen], choices: Sequence[Seen], option: str) -> str:
     if not slaves:
         return f"{option}: no transaction of such a slave is there"
-    names = [one.who if one.destination else f"{one.who} on {one.link}" for one in choices]
+    plain = Counter(one.who.at_any_port for one in choices)
+    names = [
+        f"{one.who} on {one.link}"
+        if one.destination is None
+        else str(one.who if plain[one.who.at_any_port] > 1 else one.who.at_any_port)
+        for one in choices
+    ]
     shown = ", ".join(names[:_SHOWN])
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"{len(choices)} slaves are there: {shown}{more}; name one with {option}"

@@ -30,7 +30,17 @@ def test_a_frame_at_another_place_is_false_and_the_true_one_missing(traffic: Tra
     offset, raw, direction = heard.frames[5]
     heard.frames[5] = (offset + 1, raw[1:], direction)
     one = figures(traffic, wire, heard)
-    assert (one.frames - one.found, one.false) == (1, 1)
+    assert (one.frames - one.found, one.false, one.in_doubt) == (1, 1, 0)
+
+
+def test_a_frame_that_is_none_is_in_doubt_where_the_decoder_says_so(traffic: Traffic) -> None:
+    wire = damaged(traffic, Damage.NONE, Random(1))
+    heard = truth(traffic, wire)
+    offset, raw, _ = heard.frames[5]
+    heard.frames[5] = (offset, raw[:-1], None)
+    one = figures(traffic, wire, heard)
+    assert (one.frames - one.found, one.false, one.in_doubt) == (1, 0, 1)
+    assert one.in_doubt_per_10000 == 10_000 / one.heard
 
 
 def test_a_direction_is_right_wrong_or_ambiguous(traffic: Traffic) -> None:

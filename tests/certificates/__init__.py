@@ -2,8 +2,9 @@
 
 # Made once with openssl, so that no test needs a tool, and valid from 2020 to 2120, but for
 # EXPIRED_CA and EXPIRED. CA signed SLAVE (localhost, 127.0.0.1), ELSEWHERE (plc.example), MASTER
-# (role Operator), NO_ROLE and EXPIRED; OTHER_CA signed STRANGER. A leaf's file holds its
-# certificate, then its private key.
+# (role Operator), NO_ROLE and EXPIRED; OTHER_CA signed STRANGER. LATIN_1 and NO_SUBJECT signed
+# themselves (127.0.0.1): one, a CA, has another name, which is not in ASCII, the other is called
+# nothing else. A leaf's file holds its certificate, then its private key.
 
 from __future__ import annotations
 
@@ -21,6 +22,8 @@ MASTER = str(_FOLDER / "master.pem")
 NO_ROLE = str(_FOLDER / "no-role.pem")
 EXPIRED = str(_FOLDER / "expired.pem")
 STRANGER = str(_FOLDER / "stranger.pem")
+LATIN_1 = str(_FOLDER / "latin-1.pem")
+NO_SUBJECT = str(_FOLDER / "no-subject.pem")
 LOCKED_KEY = str(_FOLDER / "locked-key.pem")
 """MASTER's key, locked with the passphrase "secret"."""
 

@@ -89,6 +89,7 @@ def test_a_cut_capture_leaves_a_whole_document(
     [
         ([SHOWS, "--select", "RUT"], "no code begins with 'RUT'; they begin with FA3, FT1A, "),
         ([SHOWS, "-o", "x.csv"], "x.csv: its name says no format; let it end in .txt, .json, "),
+        ([SHOWS, "-o", str(FOLDER)], ": a directory; name a file in it"),
         ([SHOWS, "-o", SHOWS], "it is read, and would be written over"),
         ([SHOWS, SHOWS], "named twice"),
         ([SHOWS, "--device", "5"], "device '5'"),

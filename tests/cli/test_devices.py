@@ -26,6 +26,12 @@ def test_lists_the_built_in_profiles(mbtool: CommandLine) -> None:
     assert max(map(len, told.lines)) <= 100
 
 
+def test_help_lists_the_commands_in_whole_sentences(mbtool: CommandLine) -> None:
+    listed = mbtool("devices", "--help").out.partition("Commands:\n")[2].splitlines()
+    assert [line.split()[0] for line in listed] == ["new", "import", "draft", "export", "schema"]
+    assert all(line.endswith(".") and not line.endswith("...") for line in listed)
+
+
 def test_shows_one_in_full(mbtool: CommandLine) -> None:
     told = mbtool("devices", "idec-ft1a-touch")
     assert told.lines[0] == "FT1A Touch operator interface, Modbus RTU slave"

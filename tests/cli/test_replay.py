@@ -5,10 +5,12 @@ from __future__ import annotations
 import signal
 from typing import TYPE_CHECKING
 
+import pytest
+
 from mbtool.cli import exit_codes
-from mbtool.cli.replay import MissChoice
+from mbtool.cli.replay import EndChoice, MatchChoice, MissChoice
 from mbtool.modbus import rtu_adu
-from mbtool.replay import OnMiss
+from mbtool.replay import Match, OnEnd, OnMiss
 from mbtool.workflows.asking import TcpMaster
 from tests.cli.program import CommandLine, Program, endpoint_in
 from tests.logs.samples import transaction, write_log
@@ -16,6 +18,7 @@ from tests.packets.building import pcap
 from tests.workflows.evidence import READ, VALUES, captured, damaged_log
 
 if TYPE_CHECKING:
+    from enum import StrEnum
     from pathlib import Path
 
 
@@ -70,5 +73,9 @@ def test_a_replay_of_a_damaged_log_says_so_and_plays_the_rest(tmp_path: Path) ->
     assert said.endswith("left out, all else was read; playing what is there\n")
 
 
-def test_the_choices_for_a_miss_are_the_players() -> None:
-    assert [one.value for one in MissChoice] == [one.value for one in OnMiss]
+@pytest.mark.parametrize(
+    ("choices", "players"),
+    [(MissChoice, OnMiss), (MatchChoice, Match), (EndChoice, OnEnd)],
+)
+def test_the_choices_are_the_players(choices: type[StrEnum], players: type[StrEnum]) -> None:
+    assert [one.value for one in choices] == [one.value for one in players]

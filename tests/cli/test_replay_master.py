@@ -87,7 +87,7 @@ def test_what_differs_is_learned_and_left_out_the_next_time(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "say which side to play: --as-slave --on LINK, or --as-master --to LINK"),
+        ([], "say which side to play: --as-slave --on LINK, --as-master --to LINK, or"),
         (["--as-slave", "--as-master"], "say which side to play"),
         (["--as-master"], "--as-master goes with --to LINK"),
         (["--as-master", "--on", "tcp:127.0.0.1:1"], "--as-master goes with --to LINK"),

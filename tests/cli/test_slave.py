@@ -56,3 +56,55 @@ def test_a_state_for_a_device_that_keeps_nothing_is_refused(tmp_path: Path) -> N
     assert (
         told.err == "mbtool: idec-ft1a-touch keeps nothing over a restart, so --state has no use\n"
     )
+
+
+def test_several_devices_answer_on_one_link_each_with_its_values(tmp_path: Path) -> None:
+    first, other = tmp_path / "first.toml", tmp_path / "other.toml"
+    first.write_text("HR400001 = [4660, 22136]\n")
+    other.write_text("40001 = { ramp = [5, 6], seconds = 10000 }\n")
+    with Program(
+        *("slave", "idec-ft1a-touch", "--on", "tcp:127.0.0.1:0", "--unit", "7", "--print"),
+        *("--unit", "3=chino-lt830", "--image", first, "--image", f"3={other}"),
+    ) as program:
+        began = program.await_said("Ctrl-C ends")
+        with TcpMaster(endpoint_in(began)) as master:
+            assert master.ask(7, READ) == VALUES
+            assert master.ask(3, READ) == bytes.fromhex("03 04 0005 0000")
+        told = program.end(signal.SIGINT)
+    assert "slave as unit 7, LT830 digital indicating controller as unit 3 on tcp:" in began
+    _, _, first_row, other_row = told.out.splitlines()
+    assert "HR400001..400002" in first_row
+    assert "40001..40002" in other_row
+
+
+def test_faults_of_a_file_are_shown_on_purpose(tmp_path: Path) -> None:
+    fault = tmp_path / "fault.toml"
+    fault.write_text('[[faults]]\nkind = "exception"\ncode = 6\n')
+    link = "tcp:127.0.0.1:0"
+    with Program("slave", "idec-ft1a-touch", "--on", link, "--fault", fault) as program:
+        began = program.await_said("Ctrl-C ends")
+        with TcpMaster(endpoint_in(began)) as master:
+            assert master.ask(1, READ) == bytes.fromhex("83 06")
+        assert program.end(signal.SIGINT).err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--unit", "256"], "--unit '256': write a number from 0 to 255, or 3=PROFILE"),
+        (["--unit", "x"], "--unit 'x': write a number"),
+        (["--unit", "1", "--unit", "2"], "unit 1 already; write 2=PROFILE for another one"),
+        (["--unit", "1=wago-750"], "unit 1 is that of the first device; choose another"),
+        (["--unit", "3=wago-750", "--unit", "3=chino-lt830"], "unit 3 is given two profiles"),
+        (["--unit", "3=absent"], "absent"),
+        (["--image", "3=x.toml"], "--image 3=x.toml: no device is unit 3; see --unit"),
+        (["--image", "a", "--image", "b"], "--image b: unit 1 has a file already; join the two"),
+    ],
+)
+def test_units_and_files_that_do_not_fit_are_refused_in_a_line(
+    arguments: list[str], says: str
+) -> None:
+    told = said("slave", "idec-ft1a-touch", "--on", "tcp:127.0.0.1:0", *arguments)
+    assert told.code == exit_codes.USAGE
+    assert says in told.err
+    assert told.err.count("\n") == 1

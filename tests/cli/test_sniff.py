@@ -83,6 +83,19 @@ def test_a_slave_that_cannot_be_reached_is_said_once_and_shown_again_from_the_lo
     assert again.err == "0 transactions; 2 events: 2 refused\n"
 
 
+def test_a_slave_that_says_its_model_is_told_once_as_it_is_heard(bench: Bench) -> None:
+    with Program("sniff", bench.tap()) as program:
+        tap = _tap_of(program)
+        with TcpMaster(tap) as master:
+            for _ in range(2):
+                assert master.ask(0, b"\x42\x00\x16") == b"\x42\x00\x16"
+        said = program.await_said("42H")
+        told = program.end(signal.SIGINT)
+    assert said.startswith("mbtool: unit 0 at 127.0.0.1:")
+    assert said.endswith("name it with --device 127.0.0.1/0=fa3-at1m8x\n")
+    assert told.err == "2 transactions: 2 ok\n"
+
+
 def test_stops_after_so_many_and_logs_what_it_heard(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with Program("sniff", bench.tap(), "-w", path, "--count", 2, "--format", "jsonl") as program:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli.talk import Interrupt, interruptible
+from mbtool.cli.talk import Interrupt, drawn_line, interruptible, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -56,3 +56,15 @@ def test_what_is_done_with_an_item_is_not_broken_off() -> None:
 def test_without_a_signal_all_items_come() -> None:
     with interruptible() as interrupt:
         assert list(interrupt.breakable(iter("abc"))) == list("abc")
+
+
+def test_a_drawn_line_is_taken_away_before_something_is_said(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    wiped: list[str] = []
+    with drawn_line(lambda: wiped.append(capsys.readouterr().err)):
+        say("one")
+        say("two")
+    say("three")
+    assert wiped == ["", "one\n"]
+    assert capsys.readouterr().err == "two\nthree\n"

@@ -17,6 +17,7 @@ from tests.cli.program import PATIENCE_S, CommandLine, Program, endpoint_in
 
 if TYPE_CHECKING:
     import ssl
+    from collections.abc import Callable
     from pathlib import Path
 
 TAP = "tap:127.0.0.1:0=127.0.0.1:9"
@@ -115,19 +116,20 @@ def test_a_master_that_is_refused_is_told_and_the_run_goes_on() -> None:
         tap = endpoint_in(program.await_said("listening on"))
         _call(tap, master_context(None))
         said = program.await_said("turned away")
-        _call(tap, master_context(MASTER))
         slave.settimeout(PATIENCE_S)
-        slave.accept()[0].close()
+        _call(tap, master_context(MASTER), lambda: slave.accept()[0].close())
         told = program.end(signal.SIGINT)
     assert said == "mbtool: a master was turned away: TLS: the master shows no certificate\n"
     assert told.code == exit_codes.INTERRUPTED
     assert "Traceback" not in told.err
 
 
-def _call(tap: Endpoint, tls: ssl.SSLContext) -> None:
+def _call(tap: Endpoint, tls: ssl.SSLContext, connected: Callable[[], None] = lambda: None) -> None:
+    """Connect, and wait until the other side ends it."""
     with (
         socket.create_connection((tap.host, tap.port), PATIENCE_S) as plain,
         suppress(OSError),
         tls.wrap_socket(plain, server_hostname="localhost") as master,
     ):
+        connected()
         master.recv(1)

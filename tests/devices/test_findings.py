@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from mbtool.devices import (
@@ -75,6 +76,43 @@ def test_what_17h_reads_and_what_it_writes_are_held_against_the_areas(
         request_values=[0] * len(write),
     )
     assert list(request_findings(profile, asked)) == codes
+
+
+@pytest.mark.parametrize(
+    ("read", "write", "codes", "text"),
+    [
+        (125, 100, [], None),
+        (125, 101, ["WAGO-Q23"], "at most 125 are read and 100 written"),
+        (1, 121, ["WAGO-Q23"], "at most 125 are read and 100 written"),
+        (126, 1, ["WAGO-Q23"], "at most 125 are read and 100 written"),
+    ],
+)
+def test_what_17h_writes_has_a_limit_of_its_own(
+    read: int, write: int, codes: list[str], text: str | None
+) -> None:
+    wago = load_profile("wago-750")
+    asked = transaction(0x17, 0, quantity=read, write_address=0, request_values=[0] * write)
+    assert list(request_findings(wago, asked)) == codes
+    assert [finding_text(code, wago) for code in codes] == ([text] if text else [])
+
+
+def test_limit_of_writing_alone_leaves_reading_to_the_standard() -> None:
+    profile = msgspec.structs.replace(FT1A, functions={"17": FunctionRule(write_limit=4)})
+    for read, write, codes in ((125, 4, []), (125, 5, ["FT1A-Q23"]), (126, 4, ["MB-104"])):
+        asked = transaction(0x17, 0, quantity=read, write_address=0, request_values=[0] * write)
+        assert list(request_findings(profile, asked)) == codes
+    assert finding_text("FT1A-Q23", profile) == "at most 4 are written"
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        ("FT1A-E4", "exception 04 (server device failure) is not documented"),
+        ("LT830-E19", "exception 13 is not documented"),
+    ],
+)
+def test_exception_without_a_name_is_said_once(code: str, text: str) -> None:
+    assert finding_text(code) == text
 
 
 def test_functions_of_the_makers_own_are_no_finding() -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from mbtool.devices import PointValue
-from mbtool.devices.identity import identity_points
+from mbtool.devices.identity import answer_word, identity_points
 from mbtool.modbus import rtu_adu
+from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction
 
 
@@ -25,3 +26,15 @@ def test_a_server_id_is_referred_to_by_its_function() -> None:
 
 def test_other_answers_give_no_values() -> None:
     assert identity_points(transaction(3, 0, response_raw=rtu_adu(1, b"\x03\x02\x00\x01"))) == []
+
+
+def test_a_word_that_is_the_whole_answer_is_given() -> None:
+    assert answer_word(transaction(0x42, response_raw=rtu_adu(1, b"\x42\x00\x16"))) == 0x16
+
+
+def test_a_longer_answer_none_or_an_exception_is_no_word() -> None:
+    raw = rtu_adu(1, b"\x42\x00\x16")
+    assert answer_word(transaction(0x42, response_raw=rtu_adu(1, b"\x42\x00\x16\x00"))) is None
+    assert answer_word(transaction(0x42, outcome=Outcome.NO_ANSWER)) is None
+    assert answer_word(transaction(0x42, response_raw=raw, exception=1)) is None
+    assert answer_word(transaction(0x42, response_raw=raw[:2])) is None

@@ -21,31 +21,9 @@ from mbtool.devices import (
     profile_from_json,
     profile_to_json,
 )
-from mbtool.devices.loading import MAX_EXTENDED, MAX_FILE_BYTES
+from mbtool.devices.loading import MAX_EXTENDED
+from tests.devices.pump import PUMP
 from tests.devices.transactions import transaction
-
-PUMP = """
-name = "pump"
-title = "A pump"
-vendor = "Maker"
-transports = ["rtu"]
-source = "its manual"
-
-[functions]
-03 = { limit = 16 }
-
-[[areas]]
-name = "data"
-table = "holding_registers"
-first = 0
-last = 9
-access = "rw"
-
-[[points]]
-name = "Speed"
-table = "holding_registers"
-address = 3
-"""
 
 
 def _load(folder: Path, text: str, name: str = "pump.toml") -> Profile:
@@ -86,69 +64,6 @@ def test_part_of_a_family_is_no_profile() -> None:
 def test_absent_file_is_named_with_the_reason(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nothing\.toml' cannot be read: No such file"):
         load_profile(str(tmp_path / "nothing.toml"))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "key", "problem"),
-    [
-        ("last = 9", "last =", "line 15, column 7", "not TOML: Invalid value"),
-        ("last = 9", "last = 70000", 'areas "data".last', "<= 65535, not 70000"),
-        ("last = 9", 'last = "9"', 'areas "data".last', "expected a whole number, not '9'"),
-        ("last = 9", "last = true", 'areas "data".last', "expected a whole number, not true"),
-        ("last = 9", "lost = 9", 'areas "data".lost', "unknown key; did you mean 'last'?"),
-        ("last = 9\n", "", 'areas "data".last', "this key is missing"),
-        ('"rw"', '"write"', 'areas "data".access', "expected one of r, rw, w, not 'write'"),
-        ('["rtu"]', '["usb"]', "transports[0]", "one of rtu, ascii, tcp, rtu-tcp, not 'usb'"),
-        ('["rtu"]', '"rtu"', "transports", "a list, for example ['rtu'], not 'rtu'"),
-        ('title = "A pump"\n', "", "title", "this key is missing"),
-        ("03 =", "3 =", "functions.3", "two hexadecimal digits"),
-        ("03 =", "83 =", "functions.83", "01 to 7F"),
-        ("limit = 16", "limit = 0", "functions.03.limit", ">= 1, not 0"),
-        ("limit = 16", "answer = 1", "functions.03.answer", "expected a table, { key"),
-        ("{ limit = 16 }", "16", "functions.03", "= value }, not 16"),
-        ("address = 3", "address = -1", 'points "Speed".address', ">= 0, not -1"),
-        ("address = 3", 'address = 3\ntype = "word"', 'points "Speed".type', "one of bit, uint16"),
-        ("address = 3", "address = 3\ntexts = 5", 'points "Speed".texts', "a table of value"),
-        (
-            "address = 3",
-            "address = 3\ntexts = {on = 'x'}",
-            'points "Speed".texts.on',
-            "3 or 0x0E30",
-        ),
-        ("address = 3", "address = 3\ntexts = {1 = 2}", 'points "Speed".texts.1', "a text, not 2"),
-        ('name = "Speed"', "name = 1", "points[0].name", "expected a text, not 1"),
-        ("[[points]]", "[points]", "points", "expected [[points]] tables"),
-        (
-            'source = "its manual"',
-            "source = 's'\nnotes = 'n'",
-            "notes",
-            "for example ['n'], not 'n'",
-        ),
-        ('source = "its manual"', "source = 's'\nextends = 1", "extends", "name or path, not 1"),
-        ('source = "its manual"', "source = 's'\nextends = 'x'", "extends", "no profile 'x'"),
-    ],
-)
-def test_mistake_is_told_with_its_key_and_what_would_be_right(
-    tmp_path: Path, old: str, new: str, key: str, problem: str
-) -> None:
-    assert old in PUMP
-    told = _problem(tmp_path, PUMP.replace(old, new))
-    assert told[0] == key
-    assert problem in told[1]
-
-
-def test_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "pump.toml").write_bytes(b"name = \xff")
-    with pytest.raises(ProfileError, match="byte 7: not UTF-8"):
-        load_profile(str(tmp_path / "pump.toml"))
-
-
-def test_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
-    assert _problem(tmp_path, "#" * (MAX_FILE_BYTES + 1))[0] == "size"
-
-
-def test_nesting_without_end_is_refused(tmp_path: Path) -> None:
-    assert _problem(tmp_path, "a = " + "[" * 100_000)[0] == "TOML"
 
 
 def test_profile_extends_a_built_in_one(tmp_path: Path) -> None:

@@ -148,6 +148,8 @@ def test_scores_are_between_0_and_100_and_fall() -> None:
 
 def test_the_models_of_all_profiles_are_found_by_their_codes() -> None:
     models = models_of(PROFILES)
-    assert {code for function, code in models} == {0x13, 0x14, 0x15, 0x16, 0x17}
-    assert {function for function, code in models} == {0x42}
+    assert {code: profile.model_code for (_, code), profile in models.items()} == {
+        code: code for code in (0x13, 0x14, 0x15, 0x16, 0x17)
+    }
+    assert {function for function, _ in models} == {0x42}
     assert model_function(load_profile("idec-ft1a-touch")) is None

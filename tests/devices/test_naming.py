@@ -2,14 +2,25 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import Assignments, NamedTransaction, Namer, describe, load_profile
+from mbtool.devices import (
+    Assignments,
+    FunctionRule,
+    NamedTransaction,
+    Namer,
+    Point,
+    describe,
+    describe_points,
+    load_profile,
+)
 from mbtool.devices.assignment import Assignment, Who
 from mbtool.devices.naming import _MAX_REMEMBERED
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.framing import mbap_adu
+from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction
 
@@ -95,7 +106,63 @@ def test_function_17h_names_what_it_reads_and_what_it_writes() -> None:
     )
     assert named.reference == "00F2H..00F3H, write 0102H"
     assert _texts(named) == {"0102H": "CH1 enabled", "00F2H": "600 s", "00F3H": "10 s"}
+    assert [point.written for point in named.points] == [True, False, False]
+    assert describe(named) == (
+        "00F2H..00F3H, write 0102H A/D conversion enable/disable setting: CH1 enabled; "
+        f"read {'; '.join(describe_points(named.points[1:]))}"
+    )
     assert named.findings == ["FA3-F23"]
+
+
+def test_what_17h_reads_is_not_said_to_be_written() -> None:
+    named = _namer("wago-750").name(
+        transaction(
+            0x17,
+            0x1000,
+            quantity=2,
+            write_address=3,
+            request_values=[0x123],
+            response_values=[100, 255],
+        )
+    )
+    assert [(point.reference, point.written) for point in named.points] == [
+        ("0x1000", False),
+        ("0x1001", False),
+    ]
+    assert describe(named).startswith("0x1000..0x1001, write %QW3; read Watchdog time: ")
+    assert (named.written_points, named.read_points) == ([], named.points)
+
+
+def test_other_functions_need_not_tell_read_from_written() -> None:
+    wrote = AT1M8X.name(transaction(6, 0x102, quantity=1, request_values=[0xFE]))
+    read = AT1M8X.name(transaction(3, 0x102, quantity=1, response_values=[0xFE]))
+    assert (wrote.written_points, wrote.read_points) == (wrote.points, [])
+    assert (read.written_points, read.read_points) == ([], read.points)
+    assert not wrote.points[0].written
+
+
+def test_value_that_17h_reads_is_not_held_against_the_range_of_one_written() -> None:
+    profile = load_profile("idec-ft1a-touch")
+    level = Point(name="Level", table=Table.HOLDING_REGISTERS, address=0, maximum=9)
+    wide = msgspec.structs.replace(
+        profile, points=[level], functions=profile.functions | {"17": FunctionRule()}
+    )
+    namer = Namer(Assignments([Assignment(Who(), wide)]))
+
+    def findings(write_address: int, asked: list[int], brought: int) -> list[str]:
+        one = transaction(
+            0x17,
+            0,
+            quantity=1,
+            write_address=write_address,
+            request_values=asked,
+            response_values=[brought],
+        )
+        return namer.name(one).findings
+
+    assert findings(5, [1], 99) == []
+    assert findings(0, [99], 9) == ["FT1A-V23"]
+    assert findings(0, [], 99) == ["FT1A-Q23"]
 
 
 def test_block_is_named_where_a_read_begins_with_it_and_hides_what_lies_in_it() -> None:

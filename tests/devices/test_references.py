@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import msgspec
@@ -65,13 +66,42 @@ def test_outside_its_area_the_only_notation_of_a_table_stays() -> None:
 def test_range_from_one_area_into_another_of_its_notation_keeps_it() -> None:
     profile = load_profile("wago-750")
     assert write_reference(profile, Table.HOLDING_REGISTERS, 0x1003, 4) == "0x1003..0x1006"
-    assert write_reference(profile, Table.HOLDING_REGISTERS, 0xFF, 0x102) == "holding 255..512"
 
 
-def test_outside_the_areas_of_two_notations_the_wire_address_is_written() -> None:
-    profile = load_profile("fa3-at1m8x")
-    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x10) == "holding 16"
-    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x0F, 0x20) == "holding 15..46"
+def test_range_from_one_notation_into_another_has_each_end_in_its_own() -> None:
+    wago, fa3 = load_profile("wago-750"), load_profile("fa3-at1m8x")
+    assert write_reference(wago, Table.HOLDING_REGISTERS, 0xFF, 0x102) == "%IW255..%QW0"
+    assert write_reference(fa3, Table.HOLDING_REGISTERS, 0x0F, 0xF4) == "RWwF..0102H"
+
+
+@pytest.mark.parametrize(
+    ("device", "table", "address", "quantity", "reference"),
+    [
+        ("idec-ft1a-smartaxis", Table.COILS, 0x808, 1, "M1320"),  # 11-14: 1320 is 0808H.
+        ("idec-ft1a-smartaxis", Table.COILS, 0x7E7, 2, "M1277..1280"),
+        ("idec-ft1a-smartaxis", Table.HOLDING_REGISTERS, 2000, 3, "D2000..2002"),
+        ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x10, 1, "RWw10"),
+        ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x0F, 0x20, "RWwF..RWw2E"),
+        ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x5000, 2, "5000H..5001H"),
+        ("chino-lt830", Table.HOLDING_REGISTERS, 0xFFFF, 1, "465536"),
+    ],
+)
+def test_outside_the_areas_the_notation_of_the_one_below_goes_on(
+    device: str, table: Table, address: int, quantity: int, reference: str
+) -> None:
+    assert write_reference(load_profile(device), table, address, quantity) == reference
+
+
+def test_below_all_areas_the_notation_of_the_one_above_begins_earlier() -> None:
+    profile = _profile(_area("M", 1001, 2000), _area("Q", 3000, 4000))
+    assert write_reference(profile, Table.COILS, 999, 2) == "M999..1000"
+
+
+def test_reference_outside_the_areas_never_is_one_that_stands_elsewhere() -> None:
+    profile = load_profile("wago-750")  # %IW256 and %QW256 are at 6000H and 7000H.
+    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x100) == "0x0100"
+    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x100, writing=True) == "0x0100"
+    assert write_reference(profile, Table.INPUT_REGISTERS, 0x6300, 2) == "%IW1276..1277"
 
 
 @pytest.mark.parametrize(
@@ -148,8 +178,11 @@ def test_reference_that_is_not_there_is_refused_with_an_example(text: str) -> No
 @given(st.sampled_from(builtin_profiles()), st.sampled_from(list(Table)), st.integers(0, 0xFFFF))
 def test_what_is_written_is_read_back(device: str, table: Table, address: int) -> None:
     profile = load_profile(device)
-    if profile.area(table, address) is not None:
-        reference = write_reference(profile, table, address)
+    reference = write_reference(profile, table, address)
+    if profile.area(table, address) is None:
+        with contextlib.suppress(UsageError):
+            assert parse_reference(profile, reference)[0] is not table
+    else:
         read = parse_reference(profile, reference)
         # A manual may write several tables alike (T5: contact, current and preset value); then the
         # profile's first is meant.

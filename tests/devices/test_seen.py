@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from mbtool.devices import parse_who
 from mbtool.devices.seen import MAX_ASKS, MAX_ROWS, MAX_SAMPLED, Ask, Samples, Seen
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.tables import Table
@@ -62,10 +63,10 @@ def test_the_word_that_a_makers_function_gives_is_kept() -> None:
 
 @pytest.mark.parametrize(
     ("destination", "who"),
-    [(None, "1"), ("10.0.0.9:502", "10.0.0.9/1"), ("[::1]:502", "[::1]/1")],
+    [(None, "1"), ("10.0.0.9:502", "10.0.0.9:502/1"), ("[::1]:502", "[::1]:502/1")],
 )
 def test_it_is_called_as_the_options_call_it(destination: str | None, who: str) -> None:
-    assert Seen("line", destination, 1).who == who
+    assert Seen("line", destination, 1).who == parse_who(who)
 
 
 def test_the_kinds_of_requests_are_bounded() -> None:

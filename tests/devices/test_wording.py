@@ -34,10 +34,30 @@ def _bit(reference: str, value: int) -> PointValue:
         ([_bit("X0", 1), _bit("X1", 0), _bit("X2", 1)], ["X0 X2 on"]),
         ([_bit("X0", 0)], ["off"]),
         ([_bit("X0", 0), _bit("X1", 0)], ["all off"]),
+        (
+            [_bit("X0", 0), _bit("X1", 0), _point("Ready flag", 1, "on")],
+            ["Ready flag: on", "others off"],
+        ),
+        ([_bit("X0", 0), _point("Ready flag", 1, "on")], ["Ready flag: on", "X0 off"]),
+        (
+            [_bit("X0", 1), _bit("X1", 0), _point("Ready flag", 1, "on")],
+            ["Ready flag: on", "X0 on"],
+        ),
+        (
+            [_point("Rate", 5, "5"), _point("R", 7, "7")],
+            ["Rate: 5", "R 7"],
+        ),
     ],
 )  # fmt: skip
 def test_series_of_points_are_said_together(points: list[PointValue], phrases: list[str]) -> None:
     assert describe_points(points) == phrases
+
+
+def test_bits_without_a_name_are_said_behind_those_that_have_one() -> None:
+    device = Assignments([Assignment(Who(), load_profile("fa3-at1m8x"))])
+    values = [0] * 8 + [1] + [0] * 7
+    read = Namer(device).name(transaction(1, 0, quantity=16, response_values=values))
+    assert describe(read) == "Y0..YF Initial data setting request flag: on; others off"
 
 
 def test_reference_stands_alone_where_the_manual_names_no_more() -> None:

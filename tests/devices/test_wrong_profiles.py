@@ -25,33 +25,11 @@ from mbtool.devices import (
     profile_schema,
 )
 from mbtool.devices.loading import MAX_FILE_BYTES
+from tests.devices.pump import PUMP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-PUMP = """
-name = "pump"
-title = "A pump"
-vendor = "Maker"
-transports = ["rtu"]
-source = "its manual"
-
-[functions]
-03 = { limit = 16 }
-
-[[areas]]
-name = "data"
-table = "holding_registers"
-first = 0
-last = 9
-access = "rw"
-
-[[points]]
-name = "Speed"
-table = "holding_registers"
-address = 3
-"""
 
 
 def _area(name: str, first: int, last: int, access: str) -> str:
@@ -155,6 +133,8 @@ WRONG = [
      "exceptions.value: expected a whole number <= 255, not 300"),
     ('source = "its manual"', 'source = "its manual"\nmodel_code = 0x10000',
      "model_code: expected a whole number <= 65535, not 65536"),
+    ("address = 3", "address = -1",
+     'points "Speed".address: expected a whole number >= 0, not -1'),
     ("address = 3", "address = 3\ncount = 0",
      'points "Speed".count: expected a whole number >= 1, not 0'),
     ("address = 3", "address = 3\ndecimals = -1",
@@ -185,6 +165,10 @@ WRONG = [
      "points \"Speed\".word_order: expected one of high-first, low-first, not 'little'"),
     ("address = 3", "address = 3\naccess = 'x'",
      "points \"Speed\".access: expected one of r, rw, w, not 'x'"),
+    ('source = "its manual"', 'source = "s"\nextends = 1',
+     "extends: expected a profile's name or path, not 1"),
+    ('source = "its manual"', 'source = "s"\nextends = "x"',
+     "extends: no profile 'x'; name a built-in one or a file beside this one"),
     ("03 =", "3 =",
      "functions.3: a function code is two hexadecimal digits, 01 to 7F, for example 10 for 16"),
     ("03 =", "83 =",

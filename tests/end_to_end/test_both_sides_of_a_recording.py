@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,10 @@ import pytest
 from mbtool.core import WireEvent, parse_line, parse_link
 from mbtool.devices import DifferenceKind, Span
 from mbtool.modbus import Outcome, Table
-from mbtool.replay import OnMiss, RecordedSlave
+from mbtool.replay import Match, OnMiss, RecordedSlave
 from mbtool.slave import open_shell
-from mbtool.slave.faults import Fault, FaultKind, FaultySlave, Match
+from mbtool.slave.faults import Fault, FaultKind, FaultySlave
+from mbtool.slave.faults import Match as FaultMatch
 from mbtool.sources.virtual_line import VirtualLine
 from mbtool.workflows.mastering import MasterOptions, MasterRun
 from mbtool.workflows.reading import Reading, ReadingOptions
@@ -63,18 +65,20 @@ def _played(
     to: LinkSpec | None = None,
     options: ReadingOptions | None = None,
     faults: list[Fault] | None = None,
+    match: Match = Match.AUTO,
+    rate: Fraction | None = None,
 ) -> tuple[Report, int]:
     """Both sides of a recording's main unit, and how many requests it was asked."""
     options = options or ReadingOptions()
     condition, count = _main_unit(path, options)
     wanted = parse_where(condition)
     recording = SlaveRun(str(path), SlaveOptions(reading=options, wanted=wanted)).recording
-    slave: Responder = RecordedSlave(recording, on_miss=OnMiss.EXCEPTION, rate=None)
+    slave: Responder = RecordedSlave(recording, match=match, on_miss=OnMiss.EXCEPTION, rate=rate)
     if faults is not None:
         slave = FaultySlave(slave, faults)
     run = MasterRun(
         str(path),
-        MasterOptions(reading=options, wanted=wanted, rate=None, timeout_ns=300_000_000),
+        MasterOptions(reading=options, wanted=wanted, rate=rate, timeout_ns=300_000_000),
     )
     with open_shell(link, slave) as shell:
         return run.play(parse_link(shell.place) if to is None else to), count
@@ -83,6 +87,19 @@ def _played(
 @pytest.mark.parametrize("name", [*OURS_ON_A_LINE, "fa3-at1m8x-setup.pcap"])
 def test_our_recordings_answer_themselves(name: str) -> None:
     report, count = _played(OURS / name, LOOPBACK)
+    assert (report.requests, report.different, report.differences) == (count, 0, [])
+
+
+@pytest.mark.parametrize("name", OURS_ON_A_LINE)
+@pytest.mark.parametrize("match", [Match.SEQUENCE, Match.KEY])
+def test_our_recordings_answer_themselves_by_other_ways(name: str, match: Match) -> None:
+    report, count = _played(OURS / name, LOOPBACK, match=match)
+    assert (report.requests, report.different, report.differences) == (count, 0, [])
+
+
+def test_a_recording_answers_itself_by_time() -> None:
+    name = "retry-after-silence.mcap"
+    report, count = _played(OURS / name, LOOPBACK, match=Match.TIME, rate=Fraction(1))
     assert (report.requests, report.different, report.differences) == (count, 0, [])
 
 
@@ -102,7 +119,7 @@ def test_rtu_over_tcp_carries_a_recording_too() -> None:
 
 def test_a_changed_register_is_found_and_only_that() -> None:
     span = Span(Table.INPUT_REGISTERS, 1, 1)
-    fault = Fault(kind=FaultKind.OFFSET, match=Match(span=span))
+    fault = Fault(kind=FaultKind.OFFSET, match=FaultMatch(span=span))
     report, _ = _played(OURS / OURS_ON_A_LINE[0], LOOPBACK, faults=[fault])
     assert [
         (one.kind, one.reference, one.a.values, one.b.values) for one in report.differences
@@ -127,7 +144,7 @@ def test_a_changed_register_in_a_recording_of_others_is_found(public_captures: P
     )
     address = read.most_common(1)[0][0] or 0
     span = Span(Table.HOLDING_REGISTERS, address, address)
-    fault = Fault(kind=FaultKind.OFFSET, by=3, match=Match(span=span))
+    fault = Fault(kind=FaultKind.OFFSET, by=3, match=FaultMatch(span=span))
     report, _ = _played(path, LOOPBACK, faults=[fault])
     assert [one.reference for one in report.differences] == [f"holding {address}"]
     assert report.different >= read[address]

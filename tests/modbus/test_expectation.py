@@ -7,8 +7,8 @@ from hypothesis import given
 
 from mbtool.core import Direction
 from mbtool.modbus import exception_pdu, parse_pdu
-from mbtool.modbus.expectation import UNKNOWN_SIZE, Expectation
-from mbtool.modbus.turns import is_answer_to
+from mbtool.modbus.expectation import MAX_KNOWN, UNKNOWN_SIZE, Expectation
+from mbtool.modbus.matching import is_answer_to
 from tests.strategies import Exchange, Message, exchanges, messages
 
 READ = bytes.fromhex("03 006B 0003")
@@ -115,3 +115,9 @@ def test_what_is_an_answer_when_parsed_fits(request: Message, other: Message) ->
         return  # A written file record is echoed whole (V1.1b3, 6.15), which parsing does not ask.
     if expected is not None and is_answer_to(parse_pdu(request.pdu, Direction.REQUEST), other.pdu):
         assert expected.fits(other.pdu)
+
+
+def test_requests_remembered_are_bounded() -> None:
+    for number in range(2 * MAX_KNOWN):
+        assert of(f"06 0001 {number:04X}").head == bytes((6, 0, 1, *number.to_bytes(2)))
+    assert Expectation.of.cache_info().currsize == MAX_KNOWN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.modbus import FUNCTIONS, ExceptionCode, Table, exception_name, function_name
+from mbtool.modbus import FUNCTIONS, ExceptionCode, Table, exception_name, function_name, short_name
 
 # V1.1b3, section 6: code, table, the largest quantity, whether it writes.
 STANDARD = [
@@ -50,3 +50,9 @@ def test_unknown_codes_have_a_name_too() -> None:
     assert exception_name(0x02) == "illegal data address"
     assert exception_name(0x11) == "exception 11H"
     assert ExceptionCode(0x0B) is ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND
+
+
+def test_a_makers_own_name_is_not_shortened() -> None:
+    assert short_name(0x03, function_name(0x03)) == "read holding"
+    assert short_name(0x03, "read words") == "read words"
+    assert short_name(0x41, "remote reset") == "remote reset"

@@ -8,7 +8,15 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.modbus import Adu, DirectionBy, Outcome, Transaction, Transport, Verdict
-from mbtool.modbus.joining import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.modbus.joining import (
+    MAX_KNOWN,
+    Ends,
+    _asked,
+    broadcast,
+    no_answer,
+    together,
+    unsolicited,
+)
 
 ENDS = Ends("rs485")
 
@@ -177,3 +185,18 @@ def test_response_alone_has_no_request() -> None:
     assert done.start_ns == 160
     assert unsolicited(ENDS, response("83 02")).exception_name == "illegal data address"
     assert unsolicited(ENDS, response("03 02")).verdicts == [Verdict.MALFORMED_RESPONSE]
+
+
+def test_values_of_a_transaction_are_its_own() -> None:
+    """The same request is read once, and what it says is given to each transaction anew."""
+    write = "10 0001 0002 04 000A 0102"
+    first = exchange(write, "10 0001 0002")
+    assert first.request_values is not None
+    first.request_values.append(7)
+    assert exchange(write, "10 0001 0002").request_values == [10, 0x102]
+
+
+def test_requests_remembered_are_bounded() -> None:
+    for number in range(2 * MAX_KNOWN):
+        assert exchange(f"06 0001 {number:04X}", "83 02").request_values == [number]
+    assert _asked.cache_info().currsize == MAX_KNOWN

@@ -224,3 +224,12 @@ def test_adu_of_any_transport_has_a_unit_and_a_pdu(transport: Transport, raw: by
 @pytest.mark.parametrize("raw", [None, b"", b"\x01", b":01"])
 def test_no_pdu_is_had_of_an_adu_that_is_cut_short(transport: Transport, raw: bytes | None) -> None:
     assert whole_pdu(transport, raw) is None
+
+
+@pytest.mark.parametrize("direction", [REQUEST, RESPONSE])
+@pytest.mark.parametrize("code", range(256))
+def test_length_is_the_same_wherever_the_pdu_begins(code: int, direction: Direction) -> None:
+    pdu = bytes([code]) + bytes.fromhex("0E 0102 0003 0405 0607 06 0809")
+    for size in range(len(pdu) + 1):
+        length = pdu_length(pdu[:size], direction)
+        assert pdu_length(b"\xff\xff" + pdu[:size], direction, at=2) == length

@@ -242,9 +242,10 @@ def test_what_is_held_is_bounded(pieces: list[Piece]) -> None:
 
 def test_gaps_without_end_are_bounded() -> None:
     recognition = anywhere()
-    gaps = [recognition.gap(REQUEST, 1, place) for place in range(ENOUGH_BYTES // GAP_COUNTS)]
+    gaps = [recognition.gap(REQUEST, 1, 7 + place) for place in range(ENOUGH_BYTES // GAP_COUNTS)]
     assert not any(gaps[:-1])
     assert is_one_event(gaps[-1])
+    assert [event.ts_ns for event in wire_events(gaps[-1])] == [7]
 
 
 PIECES: list[Piece] = [

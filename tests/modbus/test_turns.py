@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus import DirectionBy, parse_pdu
+from mbtool.modbus import DirectionBy
 from mbtool.modbus.habits import Latency
 from mbtool.modbus.turns import (
     MAX_KNOWN,
@@ -13,10 +13,7 @@ from mbtool.modbus.turns import (
     TURN_NS,
     Judgement,
     Turns,
-    answers,
-    is_answer_to,
     likelihood,
-    mismatch,
     roles_of,
 )
 
@@ -349,55 +346,6 @@ def test_what_is_known_of_a_line_is_bounded() -> None:
         pdu = bytes((0x06, *number.to_bytes(2), 0, 0))
         turns.hear(Judgement(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, number, number)
     assert len(turns._known) <= MAX_KNOWN
-
-
-@pytest.mark.parametrize(
-    ("request_", "response", "problem"),
-    [
-        ("03 006B 0003", "03 06 022B 0000 0064", None),
-        ("03 006B 0003", "03 04 022B 0000", "2 registers for a quantity of 3"),
-        ("01 0000 0011", "01 03 000000", None),
-        ("01 0000 0010", "01 03 000000", "3 bytes of bits for a quantity of 16"),
-        ("05 0001 FF00", "05 0001 FF00", None),
-        ("05 0001 FF00", "05 0002 FF00", "address 2 for 1"),
-        ("05 0001 FF00", "05 0001 0000", "value 0 for 65280"),
-        ("08 0001 0000", "08 0002 0000", "sub function 2 for 1"),
-        ("0F 0000 0008 01 FF", "0F 0000 0009", "quantity 9 for 8"),
-        ("10 0001 0001 02 0000", "10 0001 0001", None),
-        ("10 0001 0001 02 0000", "10 0002 0001", "address 2 for 1"),
-        ("16 0001 00F2 0025", "16 0001 00F3 0025", "and mask 243 for 242"),
-        ("16 0001 00F2 0025", "16 0001 00F2 0026", "or mask 38 for 37"),
-        ("17 0000 0001 0009 0001 02 0000", "17 02 1234", None),
-        (
-            "17 0000 0001 0009 0001 02 0000",
-            "17 04 1234 0000",
-            "2 registers for a quantity of 1",
-        ),
-        ("08 0000 A537", "08 0000 A537", None),
-        ("08 0000 A537", "08 0000 A536", "data (42294,) for (42295,)"),
-        ("2B 0E 01 00", "2B 0D", "mei type 13 for 14"),
-        ("07", "07 6D", None),
-    ],
-)
-def test_response_belongs_to_its_request(request_: str, response: str, problem: str | None) -> None:
-    asked = parse_pdu(bytes.fromhex(request_), REQUEST)
-    answer = bytes.fromhex(response)
-    assert mismatch(asked, parse_pdu(answer, RESPONSE)) == problem
-    assert is_answer_to(asked, answer) == (problem is None)
-
-
-@pytest.mark.parametrize(
-    ("response", "fits"),
-    [("83 02", True), ("83", False), ("83 02 00", False), ("84 02", False), ("", False)],
-)
-def test_exception_response_belongs_to_a_request_of_its_function(response: str, fits: bool) -> None:
-    assert is_answer_to(parse_pdu(READ, REQUEST), bytes.fromhex(response)) is fits
-
-
-def test_function_code_above_127_is_answered_by_itself_only() -> None:
-    assert answers(0x83, 0x83)
-    assert not answers(0x83, 0x03)
-    assert answers(0x03, 0x83)
 
 
 def test_doubt_ends_with_the_echo_of_what_was_doubted() -> None:

@@ -75,6 +75,7 @@ def test_finds_the_packet_inside(outer: bytes) -> None:
         gre(b"", 0x88BE),
         gre(bytes(11), 0x22EB),
         ipv4(INNER, protocol=4, fragment=0x2000),
+        b"\x44" + ipv4(INNER, protocol=4)[1:],
         ipv4(b"\0" * 8 + bytes(8) + FRAME, protocol=17),
         ipv4(b"", protocol=47),
         b"\x45",
@@ -82,7 +83,7 @@ def test_finds_the_packet_inside(outer: bytes) -> None:
     ],
     ids=[
         *("none", "PPP", "routing", "version", "cut", "cut in ERSPAN III", "a fragment"),
-        *("other UDP", "no GRE", "a byte", "nothing"),
+        *("a header that is too short", "other UDP", "no GRE", "a byte", "nothing"),
     ],
 )
 def test_what_carries_no_packet_that_is_known_has_none(outer: bytes) -> None:

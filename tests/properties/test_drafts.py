@@ -15,7 +15,7 @@ from mbtool.devices import (
     builtin_profiles,
     load_profile,
 )
-from mbtool.devices.drafting import draft_profile
+from mbtool.devices.drafting.draft import draft_profile
 from mbtool.devices.matching import match
 from mbtool.modbus import Outcome
 from mbtool.workflows.reading import Reading, ReadingOptions, bare

@@ -214,3 +214,18 @@ def test_every_step_is_sent_once_in_order_and_never_before_its_time(
         at_ms += 1
     assert order == list(range(len(recorded)))
     assert all(late >= 0 for late in played.conductor.lateness.values)
+
+
+def test_while_the_clock_stands_only_what_is_let_go_is_sent() -> None:
+    played = Played(*(answered(at, READ, VALUE) for at in (0, 100, 250)))
+    played.sent(0)
+    played.answer(0, 5)
+    played.clock.pause(BEGIN + 10 * MS)
+    assert (played.sent(500), played.wake(500)) == ([], None)
+    played.conductor.let_go(BEGIN)
+    assert played.wake(500) == 500
+    assert (played.sent(500), played.sent(501)) == ([1], [])
+    played.answer(1, 505)
+    played.clock.run(BEGIN + 600 * MS)
+    assert (played.sent(749), played.sent(750)) == ([], [2])
+    assert list(played.conductor.lateness.values) == [0, 0]

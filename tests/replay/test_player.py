@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
-from mbtool.core import Direction
-from mbtool.modbus import Answer, encode_pdu
-from mbtool.replay import OnMiss, RecordedSlave, Recording
+from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.modbus import (
+    Answer,
+    Table,
+    Transport,
+    encode_pdu,
+    parse_pdu,
+    reach_of,
+    response_to,
+    rtu_adu,
+    values_after,
+)
+from mbtool.modbus.spoiling import wire_pieces
+from mbtool.replay import Control, Match, OnEnd, OnMiss, RecordedSlave, Recording, Window
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:
@@ -18,6 +31,7 @@ if TYPE_CHECKING:
 
 READ = "03 0000 0001"
 SILENCE = None
+BEGIN = 1_700_000_000_000_000_000
 
 
 def _slave(*transactions: Transaction, on_miss: OnMiss = OnMiss.IMAGE) -> RecordedSlave:
@@ -226,21 +240,33 @@ def test_a_miss_can_be_an_exception_or_silence() -> None:
 
 
 @pytest.mark.parametrize(
-    ("speed", "delay_ns"), [(1.0, LATENCY_NS), (2.0, LATENCY_NS // 2), (0.5, 10 * MS), (None, 0)]
+    ("rate", "delay_ns"),
+    [
+        (Fraction(1), LATENCY_NS),
+        (Fraction(2), LATENCY_NS // 2),
+        (Fraction(1, 2), 10 * MS),
+        (None, 0),
+    ],
 )
-def test_speed_scales_the_recorded_latency(speed: float | None, delay_ns: int) -> None:
+def test_the_rate_scales_the_recorded_latency(rate: Fraction | None, delay_ns: int) -> None:
     recording = Recording.of([answered(0, "03 0000 0002", "03 04 0001 0002")])
-    slave = RecordedSlave(recording, speed=speed)
+    slave = RecordedSlave(recording, rate=rate)
     recorded = slave.respond(1, bytes.fromhex("03 0000 0002"), 0)
     assert recorded == Answer(bytes.fromhex("03 04 0001 0002"), delay_ns)
     from_image = slave.respond(1, bytes.fromhex(READ), 0)
     assert from_image == Answer(bytes.fromhex("03 02 0001"), delay_ns)
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
-def test_a_speed_that_is_none_is_refused(speed: float) -> None:
-    with pytest.raises(ValueError, match="speed must be more than 0"):
-        RecordedSlave(Recording(), speed=speed)
+@pytest.mark.parametrize("rate", [Fraction(0), Fraction(-1)])
+def test_a_rate_that_is_none_is_refused(rate: Fraction) -> None:
+    with pytest.raises(ValueError, match="rate must be more than 0"):
+        RecordedSlave(Recording(), rate=rate)
+
+
+@pytest.mark.parametrize("match", [Match.TIME, Match.IMAGE])
+def test_a_clock_without_a_rate_is_refused(match: Match) -> None:
+    with pytest.raises(ValueError, match="needs a rate"):
+        RecordedSlave(Recording(), match=match, rate=None)
 
 
 def test_one_recording_can_be_played_twice() -> None:
@@ -248,6 +274,189 @@ def test_one_recording_can_be_played_twice() -> None:
     for _ in range(2):
         slave = RecordedSlave(recording)
         assert [_ask(slave, READ) for _ in range(2)] == ["03 02 00 01", "03 02 00 02"]
+
+
+# The clock -------------------------------------------------------------------------------------
+
+
+def _at(slave: RecordedSlave, at_ms: float, request: str, unit: int = 1) -> str | None:
+    answer = slave.respond(unit, bytes.fromhex(request), BEGIN + round(at_ms * MS))
+    return None if answer is None else answer.pdu.hex(" ")
+
+
+def _by_clock(match: Match, **options: object) -> RecordedSlave:
+    """Two registers that change after 100 and 300 ms of half a second."""
+    transactions = [
+        answered(at, "03 0000 0002", f"03 04 {value:04x} {value:04x}", latency_ns=0)
+        for at, value in ((0, 1), (100, 2), (300, 3), (500, 3))
+    ]
+    return RecordedSlave(Recording.of(transactions), match=match, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("match", [Match.TIME, Match.IMAGE])
+def test_the_clock_starts_with_the_first_request(match: Match) -> None:
+    slave = _by_clock(match)
+    whole = "03 0000 0002"
+    answers = [_at(slave, at, whole) for at in (5000, 5049, 5101, 5310, 9999)]
+    assert answers == [f"03 04 00 0{value} 00 0{value}" for value in (1, 1, 2, 3, 3)]
+
+
+def test_parts_come_from_the_image_at_the_clocks_moment() -> None:
+    slave = _by_clock(Match.IMAGE, rate=Fraction(2))
+    values = [_at(slave, at, READ) for at in (0, 49, 50, 149, 150)]
+    assert values == [f"03 02 00 0{value}" for value in (1, 1, 2, 2, 3)]
+
+
+def test_a_write_lasts_until_the_recording_changes_and_no_longer_than_a_round() -> None:
+    slave = _by_clock(Match.IMAGE, on_end=OnEnd.LOOP)
+    _at(slave, 0, READ)
+    _at(slave, 310, "06 0000 0077")
+    assert [_at(slave, at, READ) for at in (320, 499)] == ["03 02 00 77"] * 2
+    assert _at(slave, 501, READ) == "03 02 00 01"
+    assert _at(slave, 601, READ) == "03 02 00 02"
+    assert slave.progress(BEGIN + 601 * MS).lap == 1
+
+
+def test_the_end_of_the_clock_can_be_silence() -> None:
+    slave = _by_clock(Match.IMAGE, on_end=OnEnd.SILENT)
+    assert _at(slave, 0, READ) == "03 02 00 01"
+    assert _at(slave, 501, READ) is SILENCE
+
+
+def test_a_pause_stops_the_clock_and_a_step_goes_to_the_next_request() -> None:
+    slave = _by_clock(Match.IMAGE)
+    _at(slave, 0, READ)
+    slave.control(Control.PAUSE, BEGIN + 10 * MS)
+    assert _at(slave, 9999, READ) == "03 02 00 01"
+    for value in (2, 3, 3, 3):
+        slave.control(Control.STEP, BEGIN + 9999 * MS)
+        assert _at(slave, 9999, READ) == f"03 02 00 0{value}"
+    progress = slave.progress(BEGIN + 9999 * MS)
+    assert (progress.place_ns, progress.is_paused) == (500 * MS, True)
+
+
+def test_without_a_clock_a_pause_repeats_and_a_step_uses_up_one_answer() -> None:
+    slave = _slave(*(answered(at, READ, f"03 02 000{at}") for at in range(5)))
+    assert _ask(slave, READ) == "03 02 00 00"
+    slave.control(Control.PAUSE, 0)
+    assert [_ask(slave, READ) for _ in range(2)] == ["03 02 00 00"] * 2
+    slave.control(Control.STEP, 0)
+    assert [_ask(slave, READ) for _ in range(2)] == ["03 02 00 01"] * 2
+    slave.control(Control.PAUSE, 0)
+    assert _ask(slave, READ) == "03 02 00 02"
+
+
+def test_faster_shortens_the_latencies() -> None:
+    slave = _slave(answered(0, READ, "03 02 0001"))
+    slave.control(Control.FASTER, 0)
+    assert slave.respond(1, bytes.fromhex(READ), 0) == Answer(b"\x03\x02\x00\x01", LATENCY_NS // 2)
+
+
+def test_an_hour_drifts_less_than_a_millisecond() -> None:
+    """A register that changes once, after an hour of recorded time; asked unevenly until then."""
+    hour = 3_600_000
+    slave = RecordedSlave(
+        Recording.of(
+            [answered(0, READ, "03 02 0001"), answered(hour, READ, "03 02 0002", latency_ns=0)]
+        ),
+        match=Match.IMAGE,
+        rate=Fraction(1, 3),
+    )
+    at_ns = 0
+    while at_ns < 3 * (hour - 1) * MS:
+        assert _at(slave, at_ns / MS, READ) == "03 02 00 01"
+        at_ns += 700 * MS + at_ns % 977_777
+    assert _at(slave, 3 * hour - 0.9, READ) == "03 02 00 01"
+    assert _at(slave, 3 * hour + 0.9, READ) == "03 02 00 02"
+
+
+def test_a_window_begins_with_what_stood_there() -> None:
+    transactions = [
+        answered(0, "03 0000 0002", "03 04 0001 0001", latency_ns=0),
+        answered(100, "06 0001 0005", "06 0001 0005", latency_ns=0),
+        answered(200, "03 0000 0002", "03 04 0002 0005", latency_ns=0),
+        answered(300, "03 0000 0002", "03 04 0003 0005", latency_ns=0),
+    ]
+    recording = Recording.of(transactions, Window(150 * MS, 250 * MS))
+    assert recording.length_ns == 100 * MS
+    slave = RecordedSlave(recording)
+    assert _ask(slave, "03 0001 0001") == "03 02 00 05"
+    assert [_ask(slave, "03 0000 0002") for _ in range(2)] == ["03 04 00 02 00 05"] * 2
+
+
+# What the recording does not know ---------------------------------------------------------------
+
+
+class _Device:
+    """Two registers behind those of a recording."""
+
+    def __init__(self) -> None:
+        self.values = {address: 0x70 + address for address in range(4)}
+
+    def learn(self, table: Table, address: int, value: int) -> None:
+        assert table is Table.HOLDING_REGISTERS
+        self.values[address] = value
+
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
+        request = parse_pdu(pdu, Direction.REQUEST)
+        reach = reach_of(request)
+        if reach is None:
+            return None
+        for address in reach.writes:
+            self.values[address] = values_after(request, [0])[address - reach.writes.start]
+        return Answer(response_to(request, pdu, [self.values[each] for each in reach.reads]))
+
+
+def test_a_device_answers_what_the_recording_does_not_know_and_only_that() -> None:
+    recording = Recording.of([answered(0, "03 0000 0002", "03 04 0001 0002")])
+    slave = RecordedSlave(recording, devices={1: _Device()})
+    assert _ask(slave, READ) == "03 02 00 01"
+    assert _ask(slave, "03 0001 0003") == "03 06 00 02 00 72 00 73"
+    assert _ask(slave, "10 0001 0002 04 0011 0022") == "10 00 01 00 02"
+    assert _ask(slave, "03 0001 0002") == "03 04 00 11 00 22"
+    assert _ask(slave, "03 0001 0001") == "03 02 00 11"
+    assert _ask(slave, "11") is SILENCE
+    assert _ask(slave, READ, unit=2) is SILENCE
+    assert slave.respond(1, bytes.fromhex("03 0002 0001"), 0) == Answer(
+        bytes.fromhex("03 02 0022"), LATENCY_NS
+    )
+
+
+def test_a_device_is_not_asked_where_a_miss_is_an_exception() -> None:
+    recording = Recording.of([answered(0, READ, "03 02 0001")])
+    slave = RecordedSlave(recording, on_miss=OnMiss.EXCEPTION, devices={1: _Device()})
+    assert _ask(slave, "03 0002 0001") == "83 02"
+
+
+def test_a_live_broadcast_writes_to_every_unit_of_a_line() -> None:
+    transactions = [answered(0, "03 0000 0002", "03 04 0001 0002", unit=unit) for unit in (1, 2)]
+    line = _slave(*transactions)
+    network = RecordedSlave(Recording.of(transactions), transport=Transport.TCP)
+    for slave, value in ((line, "99"), (network, "01")):
+        assert _ask(slave, "06 0000 0099", unit=0) is SILENCE
+        assert [_ask(slave, READ, unit) for unit in (1, 2)] == [f"03 02 00 {value}"] * 2
+
+
+def test_damaged_answers_are_played_where_that_is_wanted() -> None:
+    wrong = rtu_adu(1, b"\x03\x02\x00\x01")[:-1] + b"\x00"
+    event = WireEvent(ts_ns=7 * MS, link="rs485", kind=EventKind.BAD_CHECK, message="", raw=wrong)
+    recording = Recording.of([unanswered(0, READ)], events=[event])
+    assert RecordedSlave(recording).respond(1, bytes.fromhex(READ), 0) is None
+    slave = RecordedSlave(recording, with_damage=True)
+    answer = slave.respond(1, bytes.fromhex(READ), 0)
+    assert answer is not None
+    assert answer.delay_ns == 7 * MS
+    assert wire_pieces(answer, Transport.RTU, 1) == [(0, wrong)]
+    network = RecordedSlave(recording, with_damage=True, transport=Transport.TCP)
+    assert network.respond(1, bytes.fromhex(READ), 0) is None
+
+
+def test_what_is_not_in_the_recording_is_counted() -> None:
+    slave = _slave(answered(0, "03 0000 0002", "03 04 0001 0002"))
+    for request in ("03 0000 0002", READ, READ):
+        _ask(slave, request)
+    assert (slave.asked, slave.missed) == (3, 2)
+    assert slave.progress(0).done == "3 asked, 2 not in the recording"
 
 
 # Properties ------------------------------------------------------------------------------------
@@ -307,3 +516,106 @@ def test_answers_whatever_it_is_asked(requests: list[bytes], on_miss: OnMiss) ->
         if request_ and on_miss is not OnMiss.SILENT:
             assert answer is not None
             assert answer.pdu[0] & 0x7F == request_[0] & 0x7F
+
+
+class ImageMachine(RuleBasedStateMachine):
+    """Live polls and writes against a recording on its clock, and a plain dictionary beside it."""
+
+    ADDRESSES = 6
+
+    @initialize(
+        changes=st.lists(
+            st.tuples(st.integers(1, 40), st.integers(0, ADDRESSES - 1), st.integers(0, 9)),
+            max_size=12,
+        ),
+        polled=st.lists(st.integers(1, ADDRESSES), min_size=1, max_size=3),
+        is_loop=st.booleans(),
+    )
+    def begin(self, changes: list[tuple[int, int, int]], polled: list[int], is_loop: bool) -> None:
+        """The recorded master polled parts of the registers, and wrote some, which changed them."""
+        held = dict.fromkeys(range(self.ADDRESSES), 0)
+        self.changes: list[tuple[int, int, int]] = []
+        """Of the recording: when, which register, and what it became."""
+        transactions, start = [], 0
+        for size in polled:
+            last = min(start + size, self.ADDRESSES)
+            if start < last:
+                request = _read(start, last - start).hex()
+                rows = _registers([held[each] for each in range(start, last)]).hex()
+                transactions.append(answered(0, request, rows, latency_ns=0))
+            start = last
+        self.known = start
+        at_ms = 0
+        for step, address, value in changes:
+            at_ms += step
+            if address < self.known:
+                write = f"06 {address:04x} {value:04x}"
+                transactions.append(answered(at_ms, write, write, latency_ns=0))
+                if held[address] != value:
+                    self.changes.append((at_ms, address, value))
+                held[address] = value
+        transactions.append(
+            answered(at_ms + 10, _read(0, 1).hex(), _registers([held[0]]).hex(), latency_ns=0)
+        )
+        self.length_ms = at_ms + 10
+        self.is_loop = is_loop
+        self.slave = RecordedSlave(
+            Recording.of(transactions),
+            match=Match.IMAGE,
+            on_end=OnEnd.LOOP if is_loop else OnEnd.LAST,
+        )
+        self.now_ms = 0
+        self.model = dict.fromkeys(range(self.known), 0)
+        self.slave.respond(1, _read(0, 1), 0)
+
+    @rule(step=st.integers(1, 60))
+    def time_passes(self, step: int) -> None:
+        """Every recorded change on the way happens in the dictionary, too."""
+        for _ in range(step):
+            self.now_ms += 1
+            place = self.now_ms % self.length_ms if self.is_loop else self.now_ms
+            if self.is_loop and place == 0:
+                self.model = dict.fromkeys(range(self.known), 0)
+            for at_ms, address, value in self.changes:
+                if at_ms == place:
+                    self.model[address] = value
+
+    @rule(address=st.integers(0, ADDRESSES - 1), value=st.integers(10, 99))
+    def the_master_writes_one(self, address: int, value: int) -> None:
+        pdu = bytes.fromhex(f"06 {address:04x} {value:04x}")
+        if address < self.known:
+            assert self._ask(pdu) == pdu
+            self.model[address] = value
+        else:
+            assert self._ask(pdu) == b"\x86\x02"
+
+    @rule(
+        start=st.integers(0, ADDRESSES - 1),
+        values=st.lists(st.integers(10, 99), min_size=1, max_size=4),
+    )
+    def the_master_writes_several(self, start: int, values: list[int]) -> None:
+        pdu = encode_pdu(
+            0x10, Direction.REQUEST, address=start, quantity=len(values), values=tuple(values)
+        )
+        if start + len(values) <= self.known:
+            assert self._ask(pdu) == pdu[:5]
+            self.model.update(enumerate(values, start=start))
+        else:
+            assert self._ask(pdu) == b"\x90\x02"
+
+    @rule(start=st.integers(0, ADDRESSES - 1), quantity=st.integers(1, ADDRESSES))
+    def the_master_reads(self, start: int, quantity: int) -> None:
+        """A part of a recorded poll, several of them in one, or more than was ever seen."""
+        expected = b"\x83\x02"
+        if start + quantity <= self.known:
+            expected = _registers([self.model[each] for each in range(start, start + quantity)])
+        assert self._ask(_read(start, quantity)) == expected
+
+    def _ask(self, pdu: bytes) -> bytes:
+        answer = self.slave.respond(1, pdu, self.now_ms * MS)
+        assert answer is not None
+        return answer.pdu
+
+
+TestTheImageIsADictionaryOnAClock = ImageMachine.TestCase
+TestTheImageIsADictionaryOnAClock.settings = settings(max_examples=60, stateful_step_count=25)

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from mbtool.modbus import Table, Transport
+from mbtool.replay import Window
 from mbtool.replay.recording import RecordedAnswer, Recording
 from tests.replay.recorded import (
     LATENCY_NS,
@@ -37,7 +38,7 @@ def test_keeps_the_answers_of_a_request_in_order(transport: Transport) -> None:
     assert recording.answers == {
         (1, READ_PDU): [
             RecordedAnswer(b"\x03\x02\x00\x01", LATENCY_NS, LATENCY_NS),
-            RecordedAnswer(b"\x03\x02\x00\x02", 107 * MS, 7 * MS),
+            RecordedAnswer(b"\x03\x02\x00\x02", 107 * MS, 7 * MS, 100 * MS),
         ]
     }
 
@@ -136,3 +137,28 @@ def test_an_adu_that_is_cut_short_is_left_out(transport: Transport) -> None:
     for size in range(4):
         cut = msgspec.structs.replace(whole, request_raw=whole.request_raw[:size])
         assert Recording.of([cut]).answers == {}
+
+
+def test_a_window_has_the_answers_in_it_and_all_values() -> None:
+    transactions = [
+        answered(at, READ, f"03 02 000{at // 100}", latency_ns=0) for at in (0, 100, 200, 300)
+    ]
+    recording = Recording.of(transactions, Window(100 * MS, 200 * MS))
+    assert [answer.asked_ns for _, answer in recording.order] == [100 * MS, 200 * MS]
+    assert (recording.begin_ns, recording.length_ns) == (100 * MS, 100 * MS)
+    assert [_value(recording, 0, at) for at in (0, 150, 400)] == [0, 1, 3]
+    until_the_end = Recording.of(transactions, Window(100 * MS))
+    assert until_the_end.length_ns == 200 * MS
+    assert [recording.next_ns(at * MS) for at in (0, 100, 200)] == [100 * MS, 200 * MS, None]
+
+
+def test_tells_all_latencies_of_unit_and_function() -> None:
+    recording = Recording.of(
+        [
+            *(answered(at, READ, "03 02 0001", latency_ns=at) for at in (3, 1, 2)),
+            answered(4, "04 0000 0001", "84 02", latency_ns=50),
+        ]
+    )
+    assert list(recording.latencies(1, 0x03)) == [1, 2, 3]
+    assert list(recording.latencies(1, 0x10)) == [1, 2, 3, 50]
+    assert list(recording.latencies(2, 0x03)) == []

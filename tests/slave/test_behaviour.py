@@ -109,3 +109,36 @@ def test_a_behaviour_says_where_writes_go_and_what_a_mask_leaves(
     assert _ask(device, "16 0001 FF00 0055") == "16 00 01 ff 00 00 55"
     assert device.image.get(HOLDING, 1) == [0]
     assert device.image.get(HOLDING, 17) == [0x1255]
+
+
+class _Watchful(Behaviour):
+    """Refuses everything from moment 10 on, and keeps what requests came to."""
+
+    watches = True
+
+    def __init__(self, profile: Profile, image: RegisterImage) -> None:
+        super().__init__(profile, image)
+        self.came_to: list[str] = []
+
+    def barred(self, pdu: bytes, now_ns: int) -> int | None:
+        return 4 if now_ns >= 10 else None
+
+    def answered(self, pdu: bytes, response: bytes | None, now_ns: int) -> None:
+        self.came_to.append(response.hex() if response is not None else "")
+
+
+def test_a_behaviour_that_watches_learns_of_each_request_also_of_one_that_comes_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mbtool.slave.behaviours.BEHAVIOURS", {"watchful": _Watchful})
+    profile = _profile((0, 9, Access.READ_WRITE), behaviour="watchful")
+    device = DeviceResponder(profile, RegisterImage())
+    for now_ns in (1, 2, 3):
+        assert _ask(device, "03 0000 0001", now_ns) == "03 02 00 00"
+    assert _ask(device, "03 0009 0002", 4) == "83 02"
+    for request in ("03 0000 0001", "03 0009 0002", "2B"):
+        code = int(request[:2], 16) | 0x80
+        assert _ask(device, request, 10) == f"{code:02x} 04"
+    behaviour = device.behaviour
+    assert isinstance(behaviour, _Watchful)
+    assert behaviour.came_to == [*["03020000"] * 3, "8302", "8304", "8304", "ab04"]

@@ -129,6 +129,31 @@ def test_ft1a_gives_the_two_codes_that_its_manual_knows(request_: str, response:
     ("request_", "response"),
     [
         ("07", "87 01"),
+        # Limits, far below the standard's.
+        ("01 03E8 0081", "81 03"),
+        ("03 0000 0041", "83 03"),
+        ("04 0000 0041", "84 03"),
+        ("0F 0000 0081 11" + 17 * "00", "8f 03"),
+        ("10 0000 0041 82" + 65 * "0000", "90 03"),
+        # The data of a write of one bit.
+        ("05 0000 0001", "85 03"),
+        ("05 0000 FF00", "05 00 00 ff 00"),
+        # M1320 of the manual's example is beyond M1277, and so are writes of preset values.
+        ("05 0808 FF00", "85 02"),
+        ("03 2328 0001", "03 02 00 00"),
+        ("06 2328 0001", "86 02"),
+        ("10 251C 0001 02 0001", "90 02"),
+        ("03 07CF 0002", "83 02"),
+    ],
+)
+def test_smartaxis_gives_the_code_of_each_mistake(request_: str, response: str) -> None:
+    assert _ask(_device("idec-ft1a-smartaxis"), request_) == response
+
+
+@pytest.mark.parametrize(
+    ("request_", "response"),
+    [
+        ("07", "87 01"),
         ("03 000F 0001", "03 02 00 00"),
         ("03 0010 0001", "83 02"),  # The hole from 0010 to 001F.
         ("03 001F 0001", "83 02"),

@@ -58,3 +58,24 @@ def test_a_device_follows_the_rules_of_its_link(
     assert isinstance(spec, SerialLink | TcpLink)
     units = units_on(spec, load_profile(profile), 5, Scripted(echo))
     assert (units.respond(unit, READ, 0) is not None) is answered
+
+
+@pytest.mark.parametrize(
+    ("link", "unit", "asked"),
+    [
+        ("rtu:/dev/a@9600", 5, [1, 0]),
+        ("rtu:/dev/a@9600", 3, [0, 1]),
+        ("rtu:/dev/a@9600", 0, [1, 1]),
+        ("rtu:/dev/a@9600", 9, [0, 0]),
+        ("tcp:127.0.0.1:1502", 9, [1, 0]),
+        ("tcp:127.0.0.1:1502", 3, [0, 1]),
+        ("tcp:127.0.0.1:1502", 0, [1, 0]),
+        ("rtu+tcp:127.0.0.1:1502", 0, [1, 1]),
+    ],
+)
+def test_others_may_be_beside_a_device(link: str, unit: int, asked: list[int]) -> None:
+    spec = parse_link(link)
+    assert isinstance(spec, SerialLink | TcpLink)
+    first, other = Scripted(echo), Scripted(echo)
+    units_on(spec, load_profile("wago-750"), 5, first, {3: other}).respond(unit, READ, 0)
+    assert [len(first.asked), len(other.asked)] == asked

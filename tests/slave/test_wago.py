@@ -139,6 +139,14 @@ def test_requests_are_counted_by_what_was_wrong_with_them() -> None:
     assert _ask(coupler, "03 1029 0004") == "03 08 00 00 00 00 00 00 00 00"
 
 
+def test_counters_go_on_from_what_they_started_with() -> None:
+    image = RegisterImage.of(WAGO)
+    image.blocks.set(HOLDING, 0x1029, 4, [0xFFFF, 7])
+    coupler = DeviceResponder(WAGO, image)
+    _ask(coupler, "03 0100 0001")
+    assert _ask(coupler, "03 1029 0006") == "03 0c" + 8 * " 00" + " 00 00 00 07"
+
+
 def test_connections_are_counted_and_their_idle_time_is_a_register() -> None:
     coupler = _coupler()
     rules = coupler.behaviour.rules

@@ -57,6 +57,17 @@ def test_after_a_trip_every_request_gets_exception_04_also_one_that_is_wrong() -
         assert coupler.ask(request) == f"{code:02x} 04"
 
 
+def test_a_trip_is_told_once() -> None:
+    coupler = _watching()
+    for _ in range(3):
+        coupler.ask(READ_OUTPUT, after_ms=500)
+    rules = coupler.device.behaviour.rules
+    assert rules is not None
+    assert list(rules.notes) == [
+        "the watchdog expired: requests get exception 04 until it is ended or restarted"
+    ]
+
+
 def test_a_read_that_was_answered_before_is_refused_after_a_trip_like_any_other() -> None:
     coupler = _watching()
     for _ in range(3):

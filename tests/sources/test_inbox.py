@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -164,6 +165,33 @@ def test_each_direction_of_a_connection_gets_a_gap() -> None:
         StreamGap(3, CONNECTION, Direction.REQUEST, 24),
         StreamGap(3, CONNECTION, Direction.RESPONSE, 30),
     ]
+
+
+def test_what_a_connection_lost_is_told_before_its_end_and_not_kept() -> None:
+    inbox = Inbox(limit=4 * ITEM_COST)
+    inbox.put(chunk(0, 3 * ITEM_COST))
+    inbox.put(stream_chunk(1, Direction.RESPONSE, 30))
+    inbox.put(stream_chunk(2, Direction.REQUEST, 12))
+    closed = StreamClosed(3, CONNECTION, CloseReason.RESET)
+    inbox.put(closed)
+    after = drain(inbox)[1:]
+    assert after[:3] == [
+        StreamGap(2, CONNECTION, Direction.REQUEST, 12),
+        StreamGap(2, CONNECTION, Direction.RESPONSE, 30),
+        closed,
+    ]
+    assert [type(item) for item in after[3:]] == [WireEvent]
+
+
+def test_connections_without_end_are_not_kept_while_nobody_takes() -> None:
+    inbox = Inbox(limit=10_000)
+    for number in range(1000):
+        connection = replace(CONNECTION, number=number)
+        inbox.put(StreamOpened(number, connection, joined=False))
+        inbox.put(replace(stream_chunk(number, Direction.REQUEST), connection=connection))
+        inbox.put(StreamClosed(number, connection, CloseReason.RESET))
+    assert inbox.held <= 20_000 + 2 * ITEM_COST
+    assert not any(loss.streams for loss in inbox._losses.values())
 
 
 def test_the_ends_of_connections_and_sources_get_through_when_full() -> None:

@@ -281,14 +281,36 @@ def test_packets_of_several_interfaces_come_in_the_order_of_their_times(
     assert heard == sorted(time * 10**9 for way in ways for time in way)
 
 
-def test_what_another_interface_may_yet_precede_is_held_back_for_a_moment() -> None:
+def of_two_interfaces(times: list[float]) -> tuple[InterfaceSource, Inbox]:
+    """One has heard packets, the other none."""
     inbox = Inbox()
     source = InterfaceSource(InterfaceLink(("a", "b")), inbox)
-    soon = time.time() + 3600
     source._ears = [
-        interface._Ear("a", Scripted([1.0, soon]), ETHERNET),
+        interface._Ear("a", Scripted(times), ETHERNET),
         interface._Ear("b", Scripted([]), ETHERNET),
     ]
+    return source, inbox
+
+
+def seconds(inbox: Inbox) -> list[int]:
+    return [item.ts_ns // 10**9 for item in drain(inbox) if isinstance(item, Packet)]
+
+
+def test_what_another_interface_may_yet_precede_is_held_back_for_a_moment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source, inbox = of_two_interfaces([1.0, 5.0])
+    monkeypatch.setattr(interface, "now_ns", lambda: 5 * 10**9)
     source._fetch()
-    assert [item.ts_ns for item in drain(inbox) if isinstance(item, Packet)] == [10**9]
+    assert seconds(inbox) == [1]
     assert len(source._ears[0].held) == 1
+    monkeypatch.setattr(interface, "now_ns", lambda: 6 * 10**9)
+    source._fetch()
+    assert seconds(inbox) == [5]
+
+
+def test_a_clock_that_is_set_back_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    source, inbox = of_two_interfaces([3600.0, 5.0])
+    monkeypatch.setattr(interface, "now_ns", lambda: 6 * 10**9)
+    source._fetch()
+    assert seconds(inbox) == [3600, 5]

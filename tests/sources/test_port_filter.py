@@ -15,7 +15,8 @@ from mbtool.packets.tunnels import ERSPAN
 from mbtool.sources.port_filter import MAX_PORTS, drop_everything, port_filter
 from tests.packets.building import gre, vxlan
 
-IPV4, IPV6, ARP, VLAN, HSR = 0x0800, 0x86DD, 0x0806, 0x8100, 0x892F
+IPV4, IPV6, ARP = 0x0800, 0x86DD, 0x0806
+VLANS, HSR = (0x8100, 0x88A8, 0x9100), 0x892F
 HOST, OUTGOING = 0, 4
 UDP, TCP = 17, 6
 
@@ -140,8 +141,8 @@ def test_passes_extension_headers_and_inner_tags() -> None:
     program = port_filter([502], is_loopback=False)
     for header in BEFORE_TCP:
         assert passes(program, IPV6, ipv6(1, 1, header))
-    assert passes(program, VLAN, b"")
-    assert passes(program, HSR, b"")
+    for tag in (*VLANS, HSR):
+        assert passes(program, tag, b"")
 
 
 @pytest.mark.parametrize("ports", [[], [502]])

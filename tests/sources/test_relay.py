@@ -6,6 +6,7 @@ import os
 import select
 import socket
 import ssl
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -29,8 +30,10 @@ from tests.certificates import (
     CA,
     ELSEWHERE,
     EXPIRED,
+    LATIN_1,
     MASTER,
     NO_ROLE,
+    NO_SUBJECT,
     OTHER_CA,
     SLAVE,
     STRANGER,
@@ -40,11 +43,11 @@ from tests.certificates import (
     slave_context,
 )
 from tests.sources.live_helpers import PATIENCE_S, drain, take_until
+from tests.sources.tap_bench import ANY_PORT, Bench
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-ANY_PORT = Endpoint("127.0.0.1", 0)
 REQUEST, ANSWER = b"a request", b"and its answer"
 LISTEN, LISTEN_MUTUAL = ListenTls(SLAVE), ListenTls(SLAVE, ca=CA)
 TARGET, TARGET_MUTUAL = TargetTls(CA), TargetTls(CA, MASTER)
@@ -57,37 +60,8 @@ SIDES = pytest.mark.parametrize(
 )
 
 
-class Bench:
-    """A target that listens, a tap before it with TLS on either side, and the tap's inbox."""
-
-    def __init__(self, stack: ExitStack) -> None:
-        self._stack = stack
-        self.inbox = Inbox()
-        self.server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
-        self.server.settimeout(PATIENCE_S)
-        self.target = Endpoint(*self.server.getsockname())
-
-    def tap(
-        self, listen: ListenTls | None = None, target: TargetTls | None = None
-    ) -> tuple[str, int]:
-        """Where it listens."""
-        link = TapLink(ANY_PORT, self.target, listen_tls=listen, target_tls=target)
-        tap = self._stack.enter_context(TapSource(link, self.inbox))
-        return tap.endpoint.host, tap.endpoint.port
-
-    def call(self, tap: tuple[str, int], tls: ssl.SSLContext | None = None) -> socket.socket:
-        plain = self._stack.enter_context(socket.create_connection(tap, PATIENCE_S))
-        if tls is None:
-            return plain
-        return self._stack.enter_context(tls.wrap_socket(plain, server_hostname="localhost"))
-
-    def accept(self, tls: ssl.SSLContext | None = None) -> socket.socket:
-        slave, _ = self.server.accept()
-        slave.settimeout(PATIENCE_S)
-        self._stack.enter_context(slave)
-        if tls is None:
-            return slave
-        return self._stack.enter_context(tls.wrap_socket(slave, server_side=True))
+class SecureBench(Bench):
+    """With what the ends say inside TLS, and what is recorded of that."""
 
     def both(
         self,
@@ -122,9 +96,9 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
+def bench() -> Iterator[SecureBench]:
     with ExitStack() as stack:
-        yield Bench(stack)
+        yield SecureBench(stack)
 
 
 def read_to_end(connection: socket.socket) -> bytes:
@@ -147,7 +121,7 @@ def hang_up(connection: socket.socket) -> None:
 @SIDES
 @VERSIONS
 def test_what_is_recorded_is_what_both_ends_say(
-    bench: Bench, listen: ListenTls | None, target: TargetTls | None, version: ssl.TLSVersion
+    bench: SecureBench, listen: ListenTls | None, target: TargetTls | None, version: ssl.TLSVersion
 ) -> None:
     master, slave = bench.both(listen, target, version=version)
     master.sendall(REQUEST)
@@ -162,7 +136,7 @@ def test_what_is_recorded_is_what_both_ends_say(
     assert closed.reason is CloseReason.FINISHED
 
 
-def test_the_opening_says_who_both_ends_are(bench: Bench) -> None:
+def test_the_opening_says_who_both_ends_are(bench: SecureBench) -> None:
     bench.both(LISTEN_MUTUAL, TARGET_MUTUAL)
     opened = take_until(bench.inbox, lambda item: isinstance(item, StreamOpened))[-1]
     assert isinstance(opened, StreamOpened)
@@ -172,18 +146,34 @@ def test_the_opening_says_who_both_ends_are(bench: Bench) -> None:
     )
 
 
-def test_the_opening_says_what_was_not_verified(bench: Bench) -> None:
+def test_the_opening_says_what_was_not_verified(bench: SecureBench) -> None:
     bench.both(LISTEN, TargetTls(None), version=TLS_1_2)
     opened = take_until(bench.inbox, lambda item: isinstance(item, StreamOpened))[-1]
     assert isinstance(opened, StreamOpened)
     assert opened.note == "master TLS 1.2, no certificate; slave TLS 1.2, certificate not verified"
 
 
-def test_a_request_right_behind_the_handshake_waits_for_the_target(bench: Bench) -> None:
+@pytest.mark.parametrize(
+    ("cert", "said"),
+    [(NO_SUBJECT, "IP Address 127.0.0.1"), (LATIN_1, "certificate without a readable name")],
+    ids=["no-subject", "latin-1"],
+)
+def test_a_verified_certificate_that_says_little_is_not_called_unverified(
+    bench: SecureBench, cert: str, said: str
+) -> None:
+    master = bench.call(bench.tap(ListenTls(SLAVE, ca=cert), TargetTls(cert)), master_context(cert))
+    bench.accept(slave_context(cert)).sendall(ANSWER)
+    assert master.recv(100) == ANSWER
+    opened = take_until(bench.inbox, lambda item: isinstance(item, StreamOpened))[-1]
+    assert isinstance(opened, StreamOpened)
+    assert opened.note == f"master TLS 1.3, {said}; slave TLS 1.3, {said}"
+
+
+def test_a_request_right_behind_the_handshake_waits_for_the_target(bench: SecureBench) -> None:
     tap = bench.tap(LISTEN)
     outgoing, incoming = ssl.MemoryBIO(), ssl.MemoryBIO()
     tls = master_context().wrap_bio(incoming, outgoing, server_hostname="localhost")
-    with socket.create_connection(tap, PATIENCE_S) as master:
+    with bench.call(tap) as master:
         while True:
             try:
                 tls.do_handshake()
@@ -227,32 +217,36 @@ def test_a_master_that_sends_before_the_target_has_answered_is_stopped() -> None
         assert not any(isinstance(item, Chunk) for item in drain(inbox))
 
 
+def swap(connection: socket.socket, data: bytes) -> bytes:
+    """Send and receive as much at once, in one thread: OpenSSL takes no two for a connection."""
+    connection.setblocking(False)
+    sent, heard = 0, b""
+    waits = (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError)
+    while sent < len(data) or len(heard) < len(data):
+        before = sent, len(heard)
+        with suppress(*waits):
+            sent += connection.send(data[sent : sent + 2**14])
+        with suppress(*waits):
+            piece = connection.recv(2**16)
+            assert piece, "the connection has ended"
+            heard += piece
+        if (sent, len(heard)) == before:
+            writing = [connection] if sent < len(data) else []
+            assert any(select.select([connection], writing, [], PATIENCE_S))
+    return heard
+
+
 @SIDES
 def test_megabytes_pass_unchanged_both_ways_at_once(
-    bench: Bench, listen: ListenTls | None, target: TargetTls | None
+    bench: SecureBench, listen: ListenTls | None, target: TargetTls | None
 ) -> None:
     upward, downward = os.urandom(2 * 2**20), os.urandom(2 * 2**20)
     master, slave = bench.both(listen, target)
-    heard: dict[str, bytes] = {"master": b"", "slave": b""}
-
-    def talk(connection: socket.socket, data: bytes) -> None:
-        connection.sendall(data)
-
-    def hear(connection: socket.socket, name: str) -> None:
-        while len(heard[name]) < 2 * 2**20 and (piece := connection.recv(2**16)):
-            heard[name] += piece
-
-    threads = [
-        Thread(target=talk, args=(master, upward)),
-        Thread(target=talk, args=(slave, downward)),
-        Thread(target=hear, args=(master, "master")),
-        Thread(target=hear, args=(slave, "slave")),
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(PATIENCE_S)
-    assert heard == {"master": downward, "slave": upward}
+    with ThreadPoolExecutor() as pool:
+        at_master = pool.submit(swap, master, upward)
+        at_slave = pool.submit(swap, slave, downward)
+        assert at_master.result(PATIENCE_S) == downward
+        assert at_slave.result(PATIENCE_S) == upward
     hang_up(master)
     slave.close()
     said, _ = bench.recorded()
@@ -261,7 +255,7 @@ def test_megabytes_pass_unchanged_both_ways_at_once(
 
 @SIDES
 def test_a_side_that_does_not_read_stops_the_other(
-    bench: Bench, listen: ListenTls | None, target: TargetTls | None
+    bench: SecureBench, listen: ListenTls | None, target: TargetTls | None
 ) -> None:
     master, slave = bench.both(listen, target)
     master.settimeout(0.5)
@@ -278,7 +272,7 @@ def test_a_side_that_does_not_read_stops_the_other(
 
 @SIDES
 def test_the_end_of_a_slave_comes_behind_its_last_words(
-    bench: Bench, listen: ListenTls | None, target: TargetTls | None
+    bench: SecureBench, listen: ListenTls | None, target: TargetTls | None
 ) -> None:
     master, slave = bench.both(listen, target)
     words = os.urandom(300_000)
@@ -301,7 +295,7 @@ def test_the_end_of_a_slave_comes_behind_its_last_words(
     ("listen", "target"), [(LISTEN, None), (None, TARGET)], ids=["tls-plain", "plain-tls"]
 )
 def test_a_half_close_ends_both_directions(
-    bench: Bench, listen: ListenTls | None, target: TargetTls | None
+    bench: SecureBench, listen: ListenTls | None, target: TargetTls | None
 ) -> None:
     master, slave = bench.both(listen, target)
     master.sendall(REQUEST)
@@ -317,7 +311,7 @@ def test_a_half_close_ends_both_directions(
 
 @SIDES
 def test_a_slave_that_is_reset_resets_the_master(
-    bench: Bench, listen: ListenTls | None, target: TargetTls | None
+    bench: SecureBench, listen: ListenTls | None, target: TargetTls | None
 ) -> None:
     master, slave = bench.both(listen, target)
     slave.sendall(ANSWER)
@@ -354,7 +348,7 @@ def test_a_slave_that_is_reset_resets_the_master(
     ids=["none", "expired", "stranger", "other-ca"],
 )
 def test_a_master_that_fails_the_handshake_is_one_event_and_the_target_is_not_called(
-    bench: Bench, version: ssl.TLSVersion, cert: str | None, ca: str, message: str
+    bench: SecureBench, version: ssl.TLSVersion, cert: str | None, ca: str, message: str
 ) -> None:
     tap = bench.tap(LISTEN_MUTUAL)
     with suppress(OSError):
@@ -371,7 +365,7 @@ def test_a_master_that_fails_the_handshake_is_one_event_and_the_target_is_not_ca
     assert not any(isinstance(item, WireEvent) for item in drain(bench.inbox))
 
 
-def test_a_master_without_tls_is_one_event(bench: Bench) -> None:
+def test_a_master_without_tls_is_one_event(bench: SecureBench) -> None:
     master = bench.call(bench.tap(LISTEN))
     master.sendall(bytes.fromhex("0001 0000 0006 01 03 0000 0001"))
     with suppress(ConnectionResetError):
@@ -379,18 +373,18 @@ def test_a_master_without_tls_is_one_event(bench: Bench) -> None:
     assert [event.message for event in bench.events()] == ["TLS: the master speaks no TLS"]
 
 
-def test_a_master_that_hangs_up_in_the_handshake_is_one_event(bench: Bench) -> None:
+def test_a_master_that_hangs_up_in_the_handshake_is_one_event(bench: SecureBench) -> None:
     bench.call(bench.tap(LISTEN)).close()
     (event,) = bench.events()
     assert event.message == "TLS: the master breaks off the handshake"
 
 
-def test_the_end_does_not_wait_for_a_handshake(bench: Bench) -> None:
+def test_the_end_does_not_wait_for_a_handshake(bench: SecureBench) -> None:
     link = TapLink(ANY_PORT, bench.target, listen_tls=LISTEN)
     with TapSource(link, bench.inbox) as tap:
-        master = bench.call((tap.endpoint.host, tap.endpoint.port))
+        master = bench.call(tap)
         master.sendall(bytes.fromhex("16 0301"))  # The beginning of a record.
-        bench.call((tap.endpoint.host, tap.endpoint.port), master_context())
+        bench.call(tap, master_context())
     assert master.recv(100) == b""
 
 
@@ -409,7 +403,7 @@ def test_the_end_does_not_wait_for_a_handshake(bench: Bench) -> None:
     ids=["other-ca", "elsewhere", "expired"],
 )
 def test_a_target_whose_certificate_is_wrong_is_one_event_and_resets_the_master(
-    bench: Bench, version: ssl.TLSVersion, cert: str, target: TargetTls, why: str
+    bench: SecureBench, version: ssl.TLSVersion, cert: str, target: TargetTls, why: str
 ) -> None:
     master = bench.call(bench.tap(target=target))
     with suppress(OSError):
@@ -429,7 +423,7 @@ def test_a_target_whose_certificate_is_wrong_is_one_event_and_resets_the_master(
     ids=["unverified", "the certificate itself", "named"],
 )
 def test_a_target_may_be_known_by_its_name_or_its_very_certificate_or_not_at_all(
-    bench: Bench, cert: str, target: TargetTls
+    bench: SecureBench, cert: str, target: TargetTls
 ) -> None:
     is_right = target.ca is None or (cert == SLAVE) is (target.ca == SLAVE)
     master = bench.call(bench.tap(target=target))
@@ -444,7 +438,7 @@ def test_a_target_may_be_known_by_its_name_or_its_very_certificate_or_not_at_all
 
 @VERSIONS
 def test_a_target_that_refuses_the_taps_certificate_is_one_event(
-    bench: Bench, version: ssl.TLSVersion
+    bench: SecureBench, version: ssl.TLSVersion
 ) -> None:
     master = bench.call(bench.tap(target=TargetTls(CA, STRANGER)))
     with pytest.raises(ssl.SSLCertVerificationError):

@@ -29,11 +29,11 @@ from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.relay import _why
 from mbtool.sources.tap import TapSource, _remedy
 from tests.sources.live_helpers import PATIENCE_S, drain, start_program, take_until
+from tests.sources.tap_bench import ANY_PORT, Bench
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-ANY_PORT = Endpoint("127.0.0.1", 0)
 REQUEST = bytes.fromhex(
     "0001"          # transaction id
     "0000"          # protocol id
@@ -41,32 +41,6 @@ REQUEST = bytes.fromhex(
     "11"            # unit id
     "03 006b 0003"  # read holding registers, address 107, quantity 3
 )  # fmt: skip
-
-
-class Bench:
-    """A target that listens, a tap before it, and the tap's inbox."""
-
-    def __init__(self, stack: ExitStack) -> None:
-        self._stack = stack
-        self.inbox = Inbox()
-        self.server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
-        self.server.settimeout(PATIENCE_S)
-        self.target = Endpoint(*self.server.getsockname())
-
-    def tap(self, *, max_connections: int = 64, idle_s: float = 3600.0) -> TapSource:
-        link = TapLink(ANY_PORT, self.target)
-        return self._stack.enter_context(
-            TapSource(link, self.inbox, max_connections=max_connections, idle_s=idle_s)
-        )
-
-    def call(self, tap: TapSource) -> socket.socket:
-        address = (tap.endpoint.host, tap.endpoint.port)
-        return self._stack.enter_context(socket.create_connection(address, PATIENCE_S))
-
-    def accept(self) -> socket.socket:
-        slave, _ = self.server.accept()
-        slave.settimeout(PATIENCE_S)
-        return self._stack.enter_context(slave)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.core import LinkError, ListenTls, TargetTls
 from mbtool.sources.tls import client_context, failure, server_context
-from tests.certificates import CA, EXPIRED_CA, LOCKED_KEY, MASTER, SLAVE
+from tests.certificates import CA, EXPIRED_CA, LATIN_1, LOCKED_KEY, MASTER, SLAVE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +32,10 @@ def test_a_target_is_verified_by_its_ca_and_its_name() -> None:
     assert (context.verify_mode, context.check_hostname, name) == (ssl.CERT_REQUIRED, True, HOST)
     assert context.minimum_version is ssl.TLSVersion.TLSv1_2
     assert client_context(TargetTls(CA, name="plc.example"), HOST)[1] == "plc.example"
+
+
+def test_a_ca_may_have_names_that_python_cannot_read() -> None:
+    assert client_context(TargetTls(LATIN_1), HOST)[0].verify_mode is ssl.CERT_REQUIRED
 
 
 def test_a_target_is_taken_as_it_is_where_that_is_asked() -> None:

@@ -83,6 +83,12 @@ def test_a_subject_is_shown_with_the_most_particular_name_first() -> None:
     assert subject_of({}) == ""
 
 
+def test_a_holder_without_a_subject_is_shown_by_its_other_names() -> None:
+    others = (("DNS", "plc.example"), ("IP Address", "10.0.0.9"))
+    assert subject_of({"subjectAltName": others}) == "DNS plc.example, IP Address 10.0.0.9"
+    assert subject_of({"subject": (), "subjectAltName": others[1:]}) == "IP Address 10.0.0.9"
+
+
 def test_what_a_terminal_would_act_on_is_escaped_and_long_names_are_cut() -> None:
     assert subject_of({"subject": ((("commonName", "a\x1b[2J\n"),),)}) == r"CN=a\x1b[2J\n"
     long = subject_of({"subject": ((("commonName", "x" * 1000),),)})

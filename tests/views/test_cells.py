@@ -174,6 +174,24 @@ def test_a_read_brings_its_points() -> None:
     assert result_text(transaction(points=points)) == "digital value: CH1 12000, CH2 4000"
 
 
+def test_17h_has_what_it_wrote_beside_where_and_what_it_read_in_the_result() -> None:
+    wrote = msgspec.structs.replace(_point("Valve", "open", 1, "D3"), written=True)
+    read = _point("Level", "5 m", 5, "D1")
+    fields = {
+        "function": 0x17,
+        "reference": "D1, write D3",
+        "write_address": 3,
+        "request_values": [1],
+        "response_values": [5],
+    }
+    both = transaction(**fields, points=[wrote, read])
+    assert (what_text(both), result_text(both)) == ("D1, write D3 Valve: open", "Level: 5 m")
+    unnamed = transaction(**fields, points=[read])
+    assert (what_text(unnamed), result_text(unnamed)) == ("D1, write D3 := 1", "Level: 5 m")
+    blind = transaction(**fields, points=[wrote])
+    assert (what_text(blind), result_text(blind)) == ("D1, write D3 Valve: open", "5")
+
+
 def test_of_many_registers_the_first_are_shown() -> None:
     text = result_text(transaction(response_values=list(range(125))))
     assert text == f"{', '.join(map(str, range(16)))}, ... (125 values)"

@@ -201,3 +201,15 @@ def test_a_page_says_how_each_value_stands_in_its_registers() -> None:
 
 def _point(name: str, address: int, **fields: Any) -> Point:
     return Point(name=name, table=Table.HOLDING_REGISTERS, address=address, **fields)
+
+
+def test_nothing_that_a_profile_says_is_obeyed() -> None:
+    profile = load_profile("idec-ft1a-touch")
+    area = profile.areas[0]
+    point = Point(name="Alarm [/x]", table=area.table, address=0, type=PointType.BIT, note="a\nb")
+    profile = msgspec.structs.replace(profile, title="[bold]\x1b[2J", points=[point])
+    lines = _lines(profile_page(profile))
+    assert lines[0] == "[bold]?[2J"
+    assert any("Alarm [/x]" in line for line in lines)
+    assert lines[-1] == "Note: C1: a b"
+    assert any("[bold]?[2J" in line for line in _lines(profile_list([profile])))

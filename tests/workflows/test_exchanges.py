@@ -77,10 +77,26 @@ def test_outputs_are_told_when_they_change() -> None:
     device = DeviceResponder(profile, RegisterImage.of(profile))
     exchanges = Exchanges(profile, parse_link("tcp:127.0.0.1:1502"))
     assert exchanges.changed_outputs() == []
-    exchanges.begin(device.behaviour)
+    exchanges.begin({1: device.behaviour})
     assert device.behaviour.rules is not None
     device.behaviour.rules.admit("127.0.0.1", 0)
     assert exchanges.changed_outputs() == []
     device.respond(0, bytes.fromhex("05 0003 FF00"), 0)
     assert [(one.name, one.text) for one in exchanges.changed_outputs()] == [("Y3", "on")]
     assert exchanges.changed_outputs() == []
+
+
+def test_of_several_devices_each_has_its_own_words_and_its_unit_at_its_outputs() -> None:
+    module = load_profile("fa3-th1m16y")
+    device = DeviceResponder(module, RegisterImage.of(module))
+    touch = DeviceResponder(TOUCH, RegisterImage.of(TOUCH))
+    exchanges = Exchanges(TOUCH, parse_link("tcp:127.0.0.1:1502"), {3: module})
+    exchanges.begin({1: touch.behaviour, 3: device.behaviour})
+    exchanges.take(_request(), Answer(VALUE))
+    exchanges.take(_request(unit=3), Answer(VALUE))
+    shown = [(one.device, one.reference) for one in exchanges.transactions()]
+    assert shown == [("idec-ft1a-touch", "HR400001"), ("fa3-th1m16y", "RWw0")]
+    assert device.behaviour.rules is not None
+    device.behaviour.rules.admit("127.0.0.1", 0)
+    device.respond(3, bytes.fromhex("05 0003 FF00"), 0)
+    assert [one.name for one in exchanges.changed_outputs()] == ["unit 3 Y3"]

@@ -79,6 +79,19 @@ def test_an_answer_on_a_line_has_its_requests_number(scheme: str, pdu: bytes) ->
                 assert (answer.number, answer.pdu) == (number, VALUES if pdu == READ else VENDOR)
 
 
+def test_waiting_differently_long_leaves_the_ports_settings_alone() -> None:
+    """Parity, which a pseudo-terminal may refuse when it is set a second time."""
+    with VirtualLine() as line:
+        ours, slaves = (parse_link(f"rtu:{port}@19200-8E1") for port in line.ports)
+        assert isinstance(slaves, SerialLink)
+        with SerialSlave(slaves, Scripted(_answers)), open_master(ours, SECOND_NS) as master:
+            for wait_ns in (0, 1_000, 1_000_000, 9_000_000):
+                assert list(master.receive(wait_ns)) == []
+            master.send(1, 1, READ)
+            (answer,) = _received(master)
+            assert answer.pdu == VALUES
+
+
 def test_answers_in_another_order_find_their_requests(listening: socket.socket) -> None:
     with open_master(_link(listening), SECOND_NS) as master:
         peer, _ = listening.accept()

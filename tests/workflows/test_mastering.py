@@ -13,7 +13,7 @@ import pytest
 
 from mbtool.core import InputError, UsageError, parse_link
 from mbtool.modbus import Answer
-from mbtool.replay import Tolerance
+from mbtool.replay import Control, Tolerance, Window
 from mbtool.slave import open_shell
 from mbtool.workflows.mastering import MasterOptions, MasterRun, Report, junit
 from mbtool.workflows.reading import ReadingOptions
@@ -24,7 +24,7 @@ from tests.workflows.evidence import READ, VALUES, capture_file, captured
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mbtool.replay import Step
+    from mbtool.replay import Progress, Step
 
 LINE = Path(__file__).resolve().parents[2] / "captures" / "ft1a-touch-line.mcap"
 OTHER_VALUES = bytes.fromhex("03 04 1234 0001")
@@ -161,3 +161,38 @@ def test_what_was_asked_is_what_was_recorded(capture: Path) -> None:
     with open_shell(parse_link("tcp:127.0.0.1:0"), scripted) as shell:
         _run(capture).play(parse_link(shell.place))
     assert scripted.asked == [(1, READ)] * 3
+
+
+class _Desk:
+    """Someone who pauses at once, steps once, and then goes on."""
+
+    def __init__(self) -> None:
+        self.wanted = [Control.PAUSE, Control.STEP]
+        self.shown: list[Progress] = []
+
+    def controls(self) -> list[Control]:
+        if not self.wanted and self.shown[-1].is_paused and "1 requests" in self.shown[-1].done:
+            self.wanted.append(Control.PAUSE)
+        return [self.wanted.pop(0)] if self.wanted else []
+
+    def show(self, progress: Progress) -> None:
+        self.shown.append(progress)
+
+
+def test_it_is_steered_from_a_desk(capture: Path) -> None:
+    desk = _Desk()
+    report = _report(
+        _run(capture, rate=Fraction(1)),
+        lambda _, __: Answer(VALUES),
+        desk=desk,  # type: ignore[arg-type]
+    )
+    assert (report.requests, report.different) == (3, 0)
+    assert any(one.is_paused and one.done.startswith("1 requests") for one in desk.shown)
+
+
+def test_only_a_window_is_asked(capture: Path) -> None:
+    whole = _run(capture).script
+    later = whole.steps[1].place_ns
+    assert len(_run(capture, window=Window(later)).script.steps) == 2
+    with pytest.raises(InputError, match="to ask in the part from 99 s on; give another"):
+        _run(capture, window=Window(99_000_000_000))

@@ -175,6 +175,16 @@ def test_a_log_with_senseless_ports_is_read(tmp_path: Path) -> None:
     assert len(_transactions(_read(path, raw=True))) == 2
 
 
+def test_a_log_with_a_link_of_another_version_gives_what_was_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    records = _transactions(_read(_serial_log(tmp_path / "b.mcap")))
+    with LogWriter(path, capture={}) as log:
+        log.add_link(LINE.name, {"spec": "subspace:7@warp"})
+        for record in records:
+            log.write(record)
+    assert _read(path) == records != []
+
+
 def test_a_cut_capture_gives_all_before_the_cut(tmp_path: Path) -> None:
     whole = capture_file(3)
     path = tmp_path / "cut.pcap"

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
+import socket
 from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InputError, UsageError, parse_link
+from mbtool.core import InputError, SerialFormat, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import load_profile
-from mbtool.slave import DeviceResponder, RegisterImage, TcpSlave
+from mbtool.modbus import rtu_adu
+from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave
 from mbtool.workflows.asking import TcpMaster
 from mbtool.workflows.exchanges import Exchanges
-from mbtool.workflows.serving import device_slave
+from mbtool.workflows.serving import Station, device_slave
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -114,3 +116,84 @@ def test_exchanges_are_told() -> None:
     with shell, TcpMaster(shell.endpoint) as master:
         master.ask(7, READ)
     assert [one.reference for one in exchanges.transactions()] == ["HR400001"]
+
+
+def test_several_devices_share_a_link_and_others_units_get_silence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("mbtool.workflows.asking.TIMEOUT_S", 0.2)
+    image = tmp_path / "other.toml"
+    image.write_text("40001 = 7\n")
+    others = {3: Station(load_profile("chino-lt830"), image), 4: Station(TOUCH)}
+    shell = device_slave(TOUCH, LOOPBACK, 7, others=others)
+    assert isinstance(shell, TcpSlave)
+    with shell, TcpMaster(shell.endpoint) as master:
+        assert master.ask(3, READ) == bytes.fromhex("03 02 0007")
+        assert master.ask(7, READ) == master.ask(4, READ) == bytes.fromhex("03 02 0000")
+        assert master.ask(5, READ) is None
+
+
+def test_a_broadcast_on_a_line_reaches_every_device(tmp_path: Path) -> None:
+    others = {3: Station(load_profile("chino-lt830"))}
+    shell = device_slave(TOUCH, parse_link("rtu+tcp:127.0.0.1:0"), 7, others=others)
+    assert isinstance(shell, TcpSlave)
+    write = rtu_adu(0, bytes.fromhex("06 0000 1234"))
+    with shell, socket.create_connection((shell.endpoint.host, shell.endpoint.port)) as master:
+        for unit in (3, 7):
+            master.sendall(write + rtu_adu(unit, READ))
+            expected = rtu_adu(unit, bytes.fromhex("03 02 1234"))
+            received = b""
+            while len(received) < len(expected):
+                received += master.recv(64)
+            assert received == expected
+
+
+@pytest.mark.parametrize(
+    ("link", "name", "unit", "says"),
+    [
+        ("rtu:/dev/absent@9600", "chino-lt830", 100, "chino-lt830 can be 1 to 99"),
+        ("rtu:/dev/absent@9600", "idec-ft1a-touch", 0, "unit 0: on a line .* can be 1 to 247"),
+        ("rtu+tcp:127.0.0.1:0", "idec-ft1a-smartaxis", 248, "can be 1 to 247"),
+    ],
+)
+def test_a_unit_that_a_device_cannot_be_is_refused(
+    link: str, name: str, unit: int, says: str
+) -> None:
+    with pytest.raises(UsageError, match=says):
+        device_slave(load_profile(name), parse_link(link), unit)
+    with pytest.raises(UsageError, match=says):
+        device_slave(TOUCH, parse_link(link), 9, others={unit: Station(load_profile(name))})
+
+
+def test_a_line_has_the_silences_of_its_devices() -> None:
+    shell = device_slave(load_profile("chino-lt830"), parse_link("rtu:/dev/absent@9600-8E1"), 2)
+    assert isinstance(shell, SerialSlave)
+    assert shell.link.format.t3_5_ns == 28 * 1_000_000_000 // 9600
+    touch = device_slave(TOUCH, parse_link("rtu:/dev/absent@9600-8E1"))
+    assert isinstance(touch, SerialSlave)
+    assert touch.link.format == SerialFormat.parse("9600-8E1")
+
+
+def test_values_that_move_and_faults_are_played(tmp_path: Path) -> None:
+    image, fault = tmp_path / "start.toml", tmp_path / "fault.toml"
+    image.write_text("HR400001 = { ramp = [7, 8], seconds = 10000 }\n")
+    fault.write_text('[[faults]]\nkind = "exception"\ncode = 6\nnth = 2\ntimes = 1\n')
+    shell = device_slave(TOUCH, LOOPBACK, 1, image, fault_file=fault)
+    assert isinstance(shell, TcpSlave)
+    with shell, TcpMaster(shell.endpoint) as master:
+        answers = [master.ask(1, READ) for _ in range(3)]
+    assert answers == [bytes.fromhex(each) for each in ("03 02 0007", "83 06", "03 02 0007")]
+
+
+def test_a_fault_that_the_link_cannot_have_is_refused(tmp_path: Path) -> None:
+    fault = tmp_path / "fault.toml"
+    fault.write_text('[[faults]]\nkind = "bad-crc"\n')
+    with pytest.raises(UsageError, match="Modbus/TCP has no checksum"):
+        device_slave(TOUCH, LOOPBACK, fault_file=fault)
+
+
+def test_a_capture_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    image = tmp_path / "start.toml"
+    image.write_text('HR400001 = { from = "absent.mcap" }\n')
+    with pytest.raises(InputError, match=r"absent\.mcap"):
+        device_slave(TOUCH, LOOPBACK, image_file=image)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
+from contextlib import suppress
 from functools import partial
+from threading import Thread
 from typing import TYPE_CHECKING
 from unittest.mock import Mock
 
@@ -19,6 +22,7 @@ from mbtool.core import (
     SerialFormat,
     SerialLink,
     TapLink,
+    TargetTls,
     UsageError,
     WireEvent,
     parse_link,
@@ -30,7 +34,8 @@ from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
 from mbtool.workflows.sniffing import Sniffer, serial_lines
-from tests.sources.live_helpers import stop_marking
+from tests.certificates import CA, STRANGER, slave_context
+from tests.sources.live_helpers import PATIENCE_S, stop_marking
 from tests.workflows.bench import ANY, Bench, ask, call_in_vain, speak, until
 from tests.workflows.evidence import READ, VALUES, WRITE
 
@@ -128,24 +133,31 @@ def test_a_slave_that_cannot_be_reached_is_told_once_and_logged_each_time(
     assert list(Reading([str(path)], ReadingOptions()).records()) == records
 
 
-def test_a_slave_that_is_lost_a_second_time_is_told_a_second_time() -> None:
+def test_a_slave_that_refuses_the_tap_behind_the_handshake_is_told_once() -> None:
+    """With TLS 1.3 each connection opens first."""
     told: list[WireEvent] = []
-    sniffer = _sniffer(on_refused=told.append)
-    events = [
-        WireEvent(ts_ns=number, link="10.0.0.9", kind=kind, message=message)
-        for number, (kind, message) in enumerate(
-            [
-                (EventKind.REFUSED, "no answer"),
-                (EventKind.REFUSED, "refused"),
-                (EventKind.REFUSED, "refused"),
-                (EventKind.OPENED, ""),
-                (EventKind.REFUSED, "refused"),
-            ]
-        )
-    ]
-    for event in events:
-        list(sniffer._logged([event]))
-    assert [one.ts_ns for one in told] == [0, 1, 4]
+    records: list[Record] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        target = Endpoint(*server.getsockname())
+        tap = TapLink(ANY, target, target_tls=TargetTls(CA, STRANGER))
+        with _sniffer(tap, on_refused=told.append) as sniffer:
+            slave = Thread(target=_refuse_certificates, args=(server, 3))
+            slave.start()
+            call_in_vain(sniffer, 3)
+            slave.join(PATIENCE_S)
+            for record in sniffer.records(until(records, lambda found: len(found) >= 9)):
+                records.append(record)
+    kinds = [one.kind for one in records if isinstance(one, WireEvent)]
+    assert kinds == [EventKind.OPENED, EventKind.REFUSED, EventKind.CLOSED] * 3
+    assert told == records[1:2]
+
+
+def _refuse_certificates(server: socket.socket, count: int) -> None:
+    context = slave_context(ca=CA)
+    for _ in range(count):
+        connection, _ = server.accept()
+        with connection, suppress(OSError):
+            context.wrap_socket(connection, server_side=True)
 
 
 def test_says_where_a_tap_listens_that_asked_for_any_port(bench: Bench) -> None:

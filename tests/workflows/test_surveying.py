@@ -30,9 +30,13 @@ def survey(*slaves: tuple[str | None, int], who: str | None = None, silent: int 
     return found
 
 
+def named(found: Survey) -> list[str]:
+    return [str(one.who.at_any_port) for one in found.slaves]
+
+
 def test_slaves_are_told_apart_by_where_they_are_and_their_unit() -> None:
     found = survey((None, 1), ("10.0.0.9:502", 1), ("10.0.0.9:502", 2), (None, 1))
-    assert [one.who for one in found.slaves] == ["1", "10.0.0.9/1", "10.0.0.9/2"]
+    assert named(found) == ["1", "10.0.0.9/1", "10.0.0.9/2"]
     assert [one.transactions for one in found.slaves] == [2, 1, 1]
 
 
@@ -46,7 +50,7 @@ def test_slaves_are_told_apart_by_where_they_are_and_their_unit() -> None:
 )
 def test_those_that_are_wanted_are_looked_at(who: str, slaves: list[str]) -> None:
     found = survey((None, 1), ("10.0.0.9:502", 1), ("10.0.0.9:502", 2), who=who)
-    assert [one.who for one in found.slaves] == slaves
+    assert named(found) == slaves
 
 
 def test_the_only_slave_is_the_one_that_is_meant() -> None:
@@ -62,6 +66,13 @@ def test_of_several_one_is_to_be_named() -> None:
         UsageError, match=r"2 slaves are there: 1 on line, 10\.0\.0\.9/2; name one with --unit"
     ):
         survey((None, 1), ("10.0.0.9:502", 2)).only("--unit")
+
+
+def test_slaves_at_two_ports_of_an_address_are_named_with_them() -> None:
+    both = ("10.0.0.9:502", 1), ("10.0.0.9:1502", 1)
+    with pytest.raises(UsageError, match=r"10\.0\.0\.9:502/1, 10\.0\.0\.9:1502/1; name one"):
+        survey(*both).only("--unit")
+    assert survey(*both, who="10.0.0.9:1502/1").only("--unit").destination == "10.0.0.9:1502"
 
 
 def test_where_there_is_none_that_is_said() -> None:

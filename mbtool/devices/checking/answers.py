@@ -28,7 +28,7 @@ from mbtool.devices.checking.kept import Kept
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.pdu import pdu_of
+from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
@@ -47,9 +47,9 @@ _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
 
-Party = tuple[str, str | None]
+_Party = tuple[str, str | None]
 """A line, or a link with the master's end of a connection."""
-_Question = tuple[Party, int, bytes]
+_Question = tuple[_Party, int, bytes]
 
 
 @dataclass(slots=True)
@@ -78,7 +78,7 @@ class AnswerRules:
     """Records in, in the order in which they are decoded; findings out."""
 
     def __init__(self) -> None:
-        self._states: Kept[Party, _State] = Kept(_State)
+        self._states: Kept[_Party, _State] = Kept(_State)
         self._heard: Kept[tuple[str, int], list[bool]] = Kept(lambda: [False])
         """Slaves, by whether they have said anything."""
         self._held: OrderedDict[_Question, deque[NamedTransaction]] = OrderedDict()
@@ -98,7 +98,7 @@ class AnswerRules:
             state.since_ns = at_ns
         yield from self._pass(at_ns)
         if transaction.response_ns is not None:
-            self._pass_silently(transaction.response_ns)
+            self._note_time(transaction.response_ns)
             self._heard[transaction.link, transaction.unit][0] = True
         if transaction.outcome is Outcome.UNSOLICITED:
             if _was_unasked(state, at_ns):
@@ -106,7 +106,7 @@ class AnswerRules:
             return
         state.has_asked, state.is_damaged = True, False
         state.last_request_ns = max(state.last_request_ns, at_ns)
-        question = (party, transaction.unit, _pdu(transaction))
+        question = (party, transaction.unit, _asked(transaction))
         if transaction.outcome is Outcome.NO_ANSWER:
             was_lost = state.lost_ns is not None and state.lost_ns >= at_ns
             if not was_lost and not _is_silent(transaction, profile):
@@ -154,17 +154,14 @@ class AnswerRules:
 
     def _pass(self, now_ns: int) -> Iterator[Finding]:
         """Give up on what was held for long enough."""
-        self._pass_silently(now_ns)
+        self._note_time(now_ns)
         while self._held:
-            question, transactions = next(iter(self._held.items()))
+            transactions = next(iter(self._held.values()))
             if now_ns - transactions[0].start_ns <= PATIENCE_NS:
                 return
-            yield self._unanswered(transactions.popleft())
-            self._number_held -= 1
-            if not transactions:
-                del self._held[question]
+            yield self._give_up_oldest()
 
-    def _pass_silently(self, now_ns: int) -> None:
+    def _note_time(self, now_ns: int) -> None:
         self._last_ns = max(self._last_ns, now_ns)
 
     def _not_answered(
@@ -184,13 +181,17 @@ class AnswerRules:
         self._held.setdefault(question, deque()).append(transaction)
         self._number_held += 1
         if self._number_held > MAX_HELD:
-            oldest, transactions = next(iter(self._held.items()))
-            yield self._unanswered(transactions.popleft())
-            self._number_held -= 1
-            if not transactions:
-                del self._held[oldest]
+            yield self._give_up_oldest()
 
-    def _forget(self, party: Party) -> None:
+    def _give_up_oldest(self) -> Finding:
+        question, transactions = next(iter(self._held.items()))
+        oldest = transactions.popleft()
+        self._number_held -= 1
+        if not transactions:
+            del self._held[question]
+        return self._unanswered(oldest)
+
+    def _forget(self, party: _Party) -> None:
         for question in [one for one in self._held if one[0] == party]:
             self._number_held -= len(self._held.pop(question))
 
@@ -232,10 +233,7 @@ def _is_silent(transaction: NamedTransaction, profile: Profile | None) -> bool:
     return rule is not None and not rule.answers
 
 
-def _pdu(transaction: NamedTransaction) -> bytes:
-    if transaction.request_raw is None:
-        return b""
-    try:
-        return pdu_of(transaction.transport, transaction.request_raw)[1]
-    except (IndexError, ValueError):
-        return transaction.request_raw  # A log that others wrote may hold anything.
+def _asked(transaction: NamedTransaction) -> bytes:
+    """What is asked: the PDU, or the bytes where a log of others has none that can be read."""
+    raw = transaction.request_raw
+    return whole_pdu(transaction.transport, raw) or raw or b""

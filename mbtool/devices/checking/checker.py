@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import WireEvent
 from mbtool.devices.checking.answers import AnswerRules
 from mbtool.devices.checking.connections import ConnectionRules, is_foreign_message
-from mbtool.devices.checking.fa3 import BEHAVIOUR, Fa3Rules, is_fa3
-from mbtool.devices.checking.line import SERIAL, LineRules
+from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
+from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
 from mbtool.devices.checking.surroundings import Surroundings
 from mbtool.devices.checking.transactions import TransactionRules
@@ -55,7 +55,7 @@ class Checker:
     def _transaction(self, one: NamedTransaction) -> Iterator[Finding]:
         profile = self._around.assignments.profile_for(one)
         yield from self._each.check(one, profile)
-        is_serial = one.transport in SERIAL
+        is_serial = one.transport.is_serial
         format_ = self._around.line_of(one.link) if is_serial else None
         # What answers a broadcast is told as that, and not once more as what nobody asked for.
         if not self._lines.is_answer_to_broadcast(one):
@@ -67,7 +67,7 @@ class Checker:
         if format_ is not None or not is_serial:
             self._polls.transaction(one)
         if profile is not None:
-            if profile.behaviour == BEHAVIOUR:
+            if is_fa3(profile):
                 yield from self._fa3.transaction(one, profile)
             if is_wago(profile):
                 yield from self._wago.transaction(one)
@@ -77,7 +77,7 @@ class Checker:
         if not event.source and not event.destination:
             yield from self._lines.event(event)
             return
-        of_fa3 = is_fa3(self._around.assignments.profiles_at(event.destination))
+        of_fa3 = any(map(is_fa3, self._around.assignments.profiles_at(event.destination)))
         if of_fa3:
             yield from self._fa3.event(event)
         if not (of_fa3 and is_foreign_message(event.raw)):

@@ -30,12 +30,12 @@ from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from mbtool.devices.model import Profile
     from mbtool.devices.named import NamedTransaction
 
-BEHAVIOUR = "fa3"
+_BEHAVIOUR = "fa3"
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
 DEAF_NS = 2_000_000_000
@@ -154,6 +154,6 @@ def _handshake(
         module.is_requested = False
 
 
-def is_fa3(profiles: Sequence[Profile]) -> bool:
-    """Whether one of the profiles of a slave is of a module of this family."""
-    return any(profile.behaviour == BEHAVIOUR for profile in profiles)
+def is_fa3(profile: Profile) -> bool:
+    """Whether a profile is of this family, or of a user's that builds on it."""
+    return profile.behaviour == _BEHAVIOUR

@@ -17,7 +17,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, Silence, WireEvent
@@ -25,9 +25,9 @@ from mbtool.devices.checking.finding import Finding, found, found_in
 from mbtool.devices.checking.kept import Kept
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
-from mbtool.modbus.adu import Transport, Verdict
+from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
-from mbtool.modbus.pdu import pdu_of
+from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.devices.model import Profile
 
-SERIAL = frozenset((Transport.RTU, Transport.ASCII))
 TURNAROUND_NS = 100_000_000
 """The least of what the standard calls usual, 100 to 200 ms."""
 ANSWERS_WITHIN_NS = 1_000_000_000
@@ -128,7 +127,7 @@ class LineRules:
 
     def is_answer_to_broadcast(self, transaction: NamedTransaction) -> bool:
         """Whether a record that has not been taken yet answers a broadcast."""
-        if transaction.transport not in SERIAL or transaction.link not in self._lines:
+        if not transaction.transport.is_serial or transaction.link not in self._lines:
             return False
         broadcast = self._lines[transaction.link].broadcast
         return broadcast is not None and _answers(broadcast, transaction)
@@ -216,15 +215,8 @@ def _pace_text(code: str, count: _Count) -> str:
 
 def _of_many(code: str, count: _Count, text: str) -> Finding:
     one = found(code, count.first, text)
-    return Finding(
-        code=one.code,
-        message=one.message,
-        ts_ns=one.ts_ns,
-        link=one.link,
-        unit=one.unit if code == "RTU-301" else None,
-        device=one.device,
-        count=count.number,
-    )
+    unit = one.unit if code == "RTU-301" else None
+    return replace(one, unit=unit, function=None, reference=None, count=count.number)
 
 
 def _answers(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool:
@@ -243,15 +235,12 @@ def _answers(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool
         transaction.outcome is Outcome.NO_ANSWER
         and transaction.function in _ECHOED_WHOLE
         and transaction.start_ns - broadcast.request_ns < TURNAROUND_NS
-        and _pdu(transaction) == _pdu(broadcast)
+        and _request(transaction) == _request(broadcast)
     )
 
 
-def _pdu(transaction: NamedTransaction) -> bytes:
-    try:
-        return pdu_of(transaction.transport, transaction.request_raw or b"")[1]
-    except (IndexError, ValueError):
-        return b""
+def _request(transaction: NamedTransaction) -> bytes | None:
+    return whole_pdu(transaction.transport, transaction.request_raw)
 
 
 def _only_reads(function: int) -> bool:

@@ -11,7 +11,7 @@ from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.rules import DeviceCode
 from mbtool.devices.findings import finding_text, value_ranges, values_outside
 from mbtool.devices.form import ADDRESSES, answer_form, padding_of, request_form
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, function_name
+from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +41,9 @@ class TransactionRules:
     def _message(self, code: str, transaction: NamedTransaction, profile: Profile | None) -> str:
         parsed = DeviceCode.parse(code)
         if parsed is not None:
-            return self._by_manual(parsed, transaction, profile)
+            return self._by_manual(
+                parsed.rule.code, finding_text(code, profile), transaction, profile
+            )
         if code in _FORMS_OF_REQUESTS:
             return f"{asked_for(transaction)}: {request_form(transaction)[1]}"
         if code in _FORMS_OF_ANSWERS:
@@ -63,15 +65,13 @@ class TransactionRules:
         return f"{asked_for(transaction)}: {finding_text(code, profile)}"
 
     def _by_manual(
-        self, parsed: DeviceCode, transaction: NamedTransaction, profile: Profile | None
+        self, letter: str, text: str, transaction: NamedTransaction, profile: Profile | None
     ) -> str:
-        code = f"{parsed.prefix}-{parsed.rule.code}{parsed.number}"
-        text = finding_text(code, profile)
-        if parsed.rule.code == "F":
+        if letter == "F":
             return text
-        if parsed.rule.code == "Q":
+        if letter == "Q":
             return f"{asked_for(transaction)}: quantity {transaction.quantity}, {text}"
-        if parsed.rule.code == "V" and profile is not None:
+        if letter == "V" and profile is not None:
             return f"{asked_for(transaction)}: {self._outside(transaction, profile)}"
         return f"{asked_for(transaction)}: {text}"
 
@@ -92,12 +92,10 @@ class TransactionRules:
 
 def asked_for(transaction: NamedTransaction) -> str:
     """What a transaction asks, in a few words: `write registers HR400001..400110`."""
-    known = FUNCTIONS.get(transaction.function)
-    name = transaction.function_name
-    if known is not None and name == function_name(transaction.function):
-        name = known.short
-        if transaction.device is None and transaction.function in _PLAIN:
-            name = "write" if known.writes else "read"  # The reference names the table.
+    function = transaction.function
+    name = short_name(function, transaction.function_name)
+    if transaction.device is None and function in _PLAIN:
+        name = "write" if FUNCTIONS[function].writes else "read"  # The reference names the table.
     return f"{name} {transaction.reference}" if transaction.reference else name
 
 

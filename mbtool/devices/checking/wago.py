@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices.model import Profile
 
-BEHAVIOUR = "wago"
+_BEHAVIOUR = "wago"
 
 
 @dataclass(slots=True)
@@ -57,4 +57,4 @@ class WagoRules:
 
 def is_wago(profile: Profile) -> bool:
     """Whether a profile is of this family, or of a user's that builds on it."""
-    return profile.behaviour == BEHAVIOUR
+    return profile.behaviour == _BEHAVIOUR

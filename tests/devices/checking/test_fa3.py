@@ -130,9 +130,8 @@ def test_on_the_digital_modules_y9_is_an_output(profile: str) -> None:
 
 
 def test_the_family_is_known_by_its_behaviour() -> None:
-    assert is_fa3([load_profile("idec-ft1a-touch"), load_profile("fa3-at1m8y")])
-    assert not is_fa3([load_profile("idec-ft1a-touch")])
-    assert not is_fa3([])
+    assert is_fa3(load_profile("fa3-at1m8y"))
+    assert not is_fa3(load_profile("idec-ft1a-touch"))
 
 
 def test_memory_is_bounded() -> None:

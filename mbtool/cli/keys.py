@@ -1,0 +1,162 @@
+"""The keys that steer a player, and the one line that shows where it is."""
+
+# Only where standard input is a terminal, and this program is in its foreground: one that set a
+# terminal up from the background would be stopped by the system. The terminal gives each key at
+# once and does not echo it, but Ctrl-C stays a signal; at the end it is as it was. The line is
+# drawn over and over on standard error, where that is a terminal too.
+#
+# Linux and macOS. Elsewhere there are no keys, and all else works.
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import sys
+import time
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from mbtool.cli.talk import drawn_line
+from mbtool.replay.steering import Control
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from typing import TextIO
+
+    from mbtool.replay.steering import Progress
+
+KEYS = "space pauses, s steps, + and - change the speed, q ends"
+
+_LOOK_S = 0.03
+_DRAW_S = 0.1
+_READ_BYTES = 64
+_QUIT = "q"
+_CONTROLS = {
+    " ": Control.PAUSE,
+    "s": Control.STEP,
+    "\x1b[C": Control.STEP,  # The arrows, right, up and down, as terminals send them.
+    "\x1bOC": Control.STEP,
+    "+": Control.FASTER,
+    "=": Control.FASTER,  # The same key without shift, on many keyboards.
+    "\x1b[A": Control.FASTER,
+    "\x1bOA": Control.FASTER,
+    "-": Control.SLOWER,
+    "\x1b[B": Control.SLOWER,
+    "\x1bOB": Control.SLOWER,
+}
+_ERASE = "\r\x1b[K"
+
+
+class Keyboard:
+    """A desk at a terminal."""
+
+    def __init__(self, descriptor: int, out: TextIO) -> None:
+        self._descriptor = descriptor
+        self._out = out
+        self._draws = out.isatty()
+        self._looked_s = self._drawn_s = -1.0
+        self._is_drawn = False
+        self._is_open = True
+        self.has_quit = False
+
+    def controls(self) -> Sequence[Control]:
+        """What was pressed since the last look; looks so often as a person can tell."""
+        now_s = time.monotonic()
+        if not self._is_open or now_s - self._looked_s < _LOOK_S:
+            return ()
+        self._looked_s = now_s
+        pressed = b""
+        with suppress(OSError):
+            while select.select([self._descriptor], [], [], 0)[0]:
+                data = os.read(self._descriptor, _READ_BYTES)
+                if not data:
+                    self._is_open = False
+                    break
+                pressed += data
+        keys = list(_keys(pressed.decode("ascii", "replace")))
+        self.has_quit = self.has_quit or _QUIT in keys
+        return [_CONTROLS[key] for key in keys if key in _CONTROLS]
+
+    def show(self, progress: Progress) -> None:
+        now_s = time.monotonic()
+        if not self._draws or now_s - self._drawn_s < _DRAW_S:
+            return
+        self._drawn_s = now_s
+        width = shutil.get_terminal_size().columns - 1
+        self._write(f"{_ERASE}{progress_line(progress)[:width]}")
+        self._is_drawn = True
+
+    def wipe(self) -> None:
+        """Take the line away."""
+        if self._is_drawn:
+            self._write(_ERASE)
+            self._is_drawn = False
+
+    def _write(self, text: str) -> None:
+        with suppress(OSError):
+            self._out.write(text)
+            self._out.flush()
+
+
+@contextmanager
+def keyboard() -> Iterator[Keyboard | None]:
+    """A desk while the context is open; None where there is no terminal to sit at."""
+    try:
+        import termios
+        import tty
+    except ImportError:
+        yield None
+        return
+    descriptor = _terminal()
+    if descriptor is None:
+        yield None
+        return
+    before = termios.tcgetattr(descriptor)
+    desk = Keyboard(descriptor, sys.stderr)
+    try:
+        tty.setcbreak(descriptor)
+        with drawn_line(desk.wipe):
+            yield desk
+    finally:
+        desk.wipe()
+        with suppress(termios.error):  # The terminal may be gone.
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+def _terminal() -> int | None:
+    """Standard input, if it is a terminal that is ours to read."""
+    try:
+        descriptor = sys.stdin.fileno()
+        is_ours = os.isatty(descriptor) and os.tcgetpgrp(descriptor) == os.getpgrp()
+    except (AttributeError, OSError, ValueError):  # Closed, or replaced.
+        return None
+    return descriptor if is_ours else None
+
+
+def _keys(text: str) -> Iterator[str]:
+    """The keys in what a terminal sent: a character each, or an arrow's three."""
+    place = 0
+    while place < len(text):
+        size = 3 if text[place : place + 3] in _CONTROLS else 1
+        yield text[place : place + size]
+        place += size
+
+
+def progress_line(progress: Progress) -> str:
+    """Where a player is, for a person."""
+    if progress.rate is None:
+        state = "paused" if progress.is_paused else "playing"
+        return f"{state}, as fast as can be; {progress.done}   {KEYS}"
+    state = "paused " if progress.is_paused else "waiting" if progress.is_waiting else "playing"
+    place = f"{_clock(progress.place_ns)} of {_clock(progress.length_ns)}"
+    lap = f", round {progress.lap + 1}" if progress.lap else ""
+    speed = f"x{float(progress.rate):g}"
+    return f"{state}  {place}{lap}  {speed}  {progress.done}   {KEYS}"
+
+
+def _clock(time_ns: int) -> str:
+    minutes, tenths = divmod(time_ns // 100_000_000, 600)
+    hours, minutes = divmod(minutes, 60)
+    seconds = f"{tenths // 10:02}.{tenths % 10}"
+    return f"{hours}:{minutes:02}:{seconds}" if hours else f"{minutes}:{seconds}"

@@ -1,0 +1,54 @@
+"""mbtool replay --as-bus: put every byte of both sides onto a serial line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from mbtool.cli import exit_codes
+from mbtool.cli.keys import keyboard
+from mbtool.cli.talk import interruptible, say
+from mbtool.sources.priority import run_promptly
+from mbtool.workflows.bus_playing import BusRun, line_link
+
+if TYPE_CHECKING:
+    from mbtool.core import LinkSpec, SerialLink
+    from mbtool.workflows.bus_playing import BusOptions, BusReport
+
+
+def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:
+    """Send, and tell how true the times were."""
+    link = line_link(on)
+    run = BusRun(file, options, link, say)
+    say(_what_is_played(file, run, link, options))
+    if options.rate is not None:
+        run_promptly()
+    with interruptible() as interrupt, keyboard() as desk:
+
+        def stops() -> bool:
+            return interrupt.asked or (desk is not None and desk.has_quit)
+
+        report = run.play(stops=stops, desk=desk)
+        was_stopped = stops()
+    say(_outcome(report))
+    if was_stopped:
+        raise typer.Exit(exit_codes.INTERRUPTED)
+
+
+def _what_is_played(file: str, run: BusRun, link: SerialLink, options: BusOptions) -> str:
+    size = sum(len(piece.data) for piece in run.pieces)
+    lasts = "as fast as the line carries them"
+    if options.rate is not None:
+        lasts = f"{float(run.length_ns / options.rate) / 1e9:,.1f} s"
+    again = ", again and again" if options.is_loop else ""
+    return f"{file}: {size:,} bytes on {link}, {lasts}{again}; Ctrl-C ends"
+
+
+def _outcome(report: BusReport) -> str:
+    text = f"{report.bytes:,} bytes in {report.pieces:,} pieces"
+    if report.lateness_p99_ns is not None:
+        text = f"{text}; at most {report.lateness_p99_ns / 1e6:.1f} ms late (p99)"
+    if report.held:
+        text = f"{text}; {report.held:,} waited for the line, which is too slow for their times"
+    return text

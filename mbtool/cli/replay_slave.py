@@ -1,0 +1,44 @@
+"""mbtool replay --as-slave: answer a live master as the recorded slaves did."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from mbtool.cli import exit_codes
+from mbtool.cli.keys import keyboard
+from mbtool.cli.serve import serve
+from mbtool.cli.talk import say
+from mbtool.slave import slave_link
+from mbtool.workflows.replaying import SlaveRun
+
+if TYPE_CHECKING:
+    from mbtool.core import LinkSpec
+    from mbtool.workflows.replaying import SlaveOptions
+
+
+def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remote: bool) -> None:
+    """Answer until Ctrl-C."""
+    slave_link(on)  # A link that is none is told before a long recording is read.
+    run = SlaveRun(file, options, say)
+    played = run.on(on, allow_remote=allow_remote)
+    with keyboard() as desk:
+
+        def look() -> None:
+            if desk is None:
+                return
+            for control in desk.controls():
+                played.control(control)
+            desk.show(played.progress())
+            if desk.has_quit:
+                raise typer.Exit(exit_codes.INTERRUPTED)
+
+        serve(played.shell, _what_is_played(file, run), look)
+
+
+def _what_is_played(file: str, run: SlaveRun) -> str:
+    count = len(run.recording.answers)
+    requests = "1 request" if count == 1 else f"{count:,} different requests"
+    units = "unit" if len(run.recording.units) == 1 else "units"
+    return f"{file}: {requests} to {units} {', '.join(map(str, sorted(run.recording.units)))}"

@@ -1,0 +1,186 @@
+"""Drafts of profiles from traffic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbtool.devices import (
+    Access,
+    Assignment,
+    Assignments,
+    Namer,
+    Profile,
+    Who,
+    load_profile,
+)
+from mbtool.devices.drafting.draft import MAX_POINTS, draft_profile
+from mbtool.devices.seen import Seen
+from mbtool.modbus.transaction import Outcome, Transaction
+from tests.devices.transactions import transaction
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def seen(*transactions: Transaction) -> Seen:
+    found = Seen("line", None, 5, with_values=True)
+    for one in transactions:
+        found.note(one)
+    return found
+
+
+def draft(*transactions: Transaction) -> Profile:
+    return draft_profile(seen(*transactions), "draft", "site/capture.mcap").profile
+
+
+def text(*transactions: Transaction) -> str:
+    return draft_profile(seen(*transactions), "draft", "site/capture.mcap").text
+
+
+def read(address: int, *values: int, **fields: Any) -> Transaction:
+    return transaction(3, address, quantity=len(values), response_values=list(values), **fields)
+
+
+def refused(function: int, address: int, quantity: int, exception: int) -> Transaction:
+    return transaction(
+        function, address, quantity=quantity, exception=exception, outcome=Outcome.EXCEPTION
+    )
+
+
+def test_areas_are_what_was_answered_joined() -> None:
+    profile = draft(read(10, 1, 2, 3), read(13, 4), read(20, 5), transaction(1, 0, quantity=8))
+    assert [(area.name, area.first, area.last) for area in profile.areas] == [
+        ("C0..7", 0, 7),
+        ("HR10..13", 10, 13),
+        ("HR20", 20, 20),
+    ]
+    assert {area.access for area in profile.areas} == {Access.READ}
+
+
+def test_what_was_written_can_be_written_and_where_is_said() -> None:
+    written = transaction(16, 11, quantity=2, request_values=[7, 8])
+    assert draft(read(10, 1, 2, 3), written).areas[0].access is Access.READ_WRITE
+    assert "# Written here: 11..12.\n" in text(read(10, 1, 2, 3), written)
+    assert "# Nobody wrote here; if the device allows it, access is rw.\n" in text(read(10, 1))
+
+
+def test_what_was_refused_is_a_hole_and_said_beside_its_neighbours() -> None:
+    parts = (read(10, 1, 2), refused(3, 12, 1, 2), read(13, 4))
+    assert [(area.first, area.last) for area in draft(*parts).areas] == [(10, 11), (13, 13)]
+    assert "# Refused beside it: holding 12 (exception 02).\n" in text(*parts)
+
+
+def test_what_was_never_answered_stands_apart_and_is_said() -> None:
+    silent = transaction(3, 12, quantity=2, outcome=Outcome.NO_ANSWER)
+    assert [(area.first, area.last) for area in draft(read(10, 1, 2), silent).areas] == [
+        (10, 11),
+        (12, 13),
+    ]
+    assert "# Asked for, but never answered: perhaps there is nothing here.\n" in text(silent)
+
+
+def test_an_answer_says_more_than_a_silence() -> None:
+    silent = transaction(3, 10, quantity=4, outcome=Outcome.NO_ANSWER)
+    for parts in ((silent, read(10, 1, 2)), (read(10, 1, 2), silent)):
+        assert [(area.first, area.last) for area in draft(*parts).areas] == [(10, 11), (12, 13)]
+
+
+def test_a_function_that_was_refused_is_not_one_of_the_device() -> None:
+    parts = (read(10, 1), refused(0x0F, 0, 3, 1))
+    assert list(draft(*parts).functions) == ["03"]
+    assert (
+        "# 0F write multiple coils: answered 0 times, exception 01 illegal function 1 time, "
+        "so not listed\n"
+    ) in text(*parts)
+
+
+def test_a_limit_is_one_only_where_more_was_refused() -> None:
+    polled = [read(0, *range(100)), read(0, *range(20))]
+    assert draft(*polled).functions["03"].limit is None
+    wider = [*polled, read(100, *range(60)), refused(3, 0, 120, 3)]
+    assert draft(*wider).functions["03"].limit == 100
+    outside = [*polled, refused(3, 90, 20, 3)]
+    assert draft(*outside).functions["03"].limit is None
+
+
+def test_exceptions_are_those_seen() -> None:
+    assert draft(read(10, 1), refused(3, 50, 1, 0x11)).exceptions.documented == [1, 2, 3, 0x11]
+
+
+def test_points_are_called_by_their_addresses_with_the_reason_above() -> None:
+    assert (
+        "# Seen: 7 in all 2 answers.\n"
+        "[[points]]\n"
+        'name = "HR10"\n'
+        'table = "holding_registers"\n'
+        "address = 10\n"
+    ) in text(read(10, 7), read(10, 7))
+    assert '# A guess: as a float 50, of few digits.\n[[points]]\nname = "HR10"' in (
+        text(read(10, 0x4248, 0))
+    )
+
+
+def test_a_wide_request_counts_before_a_narrow_one() -> None:
+    profile = draft(read(1, 0x4248), read(0, 5, 0x4248, 0))
+    assert [(point.address, point.type) for point in profile.points] == [
+        (0, "uint16"),
+        (1, "float32"),
+    ]
+
+
+def test_what_it_calls_itself_is_its_title() -> None:
+    found = seen(read(10, 1))
+    found.identity |= {"vendor": "Maker", "product": "Pump 7"}
+    profile = draft_profile(found, "draft", "x").profile
+    assert (profile.title, profile.vendor) == ("Pump 7", "Maker")
+
+
+def test_the_file_is_named_without_its_folder() -> None:
+    assert "capture.mcap" in text(read(10, 1))
+    assert "site" not in text(read(10, 1))
+
+
+def test_points_are_bounded_and_what_is_left_out_is_said() -> None:
+    reads = [read(at, *range(100)) for at in range(0, MAX_POINTS + 100, 100)]
+    assert len(draft(*reads).points) == MAX_POINTS
+    assert f"# {100} more registers were seen" in text(*reads)
+
+
+TRANSACTIONS = st.builds(
+    lambda function, address, quantity, values, outcome, exception: transaction(
+        function,
+        address,
+        quantity=quantity,
+        request_values=values if function in (5, 6, 15, 16) else None,
+        response_values=values if function in (1, 2, 3, 4) else None,
+        outcome=outcome,
+        exception=exception if outcome is Outcome.EXCEPTION else None,
+    ),
+    st.sampled_from([1, 2, 3, 4, 5, 6, 15, 16, 7, 0x41]),
+    st.integers(0, 40) | st.integers(65_500, 65_535),
+    st.integers(1, 12),
+    st.lists(st.integers(0, 65_535), min_size=1, max_size=12),
+    st.sampled_from(list(Outcome)),
+    st.integers(1, 255),
+)
+
+
+@settings(deadline=None)
+@given(st.lists(TRANSACTIONS, min_size=1, max_size=12))
+def test_any_traffic_gives_a_draft_that_loads_and_explains_it(
+    tmp_path_factory: Any, parts: list[Transaction]
+) -> None:
+    drafted = draft_profile(seen(*parts), "draft", "x")
+    path: Path = tmp_path_factory.mktemp("draft") / "draft.toml"
+    path.write_text(drafted.text, encoding="utf-8")
+    assert load_profile(str(path)) == drafted.profile
+    namer = Namer(Assignments([Assignment(Who(), drafted.profile)]))
+    refused = {one.function for one in parts if one.exception is not None}
+    for one in parts:
+        if (one.address or 0) + (one.quantity or 1) <= 1 << 16:
+            own = [code for code in namer.name(one).findings if code.startswith("DRAFT-")]
+            # What it refused, once or always, is no part of its draft.
+            assert not own or (one.outcome is not Outcome.OK and one.function in refused)

@@ -1,0 +1,76 @@
+"""Areas and points from the rows of a list."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.devices import Access, PointType
+from mbtool.devices.importing.layout import MAX_HOLE, Laid, lay_areas, lay_points
+from tests.devices.importing.listing import place
+
+if TYPE_CHECKING:
+    from mbtool.devices.importing.rows import Complaints
+
+
+def laid(text: str) -> tuple[list[Laid], Complaints]:
+    placed, complaints, _ = place(text)
+    return lay_points(placed, complaints, None), complaints
+
+
+def test_bits_of_a_register_are_one_point_called_as_the_row_of_the_whole() -> None:
+    found, complaints = laid("register,name\n40001,Status\n40001.0,on\n40001.15,fault\n")
+    assert complaints.lines == []
+    (one,) = found
+    assert (one.point.name, one.point.type) == ("Status", PointType.FLAGS)
+    assert one.point.bits == {0: "on", 15: "fault"}
+
+
+def test_a_bit_that_has_two_rows_is_a_complaint() -> None:
+    _, complaints = laid("register,name\n40001.3,a\n40001.3,b\n")
+    assert complaints.lines == ["map.csv: row 3: '40001.3' : bit 3 has a row already"]
+
+
+def test_an_area_goes_on_over_a_small_hole_and_ends_at_a_large_one() -> None:
+    last = MAX_HOLE - 1
+    found, _ = laid(f"address,name\n0,a\n{last},b\n{last + MAX_HOLE + 1},c\n")
+    areas, _, _ = lay_areas(found)
+    assert [(area.first, area.last) for area in areas] == [
+        (0, last),
+        (last + MAX_HOLE + 1, last + MAX_HOLE + 1),
+    ]
+
+
+def test_a_point_says_its_rights_where_they_differ_from_its_areas() -> None:
+    found, _ = laid("address,name,access\n0,a,R\n1,b,RW\n100,c,R\n200,d,W\n")
+    areas, points, functions = lay_areas(found)
+    assert [area.access for area in areas] == [Access.READ_WRITE, Access.READ, Access.WRITE]
+    assert [point.access for point in points] == [Access.READ, None, None, None]
+    assert list(functions) == ["03", "06", "10"]
+
+
+def test_a_value_that_ends_beyond_the_last_address_is_a_complaint() -> None:
+    found, complaints = laid("address,name,type\n65535,a,UINT32\n0,b,UINT16\n")
+    assert [one.point.name for one in found] == ["b"]
+    assert complaints.lines == ["map.csv: row 2: '65535' leaves no room for its 2 registers"]
+
+
+def test_a_size_that_does_not_fit_the_type_is_a_complaint() -> None:
+    _, complaints = laid("address,name,type,size\n0,a,FLOAT32,3\n4,b,UINT16,1\n")
+    assert complaints.lines == ["map.csv: row 2: '0' has 3 registers, where its type takes 2"]
+
+
+def test_a_register_type_in_a_table_of_bits_is_a_complaint() -> None:
+    _, complaints = laid("address,name,type,table\n0,a,UINT16,coil\n")
+    assert complaints.lines == [
+        "map.csv: row 2: '0' is in coils, which hold bits, not uint16; BOOL would be right"
+    ]
+
+
+def test_a_factor_of_what_is_no_number_is_a_complaint() -> None:
+    _, complaints = laid("address,name,type,scale\n0,a,STRING[4],0.1\n")
+    assert complaints.lines == ["map.csv: row 2: 'a' has a factor, but string is no number"]
+
+
+def test_texts_that_the_type_cannot_have_are_a_note() -> None:
+    found, _ = laid('address,name,type,values\n0,a,FLOAT32,"0=off, 1=on"\n')
+    assert found[0].point.note == "0 = off, 1 = on"

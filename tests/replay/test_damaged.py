@@ -1,0 +1,104 @@
+"""Which bytes are taken for a damaged answer, and how it is sent again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.modbus import Transport, ascii_adu, rtu_adu
+from mbtool.modbus.spoiling import wire_pieces
+from mbtool.replay.damaged import ANSWER_NS, DamagedAnswer, damaged_answers
+from tests.replay.recorded import MS, answered, unanswered
+
+if TYPE_CHECKING:
+    from mbtool.modbus import Transaction
+
+READ = "03 0000 0002"
+VALUES = bytes.fromhex("03 04 1234 5678")
+WRONG = rtu_adu(1, VALUES)[:-1] + b"\x00"
+
+
+def _event(at_ms: int, raw: bytes, kind: EventKind = EventKind.BAD_CHECK) -> WireEvent:
+    return WireEvent(ts_ns=at_ms * MS, link="rs485", kind=kind, message="", raw=raw)
+
+
+def _raw(asked: list[Transaction], *events: WireEvent) -> dict[int, bytes]:
+    return {place: one.raw for place, one in damaged_answers(asked, events).items()}
+
+
+def test_what_comes_before_the_next_request_is_the_answer() -> None:
+    asked = [unanswered(0, READ), unanswered(100, READ), answered(200, READ, VALUES.hex())]
+    found = damaged_answers(asked, [_event(120, WRONG), _event(210, WRONG)])
+    assert found == {1: DamagedAnswer(WRONG, Transport.RTU, True, 20 * MS)}
+
+
+def test_a_piece_of_an_answer_counts_too() -> None:
+    assert _raw([unanswered(0, READ)], _event(5, WRONG[:4], EventKind.SKIPPED)) == {0: WRONG[:4]}
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        rtu_adu(2, VALUES),  # of another unit
+        rtu_adu(1, b"\x04" + VALUES[1:]),  # of another function
+        bytes.fromhex("01 03 00 00 00 02 FF FF"),  # the request again, with a wrong CRC
+        b"\x01",
+        b"",
+    ],
+)
+def test_what_does_not_begin_as_the_answer_would_is_none(raw: bytes) -> None:
+    assert _raw([unanswered(0, READ)], _event(5, raw)) == {}
+
+
+def test_what_comes_too_late_before_it_or_from_elsewhere_is_none() -> None:
+    late = _event(ANSWER_NS // MS + 1, WRONG)
+    elsewhere = WireEvent(ts_ns=5, link="b", kind=EventKind.BAD_CHECK, message="", raw=WRONG)
+    told = _event(5, WRONG, EventKind.LINE_ERROR)
+    assert _raw([unanswered(1, READ)], _event(0, WRONG), late, elsewhere, told) == {}
+
+
+def test_an_exception_can_be_damaged_too() -> None:
+    raw = rtu_adu(1, b"\x83\x02")[:-1] + b"\x00"
+    assert _raw([unanswered(0, READ)], _event(5, raw)) == {0: raw}
+
+
+def _sent(damaged: DamagedAnswer, transport: Transport) -> bytes | None:
+    answer = damaged.again(transport, 3)
+    if answer is None:
+        return None
+    assert answer.delay_ns == 3
+    return b"".join(piece for _, piece in wire_pieces(answer, transport, 1))
+
+
+@pytest.mark.parametrize("transport", [Transport.RTU, Transport.RTU_TCP])
+@pytest.mark.parametrize("raw", [WRONG, WRONG[:3]])
+def test_the_same_framing_carries_the_very_bytes(transport: Transport, raw: bytes) -> None:
+    assert _sent(DamagedAnswer(raw, Transport.RTU, True, 0), transport) == raw
+
+
+def test_another_framing_carries_a_wrong_check_and_no_pieces() -> None:
+    sent = _sent(DamagedAnswer(WRONG, Transport.RTU, True, 0), Transport.ASCII)
+    assert sent is not None
+    whole = ascii_adu(1, VALUES)
+    assert (sent[:-4], sent == whole) == (whole[:-4], False)
+    assert _sent(DamagedAnswer(WRONG[:4], Transport.RTU, False, 0), Transport.ASCII) is None
+
+
+def test_modbus_tcp_has_silence_for_it() -> None:
+    assert _sent(DamagedAnswer(WRONG, Transport.RTU, True, 0), Transport.TCP) is None
+
+
+def test_an_ascii_answer_is_known_by_its_digits() -> None:
+    asked = answered(0, READ, VALUES.hex(), transport=Transport.ASCII)
+    import msgspec
+
+    from mbtool.modbus import Outcome
+
+    silent = msgspec.structs.replace(
+        asked, outcome=Outcome.NO_ANSWER, response_raw=None, response_ns=None, latency_ns=None
+    )
+    wrong = ascii_adu(1, VALUES)[:-4] + b"00\r\n"
+    assert _raw([silent], _event(5, wrong)) == {0: wrong}
+    assert _raw([silent], _event(5, b":zz\r\n")) == {}
