@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.sources.files import open_capture
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from mbtool.core import Packet
+
+
+FOLDER = "MBTOOL_PUBLIC_CAPTURES"
+_BESIDE = Path(__file__).resolve().parents[2] / "shared" / "captures"
+
+
+def public_folder() -> Path:
+    """The folder of captures made by others, whether it is there or not."""
+    return Path(os.environ.get(FOLDER) or _BESIDE)
 
 
 def read_packets(path: str | Path) -> Iterator[Packet]:

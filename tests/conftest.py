@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-_HERE = Path(__file__).resolve().parent
+from tests.captures import FOLDER, public_folder
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -21,9 +23,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def public_captures() -> Path:
     """The folder of captures made by others; skips where it is absent."""
-    folder = Path(
-        os.environ.get("MBTOOL_PUBLIC_CAPTURES", _HERE.parent / ".." / "shared" / "captures")
-    )
+    folder = public_folder()
     if not folder.is_dir():
-        pytest.skip("no captures made by others: set MBTOOL_PUBLIC_CAPTURES to their folder")
+        pytest.skip(f"no captures made by others: set {FOLDER} to their folder")
     return folder

@@ -69,12 +69,10 @@ PortOption = Annotated[
     ),
 ]
 RtuPortOption = Annotated[
-    list[int] | None,
+    list[str] | None,
     typer.Option(
         "--rtu-port",
         metavar="PORT",
-        min=1,
-        max=65535,
         help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
     ),
 ]
@@ -122,7 +120,7 @@ def reading_options(
     *,
     device: Sequence[str] | None = None,
     port: Sequence[str] | None = None,
-    rtu_port: Sequence[int] | None = None,
+    rtu_port: Sequence[str] | None = None,
     link: str | None = None,
     t1_5: str | None = None,
     t3_5: str | None = None,
@@ -131,11 +129,11 @@ def reading_options(
     """How files are read, by the options of those names. Raises UsageError, ProfileError."""
     from mbtool.workflows.reading import ReadingOptions
 
-    ports, any_port = tcp_ports(port)
+    ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
     return ReadingOptions(
         assignments=assignments(device),
         ports=ports,
-        rtu_ports=rtu_port or (),
+        rtu_ports=rtu_ports,
         any_port=any_port,
         line=file_line(link),
         t1_5=silence("--t1-5", t1_5),
@@ -144,21 +142,32 @@ def reading_options(
     )
 
 
-def tcp_ports(texts: Sequence[str] | None) -> tuple[list[int], bool]:
-    """The ports that --port names, and whether it names any. Raises UsageError."""
+def tcp_ports(
+    port: Sequence[str] | None, rtu_port: Sequence[str] | None = None
+) -> tuple[list[int], list[int], bool]:
+    """The ports that --port and --rtu-port name, and whether --port says any. Raises UsageError."""
     from mbtool.core import UsageError
 
-    ports, is_any = [], False
-    for text in texts or ():
-        if text == "any":
-            is_any = True
-        elif text.isascii() and text.isdecimal() and len(text) <= 5 and 0 < int(text) < 1 << 16:
-            ports.append(int(text))
-        else:
-            raise UsageError(
-                f"Invalid value for '--port': {text!r}; write a number from 1 to 65535, or any"
-            )
-    return ports, is_any
+    texts = port or ()
+    ports = [_tcp_port("--port", text, ", or any") for text in texts if text != "any"]
+    rtu_ports = [_tcp_port("--rtu-port", text) for text in rtu_port or ()]
+    both = sorted({*ports} & {*rtu_ports})
+    if both:
+        raise UsageError(
+            f"port {both[0]} is named by --port, for Modbus/TCP, and by --rtu-port, for RTU over "
+            "TCP; name it by the one that is right"
+        )
+    return ports, rtu_ports, "any" in texts
+
+
+def _tcp_port(option: str, text: str, other: str = "") -> int:
+    from mbtool.core import UsageError
+
+    if text.isascii() and text.isdecimal() and len(text) <= 5 and 0 < int(text) < 1 << 16:
+        return int(text)
+    raise UsageError(
+        f"Invalid value for '{option}': {text!r}; write a number from 1 to 65535{other}"
+    )
 
 
 def assignments(devices: Sequence[str] | None) -> Assignments:

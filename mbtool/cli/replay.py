@@ -12,6 +12,7 @@ from mbtool.cli.options import (
     DeviceOption,
     LineOption,
     PortOption,
+    RawOption,
     RemoteOption,
     RtuPortOption,
     WhereOption,
@@ -227,9 +228,7 @@ def replay(
     ] = None,
     device: DeviceOption = None,
     where: WhereOption = None,
-    raw: Annotated[
-        bool, typer.Option("--raw", help="Decode a log's evidence afresh before playing it.")
-    ] = False,
+    raw: RawOption = False,
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
@@ -247,24 +246,15 @@ def replay(
 
     At a terminal: space pauses, s or right steps, + and - or up and down change the speed, q ends.
     """
-    from mbtool.cli.options import assignments, condition, file_line, tcp_ports
+    from mbtool.cli.options import condition, reading_options
     from mbtool.core import parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.replay import Match, OnEnd, OnMiss, Tolerance, Window
-    from mbtool.workflows.reading import ReadingOptions
 
     side = _side(as_slave=as_slave, as_master=as_master, as_bus=as_bus)
     link_text = _link_text(side, on, to)
     _demand_side(context, side)
-    ports, any_port = tcp_ports(port)
-    reading = ReadingOptions(
-        assignments=assignments(device),
-        ports=ports,
-        rtu_ports=rtu_port or (),
-        any_port=any_port,
-        line=file_line(link),
-        raw=raw,
-    )
+    reading = reading_options(device=device, port=port, rtu_port=rtu_port, link=link, raw=raw)
     where_to = parse_link(link_text, ANSWERED)
     wanted, rate, window = condition(where), _rate(speed), Window(*_window(start, end))
     if side == AS_SLAVE:

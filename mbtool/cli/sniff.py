@@ -90,11 +90,12 @@ def sniff(
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.cli.tls_options import listen_tls, target_tls, with_tls
-    from mbtool.core import UsageError, parse_link
+    from mbtool.core import InterfaceLink, UsageError, parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.devices import Namer
     from mbtool.logs import Rotation
     from mbtool.sources.clock import now_ns
+    from mbtool.sources.tls import why_outdated
     from mbtool.workflows.decoding import Decoder
     from mbtool.workflows.line_timing import LineTiming
     from mbtool.workflows.model_hints import ModelHints
@@ -116,9 +117,14 @@ def sniff(
             unverified=tls_target_unverified,
         ),
     )
+    for option, cert in (("--tls-cert", tls_cert), ("--tls-target-cert", tls_target_cert)):
+        if cert is not None and (why := why_outdated(option, cert)) is not None:
+            say(f"mbtool: {why}")
     devices, wanted = assignments(device), condition(where)
-    ports, any_port = tcp_ports(port)
-    ports, rtu_ports = ports or [DEFAULT_PORT], rtu_port or []
+    ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
+    ports = ports or [DEFAULT_PORT]
+    if port and not any_port and not any(isinstance(one, InterfaceLink) for one in specs):
+        say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
     timing = LineTiming(devices, silence("--t1-5", t1_5), silence("--t3-5", t3_5))
     rotation = None if rotate is None else Rotation.parse(rotate)
     # To find settings may take minutes: what cannot be done is said before.

@@ -30,7 +30,7 @@ from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema
 from mbtool.devices.spans import Span, parse_span
 from mbtool.devices.values import Place, registers_of
-from mbtool.devices.wording import describe, describe_points
+from mbtool.devices.wording import describe, describe_points, describe_written
 
 __all__ = [
     "Access",
@@ -59,6 +59,7 @@ __all__ = [
     "builtin_profiles",
     "describe",
     "describe_points",
+    "describe_written",
     "dump_profile",
     "finding_text",
     "load_profile",

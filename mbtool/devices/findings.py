@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.devices.blocks import can_be_read
 from mbtool.devices.checking.rules import DeviceCode, rule_of
 from mbtool.devices.form import is_quantity_wrong, request_codes
 from mbtool.devices.values import places_of
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
+from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.devices.model import Point, Profile
+    from mbtool.devices.model import FunctionRule, Point, Profile
     from mbtool.devices.named import PointValue
     from mbtool.modbus.tables import Table
     from mbtool.modbus.transaction import Transaction
@@ -38,12 +40,7 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
         case "F":
             return f"the device has no {function_name(number)}"
         case "Q":
-            rule_ = profile.rule(number) if profile is not None else None
-            return (
-                f"limit is {rule_.limit}"
-                if rule_ and rule_.limit
-                else "the quantity is not allowed"
-            )
+            return _limit_text(profile.rule(number) if profile is not None else None)
         case "A":
             verb = "write" if function is not None and function.writes else "read"
             return f"not an address that one can {verb}"
@@ -51,9 +48,15 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return "one may only read there"
         case "V":
             return "a value outside its range"
+        case "D":
+            fixed = profile.rule(number) if profile is not None else None
+            data = f" as {fixed.data.upper()}" if fixed is not None and fixed.data else ""
+            return f"the manual fixes them{data}"
         case _:
             name = exception_name(number) if profile is None else profile.exception_name(number)
-            return f"exception {number:02X} ({name}) is not documented"
+            # A code without a name of its own is called by its number.
+            named = "" if name.startswith("exception ") else f" ({name})"
+            return f"exception {number:02X}{named} is not documented"
 
 
 def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
@@ -69,11 +72,11 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
     if rule is None:
         yield f"{prefix}-F{function}"
         return
-    if rule.limit is None:
+    if _is_beyond(rule, transaction, written):
+        yield f"{prefix}-Q{function}"
+    elif rule.limit is None:
         # Where its areas end the device's manual says, and where all end goes without saying.
         yield from (code for code in standard if code != "MB-106")
-    elif _is_beyond(rule.limit, transaction) or is_quantity_wrong(function, None, written):
-        yield f"{prefix}-Q{function}"
     letter = _unreachable(profile, transaction, written)
     if letter is not None:
         yield f"{prefix}-{letter}{function}"
@@ -106,12 +109,56 @@ def value_finding(profile: Profile, function: int) -> str:
     return f"{finding_prefix(profile)}-V{function}"
 
 
+def fixed_data(profile: Profile) -> dict[int, bytes]:
+    """What the manual has requests begin with behind their function code, by the function."""
+    return {
+        int(code, 16): bytes.fromhex(rule.data)
+        for code, rule in profile.functions.items()
+        if rule.data is not None
+    }
+
+
+def has_other_data(transaction: Transaction, fixed: bytes) -> bool:
+    """Whether a request does not begin with the data that the manual fixes for its function."""
+    data = request_data(transaction)
+    return data is not None and not data.startswith(fixed)
+
+
+def request_data(transaction: Transaction) -> bytes | None:
+    """What stands behind a request's function code; None without a request that can be read."""
+    pdu = whole_pdu(transaction.transport, transaction.request_raw)
+    return None if pdu is None else pdu[1:]
+
+
+def data_finding(profile: Profile, function: int) -> str:
+    """The code for data that are not the manual's."""
+    return f"{finding_prefix(profile)}-D{function}"
+
+
 def finding_prefix(profile: Profile) -> str:
     return profile.finding_prefix or profile.name.upper()
 
 
-def _is_beyond(limit: int, transaction: Transaction) -> bool:
-    return transaction.quantity is not None and not 1 <= transaction.quantity <= limit
+def _is_beyond(
+    rule: FunctionRule, transaction: Transaction, written: tuple[int, int] | None
+) -> bool:
+    """Whether a quantity is one that the manual does not allow, as far as it says any."""
+    quantity = transaction.quantity
+    if rule.limit is not None and quantity is not None and not 1 <= quantity <= rule.limit:
+        return True
+    if rule.write_limit is not None and written is not None:
+        return not 1 <= written[1] <= rule.write_limit
+    return rule.limit is not None and is_quantity_wrong(transaction.function, None, written)
+
+
+def _limit_text(rule: FunctionRule | None) -> str:
+    if rule is None or (rule.limit is None and rule.write_limit is None):
+        return "the quantity is not allowed"
+    if rule.write_limit is None:
+        return f"limit is {rule.limit}"
+    if rule.limit is None:
+        return f"at most {rule.write_limit} are written"
+    return f"at most {rule.limit} are read and {rule.write_limit} written"
 
 
 def _unreachable(
@@ -124,11 +171,11 @@ def _unreachable(
     first = transaction.address
     span = range(first, first + max(transaction.quantity or 1, 1))
     if written is not None:
-        if not profile.allows(known.table, span):
+        if not can_be_read(profile, known.table, span):
             return "A"
         span = range(written[0], written[0] + max(written[1], 1))
     elif not known.writes:
-        return None if profile.allows(known.table, span) else "A"
+        return None if can_be_read(profile, known.table, span) else "A"
     if profile.allows(known.table, span, writing=True):
         return "W" if holds_read_only_point(profile, known.table, span) else None
     return "W" if profile.allows(known.table, span) else "A"

@@ -36,6 +36,7 @@ from mbtool.devices.validation import validate
 
 MAX_FILE_BYTES = 1 << 20
 MAX_EXTENDED = 8
+_MAX_EXAMPLES = 8
 
 _BUILT_IN = Path(__file__).parent / "profiles"
 
@@ -201,7 +202,7 @@ def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
     if "areas" in keys:
         parts["areas"] = _parse_list(Area, keys["areas"], file, "areas")
     if "points" in keys:
-        parts["points"] = _parse_list(Point, keys["points"], file, "points")
+        parts["points"] = _parse_points(keys["points"], file)
     if "functions" in keys:
         parts["functions"] = _parse_functions(keys["functions"], file)
     if "exceptions" in keys:
@@ -226,6 +227,19 @@ def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
         label = f'{key} "{name}"' if isinstance(name, str) else f"{key}[{index}]"
         parts.append(_convert(cls, item, file, label))
     return parts
+
+
+def _parse_points(value: Any, file: str) -> list[Point]:
+    """Where nothing says the stride of several points, each stands behind the one before."""
+    points = _parse_list(Point, value, file, "points")
+    return [
+        point if "stride" in keys else _one_behind_another(point)
+        for point, keys in zip(points, value, strict=True)
+    ]
+
+
+def _one_behind_another(point: Point) -> Point:
+    return msgspec.structs.replace(point, stride=point.words if point.count > 1 else 1)
 
 
 def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
@@ -325,7 +339,8 @@ def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, 
         value = value[name] if name else value[int(index)]
     choices = _choices(cls, match["path"])
     if match["problem"] == "Expected `array`":
-        return match["path"], _expected_list(value, choices)
+        of_numbers = match["path"] == "documented"
+        return match["path"], _expected_list(value, choices, of_numbers=of_numbers)
     if choices:
         return match["path"], f"expected one of {', '.join(choices)}, not {_shown(value)}"
     problem = re.sub(
@@ -334,9 +349,13 @@ def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, 
     return match["path"], f"{problem[0].lower()}{problem[1:]}, not {_shown(value)}"
 
 
-def _expected_list(value: object, choices: list[str]) -> str:
-    example = choices[0] if choices and value not in choices else value
-    return f"expected a list, for example [{_shown(example)}], not {_shown(value)}"
+def _expected_list(value: object, choices: list[str], *, of_numbers: bool = False) -> str:
+    if of_numbers and isinstance(value, str):
+        numbers = re.findall(r"\b(?:0x[0-9A-Fa-f]+|[0-9]+)\b", value)[:_MAX_EXAMPLES]
+        example = ", ".join(numbers) or "1, 2"
+    else:
+        example = _shown(choices[0] if choices and value not in choices else value)
+    return f"expected a list, for example [{example}], not {_shown(value)}"
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:

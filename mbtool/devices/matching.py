@@ -1,16 +1,21 @@
 """Says which profiles explain what was seen of a slave, how well, and why."""
 
 # Every different request is asked of a profile: would the device answer it? An answer where it
-# would, and a refusal where it would not, speak for the profile. An answer to what it lacks, and a
-# refusal of what it has, speak against it. A silence, and exceptions of its state or of a
-# gateway (04 to 0B) say nothing. Exceptions that its manual does not have, and a line that it does
-# not speak, count against it.
+# would, and a refusal where it would not, speak for the profile. An answer to what it lacks, a
+# refusal of what it has, and one that says that a function is lacking where something else is, or
+# the other way round, speak against it. Exceptions that its manual does not have, and a line or a
+# unit that it cannot be on, count against it, too.
+#
+# Nothing say a silence, exceptions that are about no function, address or quantity (a state, a
+# gateway, a maker's own), a refused value, which stands for itself and not for its address, and a
+# refused 17H, of which nobody knows whether it was the reading or the writing.
 #
 # A model code is decisive either way: the answer to 42H of an FA3 module is its model. Vendor and
 # product names that the slave gives (2B/0E, 11H) speak for the profile that they name.
 #
-# Two profiles that explain a slave equally well are told apart by how many of the registers that it
-# was asked for they have a name for. What then is equal is a tie, and is told as one.
+# Names of points tell no devices apart: another device that answers at the same addresses has no
+# fewer for want of a longer manual. They are counted, and only put those in order that explain a
+# slave equally well, which are a tie and told as one.
 
 from __future__ import annotations
 
@@ -18,10 +23,16 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mbtool.devices.blocks import can_be_read
 from mbtool.devices.references import write_reference
 from mbtool.devices.seen import Seen
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, function_name
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    WRITE_LIMIT_17H,
+    ExceptionCode,
+    function_name,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,11 +41,14 @@ if TYPE_CHECKING:
     from mbtool.devices.seen import Ask, Replies
     from mbtool.modbus.tables import Table
 
-_TELLS_NOTHING = frozenset(ExceptionCode) - {
-    ExceptionCode.ILLEGAL_FUNCTION,
-    ExceptionCode.ILLEGAL_DATA_ADDRESS,
-    ExceptionCode.ILLEGAL_DATA_VALUE,
-}
+_REFUSALS = frozenset(
+    (
+        ExceptionCode.ILLEGAL_FUNCTION,
+        ExceptionCode.ILLEGAL_DATA_ADDRESS,
+        ExceptionCode.ILLEGAL_DATA_VALUE,
+    )
+)
+_READ_WRITE = 0x17
 _CLEAR = 0.9
 """What share of the requests a profile must explain to be named as the device."""
 _MAX_REASONS = 6
@@ -77,8 +91,8 @@ class Match:
             return 0
         if self.is_model:
             return 100
-        share = 90 * self.share + (5 if self.is_called_so else 0)
-        return int(share + 5 * self.named / self.addresses if self.addresses else share)
+        certain = 5 * self.is_called_so + 5 * (self.refused > 0)
+        return int(90 * self.share + certain) if self.explained else 0
 
     @property
     def is_confirmed(self) -> bool:
@@ -86,10 +100,9 @@ class Match:
         return self.is_model or self.is_called_so or self.refused > 0
 
     @property
-    def rank(self) -> tuple[bool, bool, float, float]:
+    def rank(self) -> tuple[bool, bool, float]:
         """What is greater is better; equal ranks are a tie."""
-        named = self.named / self.addresses if self.addresses else 0.0
-        return self.is_model, self.is_called_so, self.share, named
+        return self.is_model, self.is_called_so, self.share
 
     @property
     def is_plausible(self) -> bool:
@@ -124,7 +137,8 @@ class Verdict:
         if len(best) == 1:
             unsure = "" if best[0].is_confirmed else _UNCONFIRMED
             return f"explained best by {best[0].profile}{unsure}"
-        names = " and ".join(one.profile for one in best)
+        *others, last = (one.profile for one in best)
+        names = f"{', '.join(others)} and {last}"
         asked = len(seen.asked)
         what = "one request" if asked == 1 else f"{asked} different requests"
         return f"a tie of {names}: nothing in {what} tells them apart"
@@ -139,7 +153,14 @@ def match(seen: Seen, profiles: Iterable[Profile]) -> Verdict:
         for profile in profiles
     ]
     # Those of another model come last, whatever else speaks for them.
-    matches.sort(key=lambda one: (one.is_other_model, *(-part for part in one.rank), one.profile))
+    matches.sort(
+        key=lambda one: (
+            one.is_other_model,
+            *(-part for part in one.rank),
+            -one.named,
+            one.profile,
+        )
+    )
     return Verdict(seen, tuple(matches))
 
 
@@ -155,6 +176,7 @@ def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match
         reasons.append(f"{what} ended as it says")
     contradicted += _compare_exceptions(seen, profile, against)
     contradicted += _compare_transports(seen, profile, against)
+    contradicted += _compare_unit(seen, profile, against)
     addresses = sum(here.count(1) for here in given.values())
     named = min(_named(given, profile), addresses)
     if named:
@@ -182,10 +204,14 @@ def _compare_requests(
     refusals: list[str] = []
     for ask, replies in seen.asked.items():
         problem, would = _expected(profile, ask)
-        told = _told(replies)
+        told = _told(profile, ask, replies, would=would)
         if told is None:
             continue
-        if told is would:
+        other = "" if told or would else _other_refusal(profile, ask, replies)
+        if other:
+            contradicted += 1
+            against.append(f"{_said(profile, ask)} refused by {other}, though {problem}")
+        elif told is would:
             explained += 1
             if not told:
                 refusals.append(f"{_said(profile, ask)} refused, as {problem}")
@@ -197,11 +223,28 @@ def _compare_requests(
     return explained, contradicted, refusals
 
 
-def _told(replies: Replies) -> bool | None:
+def _told(profile: Profile, ask: Ask, replies: Replies, *, would: bool) -> bool | None:
     """Whether the slave does what is asked; None where its replies do not tell."""
     if replies.ok:
         return True
-    return False if set(replies.exceptions) - _TELLS_NOTHING else None
+    codes = profile.exceptions
+    refusals = _REFUSALS | {codes.function, codes.address, codes.value}
+    refused = refusals.intersection(replies.exceptions)
+    if ask.function == _READ_WRITE:
+        refused &= {codes.function}
+    elif ask.writes and would and codes.value not in (codes.function, codes.address):
+        refused -= {codes.value}
+    return False if refused else None
+
+
+def _other_refusal(profile: Profile, ask: Ask, replies: Replies) -> str:
+    """The code of a refusal that is for another reason than the profile's; empty for the same."""
+    lacks = profile.exceptions.function
+    others = {profile.exceptions.address, profile.exceptions.value} - {lacks}
+    given = set(replies.exceptions)
+    is_lacking = profile.rule(ask.function) is None
+    is_other = lacks not in given if is_lacking else not given & others and lacks in given
+    return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
 
 
 def _expected(profile: Profile, ask: Ask) -> tuple[str, bool]:
@@ -211,22 +254,26 @@ def _expected(profile: Profile, ask: Ask) -> tuple[str, bool]:
         return f"it has no function {ask.function:02X}", False
     if ask.table is None or ask.address is None:
         return f"it has function {ask.function:02X}", True
-    limit = rule.limit
     known = FUNCTIONS.get(ask.function)
-    if limit is None and known is not None:
-        limit = known.limit
+    if ask.function == _READ_WRITE and ask.writes:
+        limit: int | None = rule.write_limit or WRITE_LIMIT_17H
+    else:
+        limit = rule.limit or (known.limit if known is not None else None)
     if limit is not None and not 1 <= ask.quantity <= limit:
         return f"its limit is {limit}", False
-    if not profile.allows(ask.table, ask.span, writing=ask.writes):
-        area = profile.allows(ask.table, ask.span)
-        return ("one cannot write there" if area else "it is outside its areas"), False
+    is_in_areas = profile.allows(ask.table, ask.span)
+    if ask.writes and not profile.allows(ask.table, ask.span, writing=True):
+        return ("one cannot write there" if is_in_areas else "it is outside its areas"), False
+    if not ask.writes and not can_be_read(profile, ask.table, ask.span):
+        return ("one cannot read there" if is_in_areas else "it is outside its areas"), False
     return "its manual has that", True
 
 
 def _said(profile: Profile, ask: Ask) -> str:
     if ask.table is None or ask.address is None:
         return f"{ask.function:02X} {function_name(ask.function)}"
-    return f"{ask.function:02X} {write_reference(profile, ask.table, ask.address, ask.quantity)}"
+    where = write_reference(profile, ask.table, ask.address, ask.quantity, writing=ask.writes)
+    return f"{ask.function:02X} {where}"
 
 
 def _compare_models(
@@ -305,6 +352,16 @@ def _compare_transports(seen: Seen, profile: Profile, against: list[str]) -> int
         return 1 + len(seen.asked)
     against.append(f"it is a serial device, and this is {heard}: only behind a gateway")
     return 1
+
+
+def _compare_unit(seen: Seen, profile: Profile, against: list[str]) -> int:
+    """Whether it can be that unit, which on a line is the number that it was given."""
+    last = profile.last_unit
+    on_line = any(one.is_serial for one in seen.transports)
+    if last is None or not on_line or seen.unit <= last:
+        return 0
+    against.append(f"it can be unit 1 to {last}, and this is {seen.unit}")
+    return 1 + len(seen.asked)
 
 
 def _named(given: dict[Table, bytearray], profile: Profile) -> int:

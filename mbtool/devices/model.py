@@ -139,8 +139,14 @@ class FunctionRule(_Part, frozen=True, kw_only=True):
 
     limit: Quantity | None = None
     """The largest quantity, where the manual states one."""
+    write_limit: Quantity | None = None
+    """How many registers function 17 writes at most, where the manual states it; `limit` is how
+    many it reads."""
     ascii_limit: Quantity | None = None
     """The largest quantity in ASCII mode, where the manual states another one for it."""
+    data: str | None = None
+    """What stands behind the function code of a request, where the manual fixes it, in hexadecimal
+    digits; more may follow."""
     title: str | None = None
     """The maker's name for a function of his own."""
     answer: AnswerWord | None = None
@@ -273,7 +279,7 @@ class Point(_Part, frozen=True, kw_only=True):
     count: Quantity = 1
     """How many such points follow one another; {n} in the name counts them from `counted_from`."""
     stride: Quantity = 1
-    """From one of them to the next, in addresses."""
+    """From one of them to the next, in addresses; absent in a file: as many as each takes."""
     counted_from: int = 1
     """The number {n} of the first of them."""
     length: Annotated[int, msgspec.Meta(ge=1, le=125)] | None = None
@@ -354,11 +360,14 @@ class Profile(_Part, frozen=True, kw_only=True):
     points: list[Point] = []
     """The values that its manual names."""
     behaviour: str | None = None
-    """The name of what data cannot say, as the embedded slave knows it: fa3."""
+    """The name of what data cannot say, as the embedded slave knows it: fa3, lt830,
+    wago."""
     finding_prefix: str | None = None
     """What the codes of broken rules begin with; absent: the name in capitals."""
     model_code: Word | None = None
     """What the device calls itself, where a function of the maker's asks for it."""
+    last_unit: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
+    """The highest unit that it can be on a serial line, where the manual states it."""
     any_unit: bool = False
     """The device answers whatever unit a Modbus/TCP request names."""
     notes: list[str] = []

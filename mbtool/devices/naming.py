@@ -6,7 +6,7 @@
 # request costs one look-up and its values.
 #
 # Function 17H reads and writes: its reference names both, and its places are those written, from
-# the request, and those read, from the response. Function 16H writes masks, no value.
+# the request, which say so, and those read, from the response. Function 16H writes masks, no value.
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ import msgspec
 from mbtool.devices.assignment import Assignments
 from mbtool.devices.findings import (
     Ranges,
+    data_finding,
     exception_finding,
+    fixed_data,
+    has_other_data,
     request_findings,
     value_finding,
     value_ranges,
@@ -31,6 +34,7 @@ from mbtool.devices.model import AnswerWord, Point, PointType, Profile
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
 from mbtool.devices.values import Place, places_of
+from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
@@ -93,6 +97,7 @@ class _Vocabulary:
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         self._remembered: dict[tuple[int, ...], _Meaning] = {}
         self._ranges: Ranges = {}
+        self._fixed_data: dict[int, bytes] = {}
         if profile is not None:
             self._compile(profile)
 
@@ -115,23 +120,31 @@ class _Vocabulary:
     def _findings(
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
     ) -> list[str]:
+        if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
+            return []  # Its bytes may be another frame's, which would say something else.
         # What nobody asked for was not asked for wrongly.
         asked = transaction.outcome is not Outcome.UNSOLICITED
         findings = [*meaning.findings] if asked else []
         findings += form_codes(transaction)
         profile = self.profile
         if profile is not None:
+            fixed = self._fixed_data.get(transaction.function)
+            if fixed is not None and asked and has_other_data(transaction, fixed):
+                findings.append(data_finding(profile, transaction.function))
             if transaction.exception is not None:
                 undocumented = exception_finding(profile, transaction.exception)
                 findings += [undocumented] if undocumented is not None else []
-            if self._ranges and transaction.request_values and points:
-                written = points[: len(meaning.written)]
-                if meaning.written and values_outside(self._ranges, written):
+            if self._ranges and transaction.request_values and meaning.written and points:
+                written = points
+                if transaction.function == _READ_WRITE:
+                    written = [point for point in points if point.written]
+                if values_outside(self._ranges, written):
                     findings.append(value_finding(profile, transaction.function))
         return findings
 
     def _compile(self, profile: Profile) -> None:
         self._ranges = value_ranges(profile)
+        self._fixed_data = fixed_data(profile)
         for table in Table:
             for writing in (False, True):
                 places = places_of(profile, table, writing=writing)
@@ -244,6 +257,8 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     points: list[PointValue] = []
     if meaning.written and transaction.request_values:
         points += _values(meaning.written, transaction.request_values)
+        if transaction.function == _READ_WRITE:
+            points = [msgspec.structs.replace(point, written=True) for point in points]
     if meaning.read and transaction.response_values:
         points += _values(meaning.read, transaction.response_values)
     if meaning.answer is not None:

@@ -4,9 +4,10 @@
 # field's word for its table: `holding 107..109`, `coil 0`. So `holding 107` is what older documents
 # call 40108, and no vendor's reference can be mistaken for it.
 #
-# A range that leaves its area keeps the vendor's notation if it ends in an area of the same one, or
-# if the table has only one; else nothing says which would be meant, and it is written the neutral
-# way.
+# An address outside the areas goes on in the notation of the one that ends nearest below it, else
+# of one above: behind M1277 comes M1280. But no reference is made that stands for another address
+# (where coils are 1 to 9999, the one at 10000 is not 10001, a discrete input); then the next area
+# counts, and where none is left, the neutral way. A range has the notations of both its ends.
 
 from __future__ import annotations
 
@@ -41,12 +42,21 @@ def write_reference(
     """
     last = address + max(quantity or 1, 1) - 1
     if profile is not None:
-        area = profile.area(table, address, last - address + 1, writing=writing)
-        area = area or _shared_notation(profile, table, (address, last), writing=writing)
-        if area is not None and area.base + address >= 0:
-            return area.span(address, last)
+        area = _notation(profile, table, address, writing=writing)
+        end = area
+        if last > address and not (area is not None and area.holds(table, last)):
+            end = _notation(profile, table, last, writing=writing)
+        if area is not None and end is not None:
+            if area.notation == end.notation:
+                return area.span(address, last)
+            return f"{area.reference(address)}..{end.reference(last)}"
     word = _NEUTRAL[table]
     return f"{word} {address}..{last}" if last > address else f"{word} {address}"
+
+
+def is_neutral(reference: str) -> bool:
+    """Whether it names its table itself, since no vendor's notation fits: `holding 107`."""
+    return reference.partition(" ")[0] in _NEUTRAL.values()
 
 
 def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
@@ -65,15 +75,22 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
     )
 
 
-def _shared_notation(
-    profile: Profile, table: Table, ends: tuple[int, int], *, writing: bool
-) -> Area | None:
-    """An area with the notation of both ends of a range, else with the only one of its table."""
-    first, last = (profile.area(table, end, writing=writing) for end in ends)
-    if first is not None and last is not None and first.notation == last.notation:
-        return first
-    areas = [area for area in profile.areas if area.table is table]
-    return areas[0] if len({area.notation for area in areas}) == 1 else None
+def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
+    """The area that an address lies in, else one whose notation can go on to it."""
+    area = profile.area(table, address, writing=writing)
+    if area is not None:
+        return area
+    there = [area for area in profile.areas if area.table is table]
+    # Of areas that end alike, the one for what is asked.
+    there.sort(key=lambda area: not area.access.allows(writing=writing))
+    below = sorted((area for area in there if area.last < address), key=lambda area: -area.last)
+    above = sorted((area for area in there if area.first > address), key=lambda area: area.first)
+    for area in (*below, *above):
+        if area.base + address >= 0:
+            reference = area.reference(address).upper()
+            if all(_address_in(other, reference) is None for other in profile.areas):
+                return area
+    return None
 
 
 def _address_in(area: Area, wanted: str) -> int | None:

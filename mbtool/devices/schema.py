@@ -47,6 +47,7 @@ def profile_schema() -> dict[str, Any]:
     functions = properties["functions"]
     functions["patternProperties"] = {_FUNCTION_CODE: functions["additionalProperties"]}
     functions["additionalProperties"] = False
+    properties["points"]["items"]["properties"]["stride"].pop("default", None)
     properties["points"]["items"]["allOf"] = [
         _demand(PointType.STRING, "length"),
         _demand(PointType.FLAGS, "bits"),

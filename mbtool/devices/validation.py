@@ -12,23 +12,37 @@ from typing import TYPE_CHECKING, NoReturn
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.silence import Silence
 from mbtool.devices.model import Access, Area, Point, Profile
+from mbtool.devices.validation_of_characters import validate_characters
 from mbtool.devices.validation_of_points import Accused, validate_point
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import FUNCTIONS, function_name
+from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, function_name
 
 if TYPE_CHECKING:
     from mbtool.modbus.tables import Table
 
 _MAX_CODE = 0xFF
+_READ_WRITE = 0x17
 _MAX_SPANS = 5
+_BAUDS = (110, 4_000_000)
+"""The slowest and the fastest line: what is too long on both is too long on all."""
+_CHARACTER_BITS = 11
+_OCTETS = re.compile(r"([0-9A-Fa-f]{2})+")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def validate(profile: Profile, file: str) -> None:
     """Raise ProfileError for the first thing that cannot be."""
+    validate_characters(profile, file)
     if _NAME.fullmatch(profile.name) is None:
         raise ProfileError(
             file, "name", f"{profile.name!r}: letters, digits, '-', '_' and '.' make a name"
+        )
+    prefix = profile.finding_prefix
+    if prefix is not None and _NAME.fullmatch(prefix) is None:
+        raise ProfileError(
+            file,
+            "finding_prefix",
+            f"{prefix!r}: letters, digits, '-', '_' and '.' make a prefix, as FA3 in FA3-Q16",
         )
     if not profile.transports:
         raise ProfileError(file, "transports", "is empty; name rtu, ascii or tcp")
@@ -84,18 +98,46 @@ def _validate_functions(profile: Profile, file: str) -> None:
         standard = known.limit if known is not None and known.table is not None else None
         for name in ("limit", "ascii_limit"):
             limit = getattr(rule, name)
-            if limit is not None and standard is not None and limit > standard:
+            if limit is None:
+                continue
+            decimal = _meant_in_decimal(profile, digits, limit)
+            if standard is None and decimal:
+                accused.wrong(name, f"the standard has none for {function_name(code)}{decimal}")
+            if standard is not None and limit > standard:
                 accused.wrong(
                     name,
                     f"{limit} is more than the {standard} that the standard allows for "
-                    f"{function_name(code)}",
+                    f"{function_name(code)}{decimal}",
                 )
+        if rule.data is not None and _OCTETS.fullmatch(rule.data) is None:
+            accused.wrong(
+                "data", f"{rule.data!r}: two hexadecimal digits for each byte, like '0000'"
+            )
+        if rule.write_limit is not None and code != _READ_WRITE:
+            accused.wrong(
+                "write_limit", "only function 17 both reads and writes; 'limit' would be right"
+            )
+        if rule.write_limit is not None and rule.write_limit > WRITE_LIMIT_17H:
+            accused.wrong(
+                "write_limit",
+                f"{rule.write_limit} is more than the {WRITE_LIMIT_17H} that the standard allows "
+                "function 17 to write",
+            )
         if rule.ascii_limit is not None and Transport.ASCII not in profile.transports:
             accused.wrong(
                 "ascii_limit", "the device is on no ASCII line; add 'ascii' to the transports"
             )
         if rule.answer is not None and not rule.answers:
             accused.wrong("answers", "false, but 'answer' says what it answers; leave one out")
+
+
+def _meant_in_decimal(profile: Profile, digits: str, limit: int) -> str:
+    """What to add where a key, read as a decimal number, is a function that can have the limit."""
+    code = int(digits) if digits.isdecimal() else 0
+    known = FUNCTIONS.get(code)
+    if known is None or known.table is None or limit > known.limit or profile.rule(code):
+        return ""
+    return f"; keys are hexadecimal, and {function_name(code)}, function {code}, is {code:02X}"
 
 
 def _validate_exceptions(profile: Profile, file: str) -> None:
@@ -123,13 +165,23 @@ def _validate_exceptions(profile: Profile, file: str) -> None:
 
 
 def _validate_timing(profile: Profile, file: str) -> None:
+    silences: dict[str, Silence] = {}
     for key in ("t1_5", "t3_5", "request_interval"):
         text = getattr(profile.timing, key)
         try:
             if text is not None:
-                Silence.parse(text)
+                silences[key] = Silence.parse(text)
         except UsageError as error:
             raise ProfileError(file, f"timing.{key}", str(error)) from None
+    inside, between = silences.get("t1_5"), silences.get("t3_5")
+    if inside is None or between is None:
+        return
+    if all(inside.ns(baud, _CHARACTER_BITS) > between.ns(baud, _CHARACTER_BITS) for baud in _BAUDS):
+        raise ProfileError(
+            file,
+            "timing.t1_5",
+            f"{inside} inside a frame is longer than t3_5, {between}, which ends it",
+        )
 
 
 def _validate_points(profile: Profile, file: str) -> None:

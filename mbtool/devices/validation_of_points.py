@@ -34,10 +34,18 @@ def validate_point(point: Point, accused: Accused) -> None:
         accused.wrong(
             "stride", f"{point.stride} is less than the {point.words} addresses that each takes"
         )
+    if point.count == 1:
+        for key in ("stride", "counted_from"):
+            if getattr(point, key) != 1:
+                accused.wrong(key, "there is only one such point; 'count' says how many there are")
+        if "{n}" in point.name:
+            accused.wrong("name", "{n} counts several points; 'count' says how many there are")
     if "{" in _PLACEHOLDER.sub("", point.name):
         accused.wrong("name", "only {n} and {reference} are filled in")
     if point.count > 1 and _PLACEHOLDER.search(point.name) is None:
         accused.wrong("name", f"{point.count} points need {{n}} or {{reference}} in their name")
+    if point.words == 1 and point.word_order is WordOrder.LOW_FIRST:
+        accused.wrong("word_order", f"{point.type} has one register; 'byte_order' swaps its bytes")
     _validate_scale(point, accused)
     _validate_channels(point, accused)
     _validate_bits(point, accused)

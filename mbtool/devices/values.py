@@ -297,7 +297,7 @@ def _digits(point: Point, number: float) -> str:
     if scaled is None:
         return str(number)
     if point.decimals is not None:
-        return f"{scaled:.{point.decimals}f}"
+        return f"{scaled:z.{point.decimals}f}"  # No -0.00, which a little below 0 would be.
     if isinstance(scaled, int):
         return str(scaled)
     return f"{scaled:.{_FLOAT32_DIGITS if point.type is PointType.FLOAT32 else _DIGITS}g}"

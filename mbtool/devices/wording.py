@@ -3,11 +3,12 @@
 #     0102H A/D conversion enable/disable setting: CH1 CH2 CH6 CH8 enabled
 #     X10..X17 A/D conversion completion flag: CH1 CH2 CH6 CH8 on
 #     RWr2..RWr9 digital operation value: CH1 12000, CH2 4000, ...
+#     00F2H, write 0102H A/D conversion enable/disable setting: CH1 enabled; read ...        (17H)
 #     HR400001..400002                                                  (the manual names no more)
 #
 # Points whose names differ in their first word only (CH1 digital value, CH2 digital value) are said
-# together, and so are those whose name is their reference (X0, X1). Of several bits, those that are
-# 1 are named.
+# together, and so are those whose name is their reference (X0, X1), behind those that have a name.
+# Of several bits, those that are 1 are named.
 
 from __future__ import annotations
 
@@ -21,13 +22,25 @@ if TYPE_CHECKING:
 
 def describe(transaction: NamedTransaction) -> str:
     """The reference and the named values in one line; empty where there are neither."""
-    reference = transaction.reference or ""
-    phrases = "; ".join(describe_points(transaction.points))
+    if transaction.write_address is None:
+        return _describe(transaction.reference or "", transaction.points)
+    read = "; ".join(describe_points(transaction.read_points))
+    asked = describe_written(transaction)
+    return f"{asked}; read {read}" if read else asked
+
+
+def describe_written(transaction: NamedTransaction) -> str:
+    """The reference and what the request asks to write."""
+    return _describe(transaction.reference or "", transaction.written_points)
+
+
+def _describe(reference: str, points: Sequence[PointValue]) -> str:
+    phrases = "; ".join(describe_points(points))
     if not phrases:
         return reference
     if phrases.startswith(f"{reference} "):
         return phrases  # A name may begin with its reference: T5 current value.
-    joint = ": " if transaction.points[0].name == transaction.points[0].reference else " "
+    joint = ": " if all(point.name == point.reference for point in points) else " "
     return f"{reference}{joint}{phrases}" if reference else phrases
 
 
@@ -41,25 +54,27 @@ def describe_points(points: Sequence[PointValue]) -> list[str]:
         elif not subject:
             subject = point.name
         series.setdefault(subject, []).append((label, point))
+    unnamed = series.pop("", None)
     phrases = []
     for subject, members in series.items():
-        if not subject:
-            phrases.append(_values(members))
-        elif len(members) == 1:
+        if len(members) == 1:
             phrases.append(f"{members[0][1].name}: {members[0][1].text}")
         else:
             phrases.append(f"{subject}: {_values(members)}")
+    if unnamed is not None:
+        phrases.append(_values(unnamed, beside_others=bool(series)))
     return phrases
 
 
-def _values(members: Sequence[tuple[str, PointValue]]) -> str:
+def _values(members: Sequence[tuple[str, PointValue]], *, beside_others: bool = False) -> str:
     if not all(_is_bit(point) for _, point in members):
         return ", ".join(f"{label} {point.text}" for label, point in members)
     if len(members) == 1:
-        return members[0][1].text
+        label, point = members[0]
+        return f"{label} {point.text}" if beside_others else point.text
     ones = [label for label, point in members if point.value == 1]
     if not ones:
-        return f"all {members[0][1].text}"
+        return f"{'others' if beside_others else 'all'} {members[0][1].text}"
     text = next(point.text for _, point in members if point.value == 1)
     return f"{' '.join(ones)} {text}"
 

@@ -86,7 +86,9 @@ class CsvWriter:
 def csv_row(transaction: NamedTransaction) -> list[str]:
     """The cells of CSV_COLUMNS; empty where a field does not apply."""
     fields = _with_hex(transaction)
-    points = "; ".join(f"{point.name}={point.text}" for point in transaction.points)
+    points = "; ".join(
+        f"{point.name}{':=' if point.written else '='}{point.text}" for point in transaction.points
+    )
     fields["points"] = points
     return [_cell(fields.get(column)) for column in CSV_COLUMNS]
 

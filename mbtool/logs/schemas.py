@@ -98,6 +98,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "value": "The value as a number; absent where it is infinite or not a number",
         "text": "The value as the manual would put it",
         "unit": "The unit of measure",
+        "written": "True for what function 17H writes, beside what it reads; absent otherwise",
     },
     EventMessage: {
         "ts_ns": "When it happened, UTC nanoseconds",
@@ -182,5 +183,7 @@ def _schema(type_: inspect.Type) -> tuple[dict[str, Any], Iterable[str]]:
             return {"type": "number"}, ()
         case inspect.StrType():
             return {"type": "string"}, ()
+        case inspect.BoolType():
+            return {"type": "boolean"}, ()
         case _:
             raise TypeError(f"{type_} has no place in a schema")

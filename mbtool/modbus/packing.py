@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+
+_BITS = [tuple(byte >> bit & 1 for bit in range(8)) for byte in range(256)]
 
 
 def words(data: bytes) -> tuple[int, ...]:
@@ -30,7 +34,7 @@ def pack_words(values: Sequence[int]) -> bytes:
 
 def unpack_bits(data: bytes) -> tuple[int, ...]:
     """Every bit, the lowest of the first byte first (V1.1b3, 6.1)."""
-    return tuple(byte >> bit & 1 for byte in data for bit in range(8))
+    return tuple(chain.from_iterable([_BITS[byte] for byte in data]))
 
 
 def pack_bits(values: Sequence[int]) -> bytes:

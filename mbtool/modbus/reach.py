@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 REACHING = frozenset({0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F, 0x10, 0x16, 0x17})
 
+ADDRESSES = 0x10000
+"""How many addresses a table has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reach:
@@ -54,6 +57,14 @@ def reach_of(request: Pdu) -> Reach | None:
                 writes=_span(_number(request, "write_address"), _number(request, "write_quantity")),
             )
     return reach if _is_allowed(reach, request, function.limit) else None
+
+
+def keeps_limits(request: Pdu) -> bool:
+    """Whether a request keeps its form and the standard's limits, the last address among them."""
+    if request.code not in REACHING:
+        return request.problem is None
+    reach = reach_of(request)
+    return reach is not None and max(reach.reads.stop, reach.writes.stop) <= ADDRESSES
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:

@@ -7,12 +7,14 @@
 # Where Modbus is expected, at a port that the user named and at its own, 502, it is believed
 #   with the first ADU that has the structure of its function, or a function that no table knows;
 #   after CONTRADICTING ADUs without that structure, or fewer, when the connection ends;
-#   when bytes are missing before that, since then nothing speaks against it.
-# At any other port a connection must show
+#   when bytes are missing before that, and at its end, unless what came first of each side begins
+#   no ADU.
+# At any other port, and to be RTU where Modbus/TCP is expected, a connection must show
 #   a request and the response that answers it, each with the structure of a function that the
 #   table knows, on Modbus/TCP with equal transaction id and unit, in RTU with correct CRCs; or
 #   ENOUGH ADUs in a row with the structure of such a function. By chance that is 1 in 2^96 for
 #   headers; for frames 1 in 2^48, and their structure beside it.
+# A frame of RTU may be an ADU of Modbus/TCP, too: then what comes next decides.
 #
 # A connection is foreign
 #   where its beginning was captured and begins no ADU (where Modbus is expected: neither side's;
@@ -22,7 +24,8 @@
 #   form, look like headers;
 #   where what was seen first of both directions is a record of TLS, also when joined in the middle
 #   (but where it may be RTU: a request for register 0100H of unit 17H looks like one);
-#   after ENOUGH_BYTES that did not suffice.
+#   after ENOUGH_BYTES that did not suffice, and as RTU that must be shown, after NOISE bytes of a
+#   direction without a frame: to look for one at each byte costs more than all else.
 # It is one FOREIGN event, which names the other protocol where it is known by how it begins; its
 # further bytes are not looked at.
 #
@@ -50,21 +53,24 @@ from mbtool.modbus.rtu_structure import frame_size
 from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbtool.core import Connection
 
 ENOUGH = 3
 CONTRADICTING = 3
 ENOUGH_BYTES = 2048
 GAP_COUNTS = 64
+NOISE = MAX_RTU_ADU
 MAX_TOLD = 8
 
 _MBAP = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
 _MBAP_SEEN = 6
+_MBAP_BEGUN = re.compile(rb"(?s).{0,2}\x00{0,3}\Z")
 
 TLS = "TLS"
 _TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-\x48].)")
 """RFC 8446, 5.1, and RFC 5246, 6.2.3: content type, version, at most 2^14 + 2048 bytes."""
-_TLS_SEEN = 5
 
 _OTHERS = {
     # The same.
@@ -108,7 +114,8 @@ class Recognition:
         """
         self.state = State.UNDECIDED
         self.connection = connection
-        self._is_expected = expected
+        self.joined = joined
+        """Its beginning is missing."""
         self._demands_beginning = tcp or not expected
         self._may_be_rtu = rtu
         self._heads: dict[Direction, bytes | None] = dict.fromkeys(
@@ -123,7 +130,9 @@ class Recognition:
         self._held: list[WireEvent] = []
         turns = (False, True) if joined and not expected else (turned,)
         self._readings = [
-            _Reading(connection, rtu=framing, turned=turned, expected=expected)
+            _Reading(
+                connection, rtu=framing, turned=turned, expected=expected and not (framing and tcp)
+            )
             # RTU first: 01 03 00 00 00 02 C4 0B is a frame, and an ADU of Modbus/TCP.
             for turned in turns
             for framing, is_possible in ((True, rtu), (False, tcp))
@@ -149,12 +158,13 @@ class Recognition:
         self._seen += len(now)
         self._first = (self._first + now)[: MAX_RTU_ADU + 1]
         self._look_at_beginning(direction, now)
-        if not self._readings or self._is_tls(direction, now):
+        if not self._readings or self._is_tls():
             return self._refuse()
         for reading in self._readings:
-            reading.take(reading.feed(direction, now, ts_ns))
-        decoded = self._decide()
-        if not decoded and self._seen >= ENOUGH_BYTES:
+            reading.feed_held(direction, now, ts_ns)
+        is_last = self._seen >= ENOUGH_BYTES
+        decoded = self._decide(is_last=is_last)
+        if not decoded and is_last and self.state is State.UNDECIDED:
             return self._refuse()
         return [*decoded, *self.feed(direction, later, ts_ns)] if later else decoded
 
@@ -173,8 +183,9 @@ class Recognition:
         for reading in self._readings:
             reading.take(reading.gap(direction, missing, ts_ns, kind))
         is_tls = not self._may_be_rtu and _name_of(self._first) == TLS
-        if self._is_expected and not is_tls:
-            return self._believe(self._readings[-1])
+        trusted = self._trusted
+        if trusted is not None and not is_tls and trusted.may_be_begun(self._seen_first):
+            return self._believe(trusted)
         return self._decide() if self._seen < ENOUGH_BYTES else self._refuse()
 
     def advance(self, now_ns: int) -> list[Decoded]:
@@ -193,20 +204,31 @@ class Recognition:
             return []
         for reading in self._readings:
             reading.take(reading.conversation.close())
-        decoded = self._decide()
-        if decoded:
+        decoded = self._decide(is_last=True)
+        if decoded or self.state is not State.UNDECIDED:
             return decoded
-        has_adus = any(reading.contradicting for reading in self._readings)
-        if self._is_expected and (has_adus or self._name() is None):
-            return self._believe(self._readings[-1])
+        trusted = self._trusted
+        if trusted is not None and (
+            trusted.contradicting
+            or (self._name() is None and trusted.may_be_begun(self._seen_first))
+        ):
+            return self._believe(trusted)
         return self._refuse()
 
     def seen_from_here(self, event: WireEvent) -> WireEvent:
         """An event of the connection with its ends in the roles that they were found to have."""
         return self._readings[0].seen_from_here(event) if self._readings else event
 
+    @property
+    def _trusted(self) -> _Reading | None:
+        """The reading that the port's name speaks for."""
+        return next((one for one in self._readings if one.is_expected), None)
+
     def _look_at_beginning(self, direction: Direction, data: bytes) -> None:
         """Drop the readings in which a direction's first bytes cannot be."""
+        seen = self._seen_first
+        if len(seen[direction]) <= MAX_RTU_ADU:
+            seen[direction] = (seen[direction] + data)[: MAX_RTU_ADU + 1]
         head = self._heads[direction]
         if head is None or not self._demands_beginning:
             return
@@ -215,22 +237,29 @@ class Recognition:
             reading.look_at_beginning(head, direction)
         self._readings = [one for one in self._readings if not one.is_dead]
 
-    def _is_tls(self, direction: Direction, data: bytes) -> bool:
+    def _is_tls(self) -> bool:
         """Whether what came first of both directions begins a record of TLS."""
         if self._may_be_rtu:
             return False
-        seen = self._seen_first
-        if len(seen[direction]) < _TLS_SEEN:
-            seen[direction] = (seen[direction] + data)[:_TLS_SEEN]
-        return all(_TLS_RECORD.match(first) for first in seen.values())
+        return all(_TLS_RECORD.match(first) for first in self._seen_first.values())
 
-    def _decide(self) -> list[Decoded]:
-        """Believe a reading, or refuse all, if what they gave so far suffices for that."""
+    def _decide(self, *, is_last: bool = False) -> list[Decoded]:
+        """Believe a reading, or refuse all, if what they gave so far suffices for that.
+
+        `is_last` is whether no more will be known.
+        """
         for reading in self._readings:
             if reading.convinces:
+                if reading.is_expected and not is_last and self._is_rivalled:
+                    return []
                 return self._believe(reading)
         self._readings = [one for one in self._readings if not one.is_dead]
         return [] if self._readings else self._refuse()
+
+    @property
+    def _is_rivalled(self) -> bool:
+        """Whether frames were read where Modbus/TCP is expected: they have right CRCs."""
+        return any(one.in_a_row for one in self._readings if not one.is_expected)
 
     def _believe(self, reading: _Reading) -> list[Decoded]:
         self.state = State.MODBUS
@@ -289,26 +318,54 @@ class _Reading:
         self._connection = connection
         self._is_rtu = rtu
         self._is_turned = turned
-        self._is_expected = expected
-        self._in_a_row = 0
+        self.is_expected = expected
+        """Whether the port's name speaks for it."""
+        self.in_a_row = 0
+        """How many ADUs with the structure of their function came one after the other."""
         self._wrong_beginnings: set[Direction] = set()
+        is_shown = not rtu or expected
+        self._noise = {} if is_shown else {Direction.REQUEST: 0, Direction.RESPONSE: 0}
+        """How many bytes came of a direction that has yet to show a frame."""
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
         return self.conversation.feed(self._role(direction), data, ts_ns)
+
+    def feed_held(self, direction: Direction, data: bytes, ts_ns: int) -> None:
+        """The same, where what was read is held."""
+        noise = self._noise.get(direction)
+        room = len(data) if noise is None else NOISE - noise
+        decoded = self.feed(direction, data[:room], ts_ns)
+        self.take(decoded)
+        if noise is None:
+            return
+        if any(isinstance(one, Adu) for one in decoded):
+            del self._noise[direction]
+            self.take(self.feed(direction, data[room:], ts_ns))
+            return
+        self._noise[direction] += len(data[:room])
+        if self._noise[direction] >= NOISE:
+            self.is_dead = not self.convinces
 
     def gap(self, direction: Direction, missing: int, ts_ns: int, kind: EventKind) -> list[Decoded]:
         return self.conversation.gap(self._role(direction), missing, ts_ns, kind)
 
     def look_at_beginning(self, head: bytes, direction: Direction) -> None:
         """Learn the first bytes of a direction. Where Modbus is expected, one may begin wrong."""
-        if self._is_rtu:
-            may_be = _is_frame(head, direction) is not False
-        else:
-            may_be = len(head) < _MBAP_SEEN or _MBAP.match(head) is not None
-        if not may_be:
+        if not self._may_begin(head, direction):
             self._wrong_beginnings.add(direction)
-            if len(self._wrong_beginnings) == (2 if self._is_expected else 1):
+            if len(self._wrong_beginnings) == (2 if self.is_expected else 1):
                 self.is_dead = True
+
+    def may_be_begun(self, heads: Mapping[Direction, bytes]) -> bool:
+        """Whether nothing came, or what may be an ADU: with a wrong CRC, or not yet whole."""
+        if any(_is_wrong_frame(one) for one in self.given) or not any(heads.values()):
+            return True
+        return any(head and self._may_begin(head, way) for way, head in heads.items())
+
+    def _may_begin(self, head: bytes, direction: Direction) -> bool:
+        if self._is_rtu:
+            return _is_frame(head, self._role(direction)) is not False
+        return (_MBAP if len(head) >= _MBAP_SEEN else _MBAP_BEGUN).match(head) is not None
 
     def take(self, decoded: list[Decoded]) -> None:
         """Hold what was read, and weigh it."""
@@ -320,7 +377,7 @@ class _Reading:
                 if _is_beyond_doubt(one) and not self.is_dead:
                     self.convinces = True
             elif one.kind not in (EventKind.GAP, EventKind.CUT):
-                self._in_a_row = 0
+                self.in_a_row = 0
 
     def seen_from_here(self, event: WireEvent) -> WireEvent:
         """An event of the connection with the ends in the roles that they have here.
@@ -337,16 +394,16 @@ class _Reading:
         size = pdu_length(adu.pdu, adu.direction)
         fits = size == len(adu.pdu)
         if fits:
-            self._in_a_row += 1
+            self.in_a_row += 1
         elif size != 0:
-            self._in_a_row = 0
+            self.in_a_row = 0
             self.contradicting += 1
-        if self._is_expected:
+        if self.is_expected:
             is_over = not fits and size != 0 and _name_of(adu.raw) is not None
             is_enough = fits or size == 0 or self.contradicting >= CONTRADICTING
         else:
             is_over = self.contradicting >= CONTRADICTING
-            is_enough = self._in_a_row >= ENOUGH
+            is_enough = self.in_a_row >= ENOUGH
         if not (self.convinces or self.is_dead):
             self.is_dead, self.convinces = is_over, is_enough and not is_over
 
@@ -358,6 +415,10 @@ class _Reading:
 
 def _name_of(head: bytes) -> str | None:
     return next((name for name, begins in _OTHERS.items() if begins.match(head)), None)
+
+
+def _is_wrong_frame(one: Decoded) -> bool:
+    return isinstance(one, WireEvent) and one.kind is EventKind.BAD_CHECK
 
 
 def _is_beyond_doubt(one: Transaction) -> bool:

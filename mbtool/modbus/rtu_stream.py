@@ -2,17 +2,20 @@
 
 # A stream has no silences, but its direction is known, so a frame's length follows from its
 # structure, and its CRC confirms it. Where it does not, one byte is skipped and the next tried.
-# A function that no table knows has no length here, and its bytes are skipped.
+# A function that no table knows has no length here, and its bytes are skipped: a place where none
+# stands that is known is passed over without a further look, since others' bytes cost as much.
 #
 # Holds at most one incomplete frame (256 bytes) and a run of skipped bytes (skips.MAX_RUN).
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.framing import crc
+from mbtool.modbus.pdu import LAYOUTS
 from mbtool.modbus.rtu_structure import frame_size, why_skipped
 from mbtool.modbus.skips import SkipRun
 from mbtool.modbus.timed_buffer import TimedBuffer
@@ -21,11 +24,21 @@ if TYPE_CHECKING:
     from mbtool.core import Direction
 
 
+def _beginnings(direction: Direction) -> re.Pattern[bytes]:
+    """Where a frame may begin: a unit before a function with a length, or the last byte."""
+    known = bytes(code for code in range(256) if frame_size(bytes((0, code)), direction) != 0)
+    return re.compile(rb"(?s).(?:[" + re.escape(known) + rb"]|\Z)")
+
+
+_BEGINNINGS = {direction: _beginnings(direction) for direction in LAYOUTS}
+
+
 class RtuStreamSplitter:
     """Bytes of one direction in, `Adu` and `Skipped` out, in order."""
 
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
+        self._beginnings = _BEGINNINGS[direction]
         self._buffer = TimedBuffer()
         self._skips = SkipRun(partial(why_skipped, directions=(direction,)))
 
@@ -53,7 +66,8 @@ class RtuStreamSplitter:
         """Consume frames and what parts them, up to one that can still become whole."""
         events: list[Adu | Skipped] = []
         place = 0
-        while place < len(self._buffer):
+        while (found := self._buffer.find(self._beginnings, place)) is not None:
+            place = found
             size = self._size_at(place)
             if size is None and not ended:
                 break
@@ -63,6 +77,8 @@ class RtuStreamSplitter:
                 place = 0
             else:
                 place += 1
+        else:
+            place = len(self._buffer)
         self._skip(place, events)
         return events
 

@@ -292,19 +292,22 @@ class Tiling:
         """Frames of known form with a correct CRC."""
         frames = self._found.get(place)
         if frames is None:
-            frames = self._found[place] = list(self._find_frames(place))
+            frames = self._found[place] = self._find_frames(place)
         return frames
 
-    def _find_frames(self, place: int) -> Iterator[_Frame]:
+    def _find_frames(self, place: int) -> list[_Frame]:
+        frames: list[_Frame] = []
         head = self._data[place : place + MAX_RTU_ADU]
-        if len(head) < MIN_FRAME:
-            return
+        have = len(head)
+        if have < MIN_FRAME:
+            return frames
         sizes = [(role, frame_size(head, role)) for role in self._roles]
         for role, size in sizes:
-            if size and size <= len(head) and crc(head[:size]) == 0:
+            if size and size <= have and crc(head[:size]) == 0:
                 malformed = parse_pdu(head[1 : size - 2], role).problem is not None
                 roles = tuple(other for other, same in sizes if same == size)
-                yield _Frame(size, role, roles, weights.MALFORMED if malformed else 0.0)
+                frames.append(_Frame(size, role, roles, weights.MALFORMED if malformed else 0.0))
+        return frames
 
     def _unknown(self, place: int) -> Iterator[_Frame]:
         """Frames that no known form bounds, but the silences or the CRC."""

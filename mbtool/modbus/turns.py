@@ -4,7 +4,9 @@
 # form and from the request that waits for an answer: an answer names the request's unit and
 # function, and fits its quantity or echoes its address. Without such a request a frame that has
 # the form of a request is one. Requests and answers of 05, 06, 08, 15H and 16H look alike, so there
-# only the turn decides, and the silences: masters wait longer for an answer than slaves take.
+# only the turn decides, and the silences: masters wait longer for an answer than slaves take. Some
+# answers of 01, 02, 14H and 17H are as long as a request, too. One that could be none, or none that
+# this line has heard, is the answer that waits to be heard, however late it is.
 #
 # Where an adapter hands over several frames at once, all silences among them come out as one before
 # them. Then a silence does not tell which answer was late, but a longer one than is usual here says
@@ -27,7 +29,8 @@ from mbtool.modbus.expectation import Expectation
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_BITS
 from mbtool.modbus.habits import Habit, Latency
 from mbtool.modbus.oddities import is_odd_request, is_odd_response, is_padded
-from mbtool.modbus.pdu import pdu_length
+from mbtool.modbus.pdu import parse_pdu, pdu_length
+from mbtool.modbus.reach import keeps_limits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -237,7 +240,7 @@ class Turns:
                 self._latency.learn(start_ns - waiting.since_ns)
         is_doubtful = not is_sure and self._doubted != (unit, pdu)
         self._doubted, self._doubt = ((unit, pdu) if is_doubtful else None), judgement.confidence
-        if turn.pause_ns and self.ends_pause(turn, role, start_ns, inside_ns):
+        if self.ends_pause(turn, role, start_ns, inside_ns):
             self._pauses.learn_warily(turn.pause_ns)
         by_form = judgement.by in CERTAIN
         self.turn = self.follow(turn, unit, pdu, role, start_ns, end_ns, inside_ns, by_form)
@@ -300,6 +303,8 @@ class Turns:
             is_told = self.trusts_silences and turn.owed is None
             if not is_told and answered and (answered.unit, answered.pdu) == (unit, pdu):
                 cost += self._again.bits
+            if self._is_just_asked_for(turn.waiting, unit, pdu):
+                cost += weights.FITS_AS_ANSWER
         else:
             cost, by_time = self._response_cost(turn, waiting, unit, pdu, at_ns)
         return cost + odd, by_time if self.trusts_silences else 0.0
@@ -334,6 +339,8 @@ class Turns:
         if waiting is not None and waiting.is_named_by(unit, pdu[0]):
             return weights.WRONG_ANSWER + odd, 0.0
         owed = turn.owed
+        if owed is not None and pdu == owed.pdu and pdu[0] in READ_BITS:
+            owed = None  # The read that comes again: see _answer_cost.
         if owed is not None and at_ns - owed.since_ns <= TURN_NS and owed.fits(unit, pdu):
             is_elsewhere = waiting is not None and (waiting.unit, waiting.pdu) != (
                 owed.unit,
@@ -354,6 +361,8 @@ class Turns:
         octaves = self._latency.octaves_late(silence_ns)
         late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
         by_time = min(late, weights.MOST_FOR_LATENESS) if octaves > MARGIN_OCTAVES else 0.0
+        if by_time and self._is_just_asked_for(waiting, waiting.unit, pdu):
+            by_time = 0.0
         if pdu[0] in READ_BITS and pdu == waiting.pdu:
             # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own answer.
             return weights.ECHO_OF_A_READ, by_time
@@ -365,6 +374,20 @@ class Turns:
         if pdu == waiting.pdu and not sure and before_ns and silence_ns > 2 * before_ns:
             by_time += weights.BACKWARDS
         return weights.ANSWER, by_time
+
+    def _is_just_asked_for(self, waiting: Waiting | None, unit: int, pdu: bytes) -> bool:
+        """Whether a frame of a request's length is what one waits for, and hardly a request."""
+        if waiting is None or pdu == waiting.pdu or not waiting.fits(unit, pdu):
+            return False
+        if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):
+            return False
+        if is_odd_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+            return True
+        if (unit, pdu) in self._known or waiting.expected.size != len(pdu):
+            return False
+        # The same quantity from the same 256 addresses: the next request of the master's list.
+        is_alike = (pdu[1], pdu[3:5]) == (waiting.pdu[1], waiting.pdu[3:5])
+        return not is_alike and (pdu[0] not in READ_BITS or is_padded(waiting.pdu, pdu))
 
     def _waiting(self, turn: Turn, at_ns: int) -> Waiting | None:
         waiting = turn.waiting

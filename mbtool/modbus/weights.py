@@ -41,6 +41,9 @@ ANSWER_AT_START = 6.0
 UNASKED = 4.0
 """More for an exception behind damage, to a function that its unit was not asked for as long as
 this line is heard: masters repeat a list."""
+FITS_AS_ANSWER = 9.0
+"""More for a request that is none by its form, or was never heard, and is just what the waiting one
+asks for: unit, function and byte count. It outweighs any lateness."""
 ECHO_OF_A_READ = 16.0
 """A response of bits whose bytes are its very request: 24 bits would have to agree."""
 ECHO_OF_UNKNOWN = 4.0

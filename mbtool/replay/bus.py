@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mbtool.replay.steering import Gate
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
@@ -52,11 +53,11 @@ class BusPlayer:
         """`character_ns` and `silence_ns`, between frames, are those of the line played on."""
         self._pieces = pieces
         self._clock = clock
+        self._gate = Gate(clock)
         self._character_ns = character_ns
         self._silence_ns = silence_ns
         self._next = 0
         self._lap = 0
-        self._let_go = 0
         self._passed_ns: int | None = None
         """When the last byte that was sent has passed; None before the first."""
         self.bytes = 0
@@ -88,18 +89,14 @@ class BusPlayer:
         place_ns = self._place(piece)
         if self._free_ns(piece) > now_ns:
             return None
-        due_ns = self._clock.when(place_ns)
-        if due_ns is None:
-            if not self._let_go:
-                return None
-            self._let_go -= 1
-            self._clock.jump(max(place_ns, self._clock.place(now_ns)), now_ns)
-        elif due_ns > now_ns:
+        due_ns = self._gate.opens_ns(place_ns, now_ns)
+        if due_ns is None or due_ns > now_ns:
             return None
-        elif self._busy_ns(piece) > due_ns + BEHIND_NS:
-            self.held += 1
-        else:
-            self.lateness.add(now_ns - due_ns)
+        if self._gate.passes(place_ns, now_ns):
+            if self._busy_ns(piece) > due_ns + BEHIND_NS:
+                self.held += 1
+            else:
+                self.lateness.add(now_ns - due_ns)
         self._next += 1
         self.bytes += len(piece.data)
         begin_ns = now_ns if self._passed_ns is None else max(now_ns, self._passed_ns)
@@ -111,16 +108,12 @@ class BusPlayer:
         piece = self._upcoming()
         if piece is None:
             return None
-        due_ns = self._clock.when(self._place(piece))
-        if due_ns is None:
-            if not self._let_go:
-                return None
-            due_ns = now_ns
-        return max(due_ns, self._free_ns(piece))
+        due_ns = self._gate.opens_ns(self._place(piece), now_ns)
+        return None if due_ns is None else max(due_ns, self._free_ns(piece))
 
     def let_go(self, _now_ns: int) -> None:
         """Have one more piece sent while the clock stands."""
-        self._let_go += 1
+        self._gate.let_go()
 
     def _free_ns(self, piece: Piece) -> int:
         """From when on the line takes a piece."""

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.replay.script import MAX_OPEN, Step
+from mbtool.replay.steering import Gate
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ class Conductor:
     def __init__(self, script: Script, clock: PlayClock, judge: Judge, manners: Manners) -> None:
         self._steps = script.steps
         self._clock = clock
+        self._gate = Gate(clock)
         self._judge = judge
         self._manners = manners
         self._next = 0
@@ -70,8 +72,6 @@ class Conductor:
         """By the step's number."""
         self._free_ns: int | None = None
         """From when on the line may be used; None: at once."""
-        self._let_go = 0
-        """How many steps may be sent while the clock stands."""
         self.lateness = Sample()
         """Of steps that waited for the clock only, in nanoseconds."""
         self.strays = 0
@@ -80,11 +80,6 @@ class Conductor:
     @property
     def has_ended(self) -> bool:
         return self._upcoming() is None and not self._open
-
-    @property
-    def open_steps(self) -> list[Step]:
-        """Sent, and neither answered nor given up; the oldest first."""
-        return [each.step for each in self._open.values()]
 
     @property
     def sent(self) -> int:
@@ -97,15 +92,11 @@ class Conductor:
         if step is None or not self._is_free(step, now_ns):
             return None
         place_ns = self._place(step)
-        due_ns = self._clock.when(place_ns)
-        if due_ns is None:
-            if not self._let_go:
-                return None
-            self._let_go -= 1
-            self._clock.jump(max(place_ns, self._clock.place(now_ns)), now_ns)
-        elif due_ns > now_ns:
+        due_ns = self._gate.opens_ns(place_ns, now_ns)
+        if due_ns is None or due_ns > now_ns:
             return None
-        elif self._free_ns is None or self._free_ns <= due_ns:
+        waited_for_clock = self._free_ns is None or self._free_ns <= due_ns
+        if self._gate.passes(place_ns, now_ns) and waited_for_clock:
             self.lateness.add(now_ns - due_ns)
         self._next += 1
         if step.is_broadcast:
@@ -117,7 +108,7 @@ class Conductor:
 
     def let_go(self, _now_ns: int) -> None:
         """Have one more step sent while the clock stands."""
-        self._let_go += 1
+        self._gate.let_go()
 
     def has_left(self, step: Step, now_ns: int) -> None:
         """Say that the last byte of a step was sent."""
@@ -132,9 +123,7 @@ class Conductor:
         moments = [each.sent_ns + self._manners.timeout_ns for each in self._open.values()]
         step = self._upcoming()
         if step is not None and not self._is_held(step):
-            due_ns = self._clock.when(self._place(step))
-            if due_ns is None and self._let_go:
-                due_ns = now_ns
+            due_ns = self._gate.opens_ns(self._place(step), now_ns)
             if due_ns is not None:
                 free_ns = due_ns if self._free_ns is None else self._free_ns
                 moments.append(max(due_ns, free_ns))

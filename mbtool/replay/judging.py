@@ -2,8 +2,8 @@
 
 # Each answer is held against the recorded one of the same step:
 #
-#     outcome   answered or not, ok or which exception, an answer that breaks its form, or one with
-#               another quantity of values
+#     outcome   answered or not, ok or which exception, an answer that breaks its form or is to
+#               another function, or one with another quantity of values
 #     value     each register or bit that was read, one by one
 #     data      functions whose form says nothing of registers: the bytes
 #
@@ -14,7 +14,8 @@
 # Registers that may differ: those of `spans`, which the user names, and those that differed in a
 # run in which the judge learned; `learned` gives them.
 #
-# Memory grows with what was asked, not with how often: see traffic.py for its bounds.
+# Memory grows with what was asked, not with how often: see traffic.py for its bounds. At most
+# MAX_WRONG outcomes of one request are kept, such as the bytes of a counter; what is more is one.
 
 from __future__ import annotations
 
@@ -39,7 +40,10 @@ if TYPE_CHECKING:
 
 NO_ANSWER = "no answer"
 SHOWN_BYTES = 16
+MAX_WRONG = 16
 
+_OK = "ok"
+_OTHERS = ("others", "others")
 _EXCEPTION_BIT = 0x80
 
 
@@ -67,6 +71,16 @@ class _Judged:
     """How often what was recorded, and what came in its place."""
     recorded: Sample = field(default_factory=Sample)
     answered: Sample = field(default_factory=Sample)
+
+    def add_wrong(self, recorded: str, came: str) -> None:
+        """Count an answer that is wrong; two equal texts say that its values are."""
+        self.different += 1
+        if recorded == came:
+            return
+        pair = recorded, came
+        if pair not in self.wrong and len(self.wrong) >= MAX_WRONG:
+            pair = _OTHERS
+        self.wrong[pair] = self.wrong.get(pair, 0) + 1
 
 
 @dataclass(slots=True)
@@ -124,22 +138,19 @@ class Judge:
             asked.answered.add(latency_ns)
         if step.is_broadcast or answer == step.expected:
             return True
-        request = parse_pdu(step.pdu, Direction.REQUEST)
-        recorded, came = _outcome(step.expected), _outcome(answer)
-        is_right = recorded == came
-        if is_right and answer is not None and step.expected is not None:
-            reach = reach_of(request)
-            if reach is None or not reach.reads:
-                is_right, recorded, came = False, _shown(step.expected), _shown(answer)
+        recorded, came = (_outcome(pdu, step.pdu[0]) for pdu in (step.expected, answer))
+        is_right = False
+        if step.expected is not None and answer is not None and recorded == came:
+            reach = reach_of(parse_pdu(step.pdu, Direction.REQUEST))
+            if recorded != _OK or reach is None or not reach.reads:
+                recorded, came = _apart(step.expected, answer)
             elif len(answer) != len(step.expected):
-                is_right, recorded, came = False, _length(step.expected), _length(answer)
+                recorded, came = _length(step.expected), _length(answer)
             else:
                 is_right = self._has_right_values(step, step.expected, reach, answer)
         if not is_right:
             self.wrong += 1
-            asked.different += 1
-            if recorded != came:
-                asked.wrong[recorded, came] = asked.wrong.get((recorded, came), 0) + 1
+            asked.add_wrong(recorded, came)
         return is_right
 
     def differences(self) -> list[Difference]:
@@ -251,19 +262,29 @@ def _about(asked: _Judged, kind: Kind, a: Side, b: Side) -> Difference:
     )
 
 
-def _outcome(pdu: bytes | None) -> str:
+def _outcome(pdu: bytes | None, function: int) -> str:
     if pdu is None:
         return NO_ANSWER
+    if pdu[0] | _EXCEPTION_BIT != function | _EXCEPTION_BIT:
+        return f"answer to function {pdu[0] & ~_EXCEPTION_BIT:02X}"
     if pdu[0] & _EXCEPTION_BIT:
         if len(pdu) != 2:
             return f"malformed exception {_shown(pdu)}"
         return f"exception {pdu[1]:02X} {exception_name(pdu[1])}"
     problem = parse_pdu(pdu, Direction.RESPONSE).problem
-    return "ok" if problem is None else f"malformed: {problem}"
+    return _OK if problem is None else f"malformed: {problem}"
 
 
 def _length(pdu: bytes) -> str:
     return f"{len(pdu) - 2} bytes of values"
+
+
+def _apart(pdu: bytes, other: bytes) -> tuple[str, str]:
+    """The bytes of both, from the beginning or, where that would hide it, what differs."""
+    first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
+    if first is None or first < SHOWN_BYTES:
+        return _shown(pdu), _shown(other)
+    return f"byte {first}: {_shown(pdu[first:])}", f"byte {first}: {_shown(other[first:])}"
 
 
 def _shown(pdu: bytes) -> str:

@@ -175,9 +175,11 @@ class RecordedSlave:
         place_ns = self._clock.place(now_ns)
         begin_ns = self._recording.begin_ns
         next_ns = self._recording.next_ns(begin_ns + self._clock.in_recording(place_ns))
+        lap = self._clock.lap(place_ns)
+        if next_ns is None and self._clock.is_loop:
+            lap, next_ns = lap + 1, self._recording.next_ns(begin_ns - 1)
         if next_ns is not None:
-            lap_begin_ns = self._clock.lap_begin(self._clock.lap(place_ns))
-            self._clock.jump(lap_begin_ns + next_ns - begin_ns, now_ns)
+            self._clock.jump(self._clock.lap_begin(lap) + next_ns - begin_ns, now_ns)
 
     def _is_broadcast(self, unit: int) -> bool:
         is_line = self._transport is not Transport.TCP

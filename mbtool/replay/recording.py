@@ -91,9 +91,10 @@ class Recording:
         recording.begin_ns = first_ns + window.start_ns
         recording.units = {one.unit for one in asked if one.outcome is not Outcome.BROADCAST}
         damaged = damaged_answers(asked, events)
+        keys: dict[Key, Key] = {}
         for place, transaction in enumerate(asked):
             if transaction.start_ns - first_ns in window:
-                recording._add_answer(transaction, damaged.get(place))
+                recording._add_answer(transaction, damaged.get(place), keys)
         for transaction in sorted(asked, key=_answered_ns):
             recording._add_values(transaction)
         recording._add_latencies(asked)
@@ -121,7 +122,10 @@ class Recording:
         place = bisect_right(self.order, at_ns, key=lambda each: each[1].asked_ns)
         return self.order[place][1].asked_ns if place < len(self.order) else None
 
-    def _add_answer(self, transaction: Transaction, damaged: DamagedAnswer | None) -> None:
+    def _add_answer(
+        self, transaction: Transaction, damaged: DamagedAnswer | None, keys: dict[Key, Key]
+    ) -> None:
+        """Add an answer; `keys` are those that there are, as one asked often is kept once."""
         request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
             return
@@ -132,7 +136,7 @@ class Recording:
             transaction.start_ns,
             damaged,
         )
-        key = transaction.unit, request
+        key = keys.setdefault((transaction.unit, request), (transaction.unit, request))
         self.answers.setdefault(key, []).append(answer)
         self.order.append((key, answer))
 

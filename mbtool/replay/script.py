@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from sys import intern
 from typing import TYPE_CHECKING, Self
 
 from mbtool.modbus import Outcome, whole_pdu
@@ -67,6 +68,8 @@ class Script:
         ]
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
+        pdus: dict[bytes, bytes] = {}
+        """What is asked again and again is kept once."""
         open_until: dict[int, int] = {}
         """By number, the steps that are open, and until when."""
         for number, (request_ns, pdu, one) in enumerate(asked):
@@ -79,11 +82,11 @@ class Script:
                     number=number,
                     place_ns=request_ns - asked[0][0],
                     unit=one.unit,
-                    pdu=pdu,
+                    pdu=pdus.setdefault(pdu, pdu),
                     expected=whole_pdu(one.transport, one.response_raw),
                     latency_ns=one.latency_ns,
                     is_broadcast=one.outcome is Outcome.BROADCAST,
-                    reference=one.reference or "",
+                    reference=intern(one.reference or ""),
                     function_name=one.function_name,
                     device=one.device,
                     open_before=tuple(open_until),

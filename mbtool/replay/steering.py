@@ -55,6 +55,38 @@ class Desk(Protocol):
     def show(self, progress: Progress) -> None: ...
 
 
+class Gate:
+    """Lets what comes next pass when its time comes or, while the clock stands, step by step."""
+
+    def __init__(self, clock: PlayClock) -> None:
+        self._clock = clock
+        self._steps = 0
+
+    def let_go(self) -> None:
+        """Have one more pass while the clock stands."""
+        self._steps += 1
+
+    def opens_ns(self, place_ns: int, now_ns: int) -> int | None:
+        """When what stands at a place may pass; None while the clock stands and nothing is let go.
+
+        When the clock goes on, steps that nothing was there for are forgotten.
+        """
+        due_ns = self._clock.when(place_ns)
+        if due_ns is not None:
+            self._steps = 0
+        elif self._steps:
+            due_ns = now_ns
+        return due_ns
+
+    def passes(self, place_ns: int, now_ns: int) -> bool:
+        """Learn that it passes: whether by the clock, which else stands at its place then."""
+        if not self._steps:
+            return True
+        self._steps -= 1
+        self._clock.jump(max(place_ns, self._clock.place(now_ns)), now_ns)
+        return False
+
+
 class Steering:
     """Applies controls to the clock of a player. What the clock is asked for stays its own."""
 
@@ -87,6 +119,12 @@ class Steering:
                 self._clock.faster(now_ns)
             case Control.SLOWER:
                 self._clock.slower(now_ns)
+
+    def attend(self, desk: Desk, now_ns: int, done: str) -> None:
+        """Do what is wanted at a desk, and show there where the player is."""
+        for control in desk.controls():
+            self.apply(control, now_ns)
+        desk.show(self.progress(self._clock.place(now_ns), done))
 
     def _pause(self, now_ns: int) -> None:
         self.is_paused = True

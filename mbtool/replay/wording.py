@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices import Side, write_reference
 from mbtool.devices.values import Place as NamedPlace
-from mbtool.modbus import FUNCTIONS, Table
+from mbtool.modbus import Table, short_name
 
 if TYPE_CHECKING:
     from mbtool.devices import Profile
@@ -41,11 +41,8 @@ class Words:
 
 def function_text(function: int, name: str, sub_function: int = -1) -> str:
     """The code in hexadecimal and the function's short name, or the maker's own."""
-    known = FUNCTIONS.get(function)
-    if known is not None and name == known.name:
-        name = known.short
     sub = f" {sub_function:02X}" if sub_function >= 0 else ""
-    return f"{function:02X} {name}{sub}"
+    return f"{function:02X} {short_name(function, name)}{sub}"
 
 
 def held_text(held: Held, named: NamedPlace | None) -> str:

@@ -7,7 +7,7 @@ from mbtool.slave.image import RegisterImage
 from mbtool.slave.image_file import Course, FromCapture, Recall, load_image
 from mbtool.slave.opening import open_shell, slave_link
 from mbtool.slave.responder import DeviceResponder
-from mbtool.slave.serial_shell import SerialSlave, open_port
+from mbtool.slave.serial_shell import SerialSlave, open_port, port_in_use
 from mbtool.slave.shell import OnExchange, Shell
 from mbtool.slave.state_file import keep_state
 from mbtool.slave.tcp_shell import Bounds, TcpSlave
@@ -34,6 +34,7 @@ __all__ = [
     "load_image",
     "open_port",
     "open_shell",
+    "port_in_use",
     "slave_link",
     "units_on",
 ]

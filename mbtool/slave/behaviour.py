@@ -20,7 +20,8 @@
 #     inputs_set   what is at its inputs has changed
 #     outputs      what it puts out: for people, as no master reads it
 #
-# All of it is called from the thread of the slave, with the time as an argument.
+# All of it is called from the thread of the slave, with the time as an argument; `outputs` from
+# whichever thread shows them.
 
 from __future__ import annotations
 

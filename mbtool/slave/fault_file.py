@@ -48,6 +48,8 @@ _TAKES = {
     FaultKind.SPLIT: ("pieces", "gap_ms"),
     FaultKind.OFFSET: ("by",),
 }
+_ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
+"""How much can be added so that another unit or id comes of it."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -76,7 +78,7 @@ def _fault(table: _Table, profiles: list[Profile]) -> Fault:
     takes = _TAKES.get(kind, ())
     table.demand_only(("kind", *takes, *_MATCHING))
     match = _match(table, profiles)
-    least = 1 if kind in (FaultKind.WRONG_UNIT, FaultKind.WRONG_ID) else -0xFFFF
+    least, greatest = _ADDED.get(kind, (-0xFFFF, 0xFFFF))
     if kind is FaultKind.EXTRA_BYTES:
         return Fault(kind=kind, match=match, extra=table.hexadecimal("bytes"))
     if kind is FaultKind.SPLIT:
@@ -88,7 +90,7 @@ def _fault(table: _Table, profiles: list[Profile]) -> Fault:
         match=match,
         delay_ns=round(table.real("ms", None, 0, MAX_SECONDS * 1000) * _MS) if "ms" in takes else 0,
         code=table.number("code", 4, 1, 0xFF),
-        by=table.number("by", 1, least, 0xFFFF),
+        by=table.number("by", 1, least, greatest),
         count=table.number("bytes", 1, 1, 520),
     )
 

@@ -20,7 +20,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -47,6 +46,8 @@ _FORMS = {
     "from": ("what", "unit", "link", "speed", "loop"),
 }
 """Each way to move, and the keys that go with it."""
+_GREATEST = 1e300
+"""No end of a movement is beyond, so that twice the distance of two is a number too."""
 _STEPS = 20
 """A walk without a step crosses its range in about the square of so many."""
 
@@ -119,7 +120,7 @@ def load_image(
                     f"is this a file of start values, for --image?"
                 )
             spot.put(image, values)
-        except (UsageError, ValueError) as error:
+        except (UsageError, ValueError, OverflowError) as error:
             raise UsageError(f"{path}: {key}: {error}") from error
     return driven
 
@@ -250,4 +251,6 @@ class _Movement:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return -_GREATEST <= value <= _GREATEST

@@ -37,7 +37,7 @@ from mbtool.slave.image import packed_bits
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.devices import Profile
+    from mbtool.devices import FunctionRule, Profile
     from mbtool.modbus.pdu import Pdu
     from mbtool.modbus.reach import Reach
     from mbtool.modbus.tables import Table
@@ -96,7 +96,7 @@ class DeviceResponder:
             return own(pdu, now_ns)
         request = parse_pdu(pdu, Direction.REQUEST)
         reach = reach_of(request)
-        if reach is None or (rule.limit is not None and _quantity(reach) > rule.limit):
+        if reach is None or _is_beyond(rule, reach):
             raise _RefusedError(exceptions.value)
         self._demand_area(reach.table, reach.reads)
         self._demand_area(reach.table, reach.writes, writing=True)
@@ -151,6 +151,10 @@ def _response(known: _Known) -> bytes:
     return head + (packed_bits(cells[part]) if is_bits else cells[part])
 
 
-def _quantity(reach: Reach) -> int:
-    """What a profile's limit is about: the reads, where a function does both."""
-    return len(reach.reads or reach.writes)
+def _is_beyond(rule: FunctionRule, reach: Reach) -> bool:
+    """Whether a quantity is more than the profile allows; `limit` is of reads, if there are any."""
+    if rule.limit is not None and len(reach.reads or reach.writes) > rule.limit:
+        return True
+    if rule.write_limit is None or not reach.reads:
+        return False
+    return len(reach.writes) > rule.write_limit

@@ -24,6 +24,7 @@ from __future__ import annotations
 import errno
 import threading
 from collections import deque
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +40,8 @@ from mbtool.slave.clock import steady_clock
 from mbtool.slave.shell import OnExchange, Shell
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mbtool.modbus.answer import Responder
 
 MAX_WAITING = 16
@@ -73,16 +76,10 @@ class SerialSlave(Shell):
         self._stopping.set()
 
     def _run(self) -> None:
-        try:
+        with closing(self._port), port_in_use(self.link):
             while not self._stopping.is_set():
                 self._read()
                 self._send_due()
-        except OSError as error:  # pyserial's errors are OSErrors too.
-            raise LinkError(
-                f"serial port {self.link.port}: lost; is it still plugged in?"
-            ) from error
-        finally:
-            self._port.close()
 
     def _read(self) -> None:
         data = self._port.read(self._port.in_waiting or 1)
@@ -113,17 +110,8 @@ class SerialSlave(Shell):
             self._waiting.popleft()
             try:
                 self._port.write(data)
-            except serial.SerialTimeoutException:
-                self._give_up_answer()
-
-    def _give_up_answer(self) -> None:
-        """Half an answer is none: drop what the line has not taken of it."""
-        try:
-            self._port.reset_output_buffer()
-        except OSError:
-            raise
-        except Exception as error:  # termios.error, where the port is gone, is no OSError.
-            raise OSError(str(error)) from error
+            except serial.SerialTimeoutException:  # Half an answer is none.
+                self._port.reset_output_buffer()
 
 
 class _NobodysTurn(Turns):
@@ -146,6 +134,26 @@ def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
         raise LinkError(f"serial port {link.port}: {_why_not_open(link, error)}") from error
 
 
+@contextmanager
+def port_in_use(link: SerialLink) -> Iterator[None]:
+    """Tell what an open port raises as a LinkError."""
+    try:
+        yield
+    except serial.SerialTimeoutException as error:
+        raise LinkError(
+            f"serial port {link.port}: takes no bytes; is anything at its other end?"
+        ) from error
+    except Exception as error:
+        if not isinstance(error, OSError) and not _is_of_termios(error):
+            raise
+        raise LinkError(f"serial port {link.port}: lost; is it still plugged in?") from error
+
+
+def _is_of_termios(error: Exception) -> bool:
+    """Whether pyserial let an error of termios pass, which is no OSError, and not on Windows."""
+    return type(error).__module__ == "termios"
+
+
 def _open_with(link: SerialLink, timeout_s: float, data_bits: int, parity: str) -> serial.Serial:
     try:
         return serial.Serial(
@@ -161,8 +169,7 @@ def _open_with(link: SerialLink, timeout_s: float, data_bits: int, parity: str) 
     except ValueError as error:  # A baud rate that the driver does not know.
         raise serial.SerialException(str(error)) from error
     except Exception as error:
-        # pyserial lets the errors of termios pass, which are no OSError, and are not on Windows.
-        if type(error).__module__ != "termios":
+        if not _is_of_termios(error):
             raise
         raise serial.SerialException(*error.args) from error
 

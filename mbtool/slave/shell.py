@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
@@ -66,7 +67,8 @@ class Shell(ABC):
     def stop(self) -> None:
         """End, and give the link free. Does nothing the second time."""
         if self._thread is not None and self._thread.is_alive():
-            self._interrupt()
+            with suppress(RuntimeError):  # It has just ended, and its event loop with it.
+                self._interrupt()
             self._thread.join(STOP_TIMEOUT_S)
 
     def __enter__(self) -> Self:

@@ -12,7 +12,7 @@ import json
 import os
 from typing import TYPE_CHECKING
 
-from mbtool.core import OutputError, UsageError
+from mbtool.core import InputError, OutputError, UsageError
 from mbtool.devices import write_reference
 from mbtool.slave.image_file import load_image
 
@@ -39,7 +39,7 @@ def keep_state(
     kept = device.behaviour.kept
     if not kept:
         raise UsageError(f"{profile.name} keeps nothing over a restart, so --state has no use")
-    path = path.resolve()
+    path = _resolved(path)
     if path.exists():
         load_image(path, profile, device.image, kept)
 
@@ -64,6 +64,17 @@ def keep_state(
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
     device.behaviour.keep = keep
+
+
+def _resolved(path: Path) -> Path:
+    """Where a file is, or would be, if one can look there. Raises InputError."""
+    try:
+        path = path.resolve()
+        path.exists()
+    except (OSError, RuntimeError) as error:  # A folder that is closed to us, or links in a circle.
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    return path
 
 
 def _key(reference: str) -> str:

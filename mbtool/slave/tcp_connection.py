@@ -211,6 +211,8 @@ class Connection(asyncio.BufferedProtocol):
                     self._put(answer, event.transaction_id, event.unit, now_ns)
                 if self._shell.on_exchange is not None:
                     self._shell.on_exchange(event, answer)
+                if (self._rules.closed_until_ns or 0) > now_ns:
+                    break  # What stands behind a remote reset is lost with its connection.
         self._is_in_pieces = not self._splitter.is_idle
         self._watch_parts(has_ended_one=bool(events))
 

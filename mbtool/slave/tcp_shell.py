@@ -28,7 +28,7 @@ import os
 import socket
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 from mbtool.slave.clock import steady_clock
@@ -41,6 +41,9 @@ if TYPE_CHECKING:
     from mbtool.slave.connection_rules import Peer
 
 BACKLOG = 64
+SHORT_S = 10.0
+"""How often it is said, at most, that no more connections can be taken."""
+_SHORT = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +83,7 @@ class TcpSlave(Shell):
         self._woken = asyncio.Event()
         """It is to stop, or the rules want no connections for a while."""
         self._is_stopping = False
+        self._short_s = -SHORT_S
 
     @property
     def endpoint(self) -> Endpoint:
@@ -108,6 +112,8 @@ class TcpSlave(Shell):
         return self.bounds.waiting
 
     def arrived(self, connection: Connection, host: str) -> Peer | None:
+        if self._is_stopping:
+            return None
         admission = self.rules.admit(host, self.clock())
         if admission.leaves is not None:
             for other in self.connections:
@@ -138,8 +144,11 @@ class TcpSlave(Shell):
         self._loop = asyncio.new_event_loop()
 
     def _run(self) -> None:
-        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-            runner.run(self._serve())
+        try:
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._serve())
+        finally:  # Also where it was stopped before it began to serve.
+            self._socket.close()
 
     def _interrupt(self) -> None:
         self._loop.call_soon_threadsafe(self._stop)
@@ -150,10 +159,14 @@ class TcpSlave(Shell):
 
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
+        loop.set_exception_handler(self._note_trouble)
         while not self._is_stopping:
-            server = await loop.create_server(
-                lambda: Connection(self), sock=self._socket, backlog=BACKLOG
-            )
+            try:
+                server = await loop.create_server(
+                    lambda: Connection(self), sock=self._socket, backlog=BACKLOG
+                )
+            except OSError as error:  # Another may listen where nobody did for a while.
+                raise LinkError(f"{self.place}: {_why_not_listening(error)}") from error
             await self._woken.wait()
             address = self._socket.getsockname()
             server.close()
@@ -162,6 +175,17 @@ class TcpSlave(Shell):
             if not self._is_stopping:
                 self._socket = _bind(self._socket.family, address)
                 await self._stay_closed()
+
+    def _note_trouble(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Say once what asyncio says at each try: that no connection can be taken."""
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in _SHORT:
+            loop.default_exception_handler(context)
+        elif loop.time() - self._short_s >= SHORT_S:
+            self._short_s = loop.time()
+            self.rules.notes.append(
+                f"no more connections for now: {error.strerror}; ulimit -n allows more"
+            )
 
     async def _close_connections(self) -> None:
         while self.connections:
@@ -173,8 +197,6 @@ class TcpSlave(Shell):
         self._woken.clear()
         with suppress(TimeoutError):
             await asyncio.wait_for(self._woken.wait(), self._closed_s())
-        if self._is_stopping:
-            self._socket.close()
 
     def _closed_s(self) -> float:
         """How long the rules want no connections."""

@@ -25,6 +25,6 @@ def read_toml(path: Path, max_bytes: int, what: str, hint: str) -> dict[str, Any
     if len(data) > max_bytes:
         raise InputError(f"{path}: more than {max_bytes} bytes are no {what}")
     try:
-        return tomllib.loads(data.decode())
+        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors begin with such a mark.
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not TOML: {error}; {hint}") from error

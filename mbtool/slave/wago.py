@@ -5,7 +5,6 @@
 #
 #     07         the first eight inputs
 #     0B         status 0000 and how many requests went well, those of 0B apart (V1.1b3, 6.9)
-#     17         writes 100 registers at most
 #     1029H      a block of nine counters (Counter); 55AAH or AA55H written there clears them
 #     102AH      the connections that are open
 #     1030H      a connection without a request for so many milliseconds is closed; 0: never
@@ -48,7 +47,6 @@ SOFTWARE_RESET = 0x2040
 
 _COMMANDS = (0x55AA, 0xAA55)
 _FAILURE = 4
-_WRITE_LIMIT_17H = 100
 
 
 class Counter(IntEnum):
@@ -107,8 +105,6 @@ class Wago(Behaviour):
     def refusal(
         self, function: int, reach: Reach, values: Sequence[int], now_ns: int
     ) -> int | None:
-        if function == 0x17 and len(values) > _WRITE_LIMIT_17H:
-            return self.profile.exceptions.value
         touches_mask = reach.table is HOLDING and not set(MASKS).isdisjoint(reach.writes)
         return _FAILURE if touches_mask and self._watchdog.is_active else None
 
@@ -215,9 +211,9 @@ class Wago(Behaviour):
         limit = rule.limit if rule is not None else None
         quantity = request.fields.get("quantity")
         too_many = isinstance(quantity, int) and limit is not None and quantity > limit
-        if pdu[0] == 0x17 and not too_many:
-            written = request.fields.get("write_quantity")
-            too_many = isinstance(written, int) and written > _WRITE_LIMIT_17H
+        limit = rule.write_limit if rule is not None else None
+        written = request.fields.get("write_quantity")
+        too_many |= isinstance(written, int) and limit is not None and written > limit
         if not too_many or function is None or function.table is None:
             return Counter.BAD_DATA
         return Counter.TOO_MANY_BITS if function.table.is_bits else Counter.TOO_MANY_REGISTERS

@@ -105,15 +105,14 @@ class Watchdog:
         """Learn what has been written, in the order of the registers."""
         for address in span:
             value = self._register(address)
-            match address:
-                case 0x1003:
-                    self._trigger(value, now_ns)
-                case 0x1005:
-                    self._stop(value)
-                case 0x1007 if value == 1 and self._status is not Status.OFF:
-                    self._begin(now_ns)
-                case 0x1008 if value in _SIMPLE_STOPS:
-                    self._set_status(Status.OFF)
+            if address == TRIGGER:
+                self._trigger(value, now_ns)
+            elif address == STOP:
+                self._stop(value)
+            elif address == RESTART and value == 1 and self._status is not Status.OFF:
+                self._begin(now_ns)
+            elif address == SIMPLE_STOP and value in _SIMPLE_STOPS:
+                self._set_status(Status.OFF)
 
     def reset(self) -> None:
         """Be as after a start of the device."""

@@ -156,6 +156,17 @@ class CaptureFile:
         self.close()
 
 
+def place_of(path: str) -> tuple[object, bool]:
+    """What tells a file from others, however it is named, and whether it is a pipe."""
+    if path == STANDARD_INPUT:
+        return path, True
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):  # Opening it says what is wrong.
+        return path, False
+    return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
+
+
 def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
     """Open a capture file, or standard input for `-`. Raises InputError, CutError.
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 from mbtool.core import (
     AutoLink,
@@ -44,6 +44,13 @@ class LiveSource(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
+@runtime_checkable
+class Accepting(Protocol):
+    """A source that others call. It lets nobody in before `accept`."""
+
+    def accept(self) -> None: ...
+
+
 def live_source(
     link: LinkSpec, inbox: Inbox, *, ports: Sequence[int] = (MODBUS_PORT,)
 ) -> LiveSource:
@@ -67,7 +74,7 @@ def live_source(
         case TapLink():
             from mbtool.sources.tap import TapSource
 
-            return TapSource(link, inbox)
+            return TapSource(link, inbox, waits=True)
         case AutoLink():
             raise UsageError(f"link {link}: its settings are to be found first (guess_line)")
         case TcpLink():

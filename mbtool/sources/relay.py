@@ -170,11 +170,12 @@ class Relay:
                     server_hostname=name,
                 )
         except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name.
-            why = failure(error, self.slave.who) if isinstance(error, OSError) else None
-            why = why or _why(error)
+            of_tls = failure(error, self.slave.who) if isinstance(error, OSError) else None
+            why = of_tls or f"cannot be reached: {_why(error)}"
             if tls is not None and isinstance(error, TimeoutError):
                 why += "; perhaps it speaks no TLS"
-            self._tell_refused(f"{self._target} cannot be reached: {why}")
+            colon = ":" if of_tls else ""
+            self._tell_refused(f"{self._target}{colon} {why}")
             if self.master.transport is not None:
                 reset(self.master.transport)
 

@@ -11,6 +11,10 @@
 # With TLS on a side, the bytes recorded are those inside it; the files it needs are read before the
 # tap listens.
 #
+# Who records opens its log before others' connections take the files that a process may have open:
+# a tap that `waits` takes none until it is told to. Those that are left when no more can be opened
+# wait in the system's queue, which is an event, at most one in SHORT_S.
+#
 # Bounds: 64 connections at once, one more is reset with an event; a connection without a byte for
 # an hour is closed. A master that polls less often than that is rare, and without a limit peers
 # that have vanished would fill the 64 places for good.
@@ -24,7 +28,7 @@ import socket
 from contextlib import suppress
 from functools import partial
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import Endpoint, EventKind, LinkError, Quiet, TapLink, WireEvent
 from mbtool.packets import CloseReason
@@ -39,6 +43,8 @@ if TYPE_CHECKING:
 
 MAX_CONNECTIONS = 64
 IDLE_S = 3600.0
+SHORT_S = 10.0
+_SHORT = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
 _TICK_S = 0.1
 """How often the consumer is told that time passes, and idle connections are looked for."""
 
@@ -53,7 +59,9 @@ class TapSource:
         *,
         max_connections: int = MAX_CONNECTIONS,
         idle_s: float = IDLE_S,
+        waits: bool = False,
     ) -> None:
+        """With `waits` nobody is let in before `accept`."""
         self._link = link
         self._inbox = inbox
         self._outbox: Outbox | None = None
@@ -64,6 +72,10 @@ class TapSource:
         self._target_tls: tuple[ssl.SSLContext, str] | None = None
         self._relays: set[Relay] = set()
         self._accepted = 0
+        self._waits = waits
+        self._server: asyncio.Server | None = None
+        self._short_s = -SHORT_S
+        """When it was last told that no connection can be taken, on the event loop's clock."""
         self._is_serving = Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._told_to_end: asyncio.Event | None = None
@@ -101,6 +113,11 @@ class TapSource:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def accept(self) -> None:
+        """Let in who calls, where the tap was to wait with that."""
+        if self._loop is not None and self._server is not None:
+            asyncio.run_coroutine_threadsafe(self._server.start_serving(), self._loop).result()
+
     def close(self) -> None:
         """Close all connections; what was relayed is in the inbox, then Ended."""
         if self._thread is None or self._loop is None or self._told_to_end is None:
@@ -122,7 +139,11 @@ class TapSource:
         self._loop = asyncio.get_running_loop()
         self._told_to_end = asyncio.Event()
         outbox = self._outbox = Outbox(self._inbox, self._loop)
-        server = await self._loop.create_server(lambda: self._relay(outbox).master, sock=listener)
+        self._loop.set_exception_handler(partial(self._note_trouble, outbox))
+        server = await self._loop.create_server(
+            lambda: self._relay(outbox).master, sock=listener, start_serving=not self._waits
+        )
+        self._server = server
         self._is_serving.set()
         while not self._told_to_end.is_set():
             with suppress(TimeoutError):
@@ -165,6 +186,27 @@ class TapSource:
         )
         reset(transport)
         return False
+
+    def _note_trouble(
+        self, outbox: Outbox, loop: asyncio.AbstractEventLoop, context: dict[str, Any]
+    ) -> None:
+        """Tell once of what asyncio tells at each try: that no connection can be taken."""
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in _SHORT:
+            loop.default_exception_handler(context)
+            return
+        if loop.time() - self._short_s < SHORT_S:
+            return
+        self._short_s = loop.time()
+        outbox.put(
+            WireEvent(
+                ts_ns=now_ns(),
+                link=self.link,
+                kind=EventKind.REFUSED,
+                message=f"no more connections for now: {error.strerror}; ulimit -n allows more",
+                destination=str(self._link.target),
+            )
+        )
 
     def _tick(self, now_s: float, outbox: Outbox) -> None:
         for relay in tuple(self._relays):

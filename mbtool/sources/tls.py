@@ -6,7 +6,8 @@
 #
 # All files are read before a connection is accepted. What is wrong with one is a LinkError that
 # names it. A certificate in a CA file is trusted as it is, also where it is no CA's: that of the
-# device itself will do.
+# device itself will do. Where the file holds no other, only a target that shows one of these is
+# let pass, and its name adds nothing.
 
 from __future__ import annotations
 
@@ -18,12 +19,13 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError
 from mbtool.sources.clock import now_ns
-from mbtool.sources.tls_peer import PeerTls
+from mbtool.sources.tls_peer import PeerTls, end_of
 
 if TYPE_CHECKING:
     from mbtool.core import ListenTls, TargetTls
 
 _CERTIFICATE = re.compile(rb"-----BEGIN (?:X509 |TRUSTED )?CERTIFICATE-----")
+_BLOCK = re.compile(r"(?s)-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----")
 _KEY = re.compile(rb"-----BEGIN (?:[A-Z0-9]+ )*PRIVATE KEY-----")
 _ALERT = re.compile(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)")
 
@@ -47,6 +49,8 @@ _TOO_OLD = frozenset(
         "VERSION_TOO_LOW",
     }
 )
+_OTHER_NAMES = frozenset({62, 64})
+"""X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH."""
 _REFUSALS = {
     "BAD_CERTIFICATE": "the tap's certificate is not to its liking",
     "CERTIFICATE_EXPIRED": "the tap's certificate has expired",
@@ -68,6 +72,21 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
     return context
 
 
+def why_outdated(option: str, cert: str) -> str | None:
+    """One line where a certificate of the tap's own has expired, or None.
+
+    It can be used all the same: not every peer looks. What else is wrong with it is not said here.
+    """
+    try:
+        found = _BLOCK.search(Path(cert).read_text("ascii", "replace"))
+        end = None if found is None else end_of(ssl.PEM_cert_to_DER_cert(found[0]))
+    except (OSError, ValueError):
+        return None
+    if end is None or end.timestamp() >= now_ns() / 1e9:
+        return None
+    return f"{option} {cert}: expired at {end:%Y-%m-%d %H:%M} UTC; peers that look will refuse it"
+
+
 def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
     """What the target meets, and the name that its certificate must have. Raises LinkError."""
     context = _context(ssl.PROTOCOL_TLS_CLIENT)
@@ -76,6 +95,9 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
         context.verify_mode = ssl.CERT_NONE
     else:
         _load_ca(context, "--tls-target-ca", tls.ca)
+        # OpenSSL counts as a CA what could sign others, so none of these vouches for another.
+        if tls.name is None and not context.cert_store_stats()["x509_ca"]:
+            context.check_hostname = False
     if tls.cert is not None:
         _load_own(context, "--tls-target-cert", tls.cert, tls.key)
     name = host if tls.name is None else tls.name
@@ -95,6 +117,8 @@ def failure(error: OSError, who: str) -> str | None:
     """Why TLS with the master or the slave failed; None where it did not fail for TLS."""
     if isinstance(error, ssl.SSLCertVerificationError):
         why = error.verify_message.rstrip(".")
+        if error.verify_code in _OTHER_NAMES:
+            why += "; --tls-target-name says which name it has instead"
         return f"TLS: the {who}'s certificate is refused: {why}"
     if not isinstance(error, ssl.SSLError):
         # asyncio's own, of which the system knows nothing.

@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import ssl
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ ROLE_OID = bytes.fromhex("2b 06 01 04 01 83890c 8622 01")
 MAX_TEXT = 200
 
 _SEQUENCE, _OCTETS, _OID, _UTF8, _EXTENSIONS = 0x30, 0x04, 0x06, 0x0C, 0xA3
+_UTC_TIME = 0x17
 _SHORT = {
     "commonName": "CN",
     "organizationName": "O",
@@ -84,6 +86,24 @@ def role_of(der: bytes) -> str | None:
             tag, text = next(_elements(parts[-1][1]), (0, b""))
             return text.decode(errors="replace") if tag == _UTF8 else None
     return None
+
+
+def end_of(der: bytes) -> datetime | None:
+    """When a certificate's validity ends; None where that cannot be read."""
+    for wanted in (_SEQUENCE, _SEQUENCE):
+        der = next((content for tag, content in _elements(der) if tag == wanted), b"")
+    # RFC 5280, 4.1: of what are sequences the third, behind the signature's kind and the issuer.
+    sequences = [content for tag, content in _elements(der) if tag == _SEQUENCE]
+    times = list(_elements(sequences[2])) if len(sequences) > 2 else []
+    if len(times) != 2:
+        return None
+    tag, text = times[1][0], times[1][1].decode("ascii", "replace")
+    if tag == _UTC_TIME:  # Two digits for the year, 50 and later of the century before (4.1.2.5.1).
+        text = ("19" if text >= "50" else "20") + text
+    try:
+        return datetime.strptime(text, "%Y%m%d%H%M%S%z")
+    except ValueError:
+        return None
 
 
 def _extensions(der: bytes) -> Iterator[bytes]:

@@ -10,7 +10,7 @@ from datetime import date
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.devices import describe, describe_points, finding_text
+from mbtool.devices import describe_points, describe_written, finding_text
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, short_name
 
 if TYPE_CHECKING:
@@ -105,8 +105,8 @@ def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> 
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
     text = transaction.reference or ""
-    if writes and transaction.points:
-        text = describe(transaction)
+    if writes and transaction.written_points:
+        text = describe_written(transaction)
     elif writes and transaction.request_values:
         text = f"{text} := {_values(transaction, transaction.request_values)}"
     elif not text and transaction.sub_function is not None:
@@ -139,9 +139,8 @@ def result_text(transaction: NamedTransaction) -> str:
         case Outcome.UNSOLICITED:
             values = transaction.response_values
             return f"unsolicited {_values(transaction, values)}" if values else "unsolicited"
-    function = FUNCTIONS.get(transaction.function)
-    if transaction.points and not (function is not None and function.writes):
-        return "; ".join(describe_points(transaction.points))
+    if transaction.read_points:
+        return "; ".join(describe_points(transaction.read_points))
     values = transaction.response_values
     return _values(transaction, values) if values else "ok"
 

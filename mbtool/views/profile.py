@@ -60,6 +60,8 @@ def profile_page(profile: Profile) -> RenderableType:
     said = ", ".join(text.format(silence) for text, silence in silences if silence)
     if said:
         parts.append(plain(f"timing: {said}"))
+    if profile.last_unit is not None:
+        parts.append(plain(f"units: 1 to {profile.last_unit}"))
     if profile.any_unit:
         parts.append(plain("units: it answers whatever unit a request names"))
     if profile.points:
@@ -90,7 +92,8 @@ def _functions(profile: Profile) -> Table:
     for key, rule in sorted(profile.functions.items()):
         code = int(key, 16)
         silent = "" if rule.answers else ", without an answer"
-        name = f"{rule.title or function_name(code)}{silent}"
+        data = "" if rule.data is None else f" (data {rule.data.upper()})"
+        name = f"{rule.title or function_name(code)}{data}{silent}"
         table.add_row(key, plain(name), _limit(code, rule))
     return table
 
@@ -99,7 +102,8 @@ def _limit(code: int, rule: FunctionRule) -> str:
     known = FUNCTIONS.get(code)
     if rule.limit is not None:
         in_ascii = "" if rule.ascii_limit is None else f", in ASCII {rule.ascii_limit}"
-        return f"{rule.limit}{in_ascii}"
+        to_write = "" if rule.write_limit is None else f" to read, {rule.write_limit} to write"
+        return f"{rule.limit}{to_write}{in_ascii}"
     if known is None or known.table is None:
         return ""
     return "1" if known.limit == 1 else f"{known.limit}, by the standard"

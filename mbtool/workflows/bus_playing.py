@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from mbtool.core import LinkError, LinkSpec, SerialLink, UsageError
+from mbtool.core import LinkSpec, SerialLink, UsageError
 from mbtool.devices import NamedTransaction
 from mbtool.replay import BusPlayer, PlayClock, Steering, Window
-from mbtool.slave import open_port
+from mbtool.slave import open_port, port_in_use
 from mbtool.workflows.bus_recording import read_pieces
 from mbtool.workflows.reading import ReadingOptions
 
@@ -22,7 +23,6 @@ _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
 _LOOK_NS = 30_000_000
 """How often the player looks whether it shall stop, and who steers it."""
-_WRITE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,15 +102,12 @@ class BusRun:
             silence_ns=link.format.t3_5_ns,
         )
         steering = Steering(clock, player.let_go)
-        port = open_port(link, _WRITE_S)
-        try:
+        with closing(open_port(link, timeout_s=0)) as port, port_in_use(link):
             steering.begin(time.monotonic_ns())
             while not player.has_ended and not stops():
                 now_ns = time.monotonic_ns()
                 if desk is not None:
-                    for control in desk.controls():
-                        steering.apply(control, now_ns)
-                    desk.show(steering.progress(clock.place(now_ns), f"{player.bytes:,} bytes"))
+                    steering.attend(desk, now_ns, f"{player.bytes:,} bytes")
                 piece = player.next_piece(now_ns)
                 if piece is not None:
                     port.write(piece.data)
@@ -119,10 +116,6 @@ class BusRun:
                 rest_ns = _LOOK_NS if wake_ns is None else min(wake_ns - now_ns, _LOOK_NS)
                 time.sleep(max(rest_ns, 0) / _NS)
             _let_pass(player)
-        except OSError as error:  # pyserial's errors are OSErrors too.
-            raise LinkError(f"serial port {link.port}: lost; is it still plugged in?") from error
-        finally:
-            port.close()
         return _report(player, options)
 
 

@@ -27,22 +27,21 @@ from mbtool.core import (
     parse_link,
 )
 from mbtool.logs import LogReader
-from mbtool.modbus import Transport, ascii_adu, rtu_adu, whole_pdu
+from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
 from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.replay import Piece, Window
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
-from mbtool.workflows.reading import SPEC, ReadingOptions
+from mbtool.workflows.log_links import SPEC
 from mbtool.workflows.recorded import read_recorded, where_none
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.devices import NamedTransaction
+    from mbtool.workflows.reading import ReadingOptions
 
 MAX_PIECE = 256
 """No piece is longer, so that a port takes it at once."""
-
-_SERIAL = frozenset((Transport.RTU, Transport.ASCII))
 
 
 class Begun(NamedTuple):
@@ -70,7 +69,7 @@ def read_pieces(
         on_remark(f"mbtool: {error}; playing what is there")
 
     transactions = read_recorded(path, options, wanted, on_cut, on_remark).transactions
-    lines = {one.link for one in transactions if one.transport in _SERIAL}
+    lines = {one.link for one in transactions if one.transport.is_serial}
     _demand_one_line(path, lines, transactions)
     if lines:
         begun = _of_line(path, options, lines.pop(), link, on_remark)

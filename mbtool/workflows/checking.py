@@ -96,6 +96,7 @@ class Checking:
         """Names what stands in a log anew."""
         self._captures = 0
         self._place = ""
+        self._remarks: list[str] = []
         self._hints = ModelHints(lambda one: self.reading.assignments.profile_for(one))
         self.transactions = 0
         self.counts: Counter[str] = Counter()
@@ -115,7 +116,7 @@ class Checking:
     @property
     def remarks(self) -> list[str]:
         """What a reader should know beside the findings, a line each."""
-        return [*self.reading.remarks, *self._hints.remarks]
+        return [*self.reading.remarks, *self._remarks, *self._hints.remarks]
 
     def findings(self) -> Iterator[Placed]:
         """Give everything that is found, capture by capture. Raises what Reading.records does."""
@@ -141,6 +142,7 @@ class Checking:
         checker, self._checker = self._checker, None
         if checker is not None:
             yield from self._wanted(checker.close())
+            self._remarks += checker.remarks
 
     def _check(self, record: Record) -> Iterator[Placed]:
         if self._checker is None:

@@ -9,8 +9,8 @@
 #
 # With `any_port` every TCP connection is followed, and those that are not Modbus stay out of sight:
 # their opening and end are not told, nor what their segments and fragments lack, and that they are
-# foreign once for each slave's endpoint, of the first MAX_TOLD. A port that is named, and 502, is
-# Modbus's all the same.
+# foreign once for each slave's endpoint (or each end, where none is known to be the slave), of the
+# first MAX_TOLD. A port that is named, and 502, is Modbus's all the same.
 #
 # A connection that two interfaces saw is two, unless flows are followed `across` interfaces.
 
@@ -49,6 +49,7 @@ from mbtool.packets import (
     TcpReassembler,
     serial_pieces,
 )
+from mbtool.packets.reassembler import MAX_CONNECTIONS
 from mbtool.workflows.line_timing import LineTiming
 
 if TYPE_CHECKING:
@@ -59,6 +60,9 @@ MAX_TOLD = 4096
 
 EVERY_PORT = range(1 << 16)
 
+_GIVEN_UP = (
+    f"connection no longer followed: it was silent longest of more than {MAX_CONNECTIONS} at once"
+)
 _LOST = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
 """Events behind which bytes of a serial line are missing."""
 
@@ -105,7 +109,8 @@ class Decoder:
         self._interfaces: set[str] = set()
         """Links that have brought packets."""
         self._told_foreign: set[str] = set()
-        """Slaves' endpoints, with `any_port`, that were said not to speak Modbus."""
+        """Slaves' endpoints, with `any_port`, that were said not to speak Modbus; both ends' of
+        connections joined in the middle."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
@@ -138,6 +143,10 @@ class Decoder:
         """A serial link's bytes end here; what comes under its name later is another's."""
         bus = self._buses.pop(link, None)
         return [] if bus is None else self._named(bus.close())
+
+    def break_lines(self) -> list[Record]:
+        """Bytes of serial lines may be missing here; of connections, sequence numbers tell."""
+        return [record for link in [*self._buses] for record in self.end_line(link)]
 
     def close(self) -> list[Record]:
         """The evidence ends: what was held comes out."""
@@ -179,9 +188,12 @@ class Decoder:
             if not is_modbus and not self._is_expected(item.connection):
                 return records
             discarded = item.reason is CloseReason.DISCARDED
-            kind = EventKind.DISCARDED if discarded else EventKind.CLOSED
+            # Of a stranger nothing more was wanted, so nothing is lost with it.
+            is_loss = discarded and (ended is None or ended.state is not State.FOREIGN)
+            kind = EventKind.DISCARDED if is_loss else EventKind.CLOSED
             probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
-            told = _told(item, kind, f"connection closed: {item.reason}{probes}")
+            text = _GIVEN_UP if discarded else f"connection closed: {item.reason}"
+            told = _told(item, kind, text + probes)
             return [*records, told if ended is None else ended.seen_from_here(told)]
         if isinstance(item, StreamEvent):
             return self._stream_event(item)
@@ -296,10 +308,12 @@ class Decoder:
             return self._named(decoded)
         if self._is_expected(conversation.connection):
             return self._named(decoded)
-        slave = str(conversation.connection.slave)
-        if slave in self._told_foreign or len(self._told_foreign) >= MAX_TOLD:
+        ends = conversation.connection
+        # Without its beginning nobody knows which end of a stranger's connection is the slave.
+        slaves = {str(ends.slave), str(ends.master)} if conversation.joined else {str(ends.slave)}
+        if slaves & self._told_foreign or len(self._told_foreign) >= MAX_TOLD:
             return []
-        self._told_foreign.add(slave)
+        self._told_foreign |= slaves
         return self._named(decoded)
 
     def _named(self, decoded: list[Decoded]) -> list[Record]:

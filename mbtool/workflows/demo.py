@@ -29,7 +29,7 @@ from mbtool.replay import RecordedSlave, Recording
 from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave, units_on
 from mbtool.sources.tap import TapSource
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.asking import RtuMaster, TcpMaster
+from mbtool.workflows.asking import Master, TcpMaster
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.modbus import Responder
     from mbtool.modbus.layouts import Value
-    from mbtool.workflows.asking import Master
     from mbtool.workflows.decoding import Record
 
 LINE = SerialFormat(19200, 8, "E", 1)
@@ -122,7 +121,7 @@ class Demo:
 
     def _ask_all(self, serial: SerialLink, tap: Endpoint) -> None:
         try:
-            with RtuMaster(serial) as rtu, TcpMaster(tap) as tcp:
+            with Master(serial) as rtu, TcpMaster(tap) as tcp:
                 self._ask(tcp, MODULE_UNIT, module_requests())
                 self._ask(rtu, TOUCH_UNIT, touch_requests())
         except Exception as error:

@@ -46,6 +46,8 @@ class Exchanges:
         self._ends = Ends(link.name)
         self._waiting: deque[tuple[Adu, Answer | None]] = deque()
         self._missed = 0
+        """How many were not kept, all in all; the slave's thread counts."""
+        self._missed_told = 0
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[Output] = []
 
@@ -76,8 +78,8 @@ class Exchanges:
 
     def missed(self) -> int:
         """How many were not kept since the last time."""
-        missed, self._missed = self._missed, 0
-        return missed
+        told, self._missed_told = self._missed_told, self._missed
+        return self._missed_told - told
 
     def changed_outputs(self) -> list[Output]:
         """The outputs that have changed since the last time."""

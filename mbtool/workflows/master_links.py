@@ -33,7 +33,7 @@ from mbtool.modbus import (
 )
 from mbtool.replay.conductor import Manners
 from mbtool.replay.script import MAX_OPEN
-from mbtool.slave import open_port
+from mbtool.slave import open_port, port_in_use
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -201,22 +201,18 @@ class SerialMaster(MasterLink):
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self._link.ascii else rtu_adu)(unit, pdu)
         self._open = number, unit
-        try:
+        with port_in_use(self._link):
             self._port.write(adu)
             # The answer's silence begins where the request ends, and so does its time-out.
             self._port.flush()
-        except OSError as error:
-            raise self._lost() from error
 
     def receive(self, timeout_ns: int) -> Sequence[Answered]:
         until_ns = time.monotonic_ns() + max(timeout_ns, 0)
         answers: list[Answered] = []
         while not answers:
             rest_ns = until_ns - time.monotonic_ns()
-            try:
+            with port_in_use(self._link):
                 data = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS)
-            except OSError as error:  # pyserial's errors are OSErrors too.
-                raise self._lost() from error
             now_ns = time.monotonic_ns()
             events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
             answers = [self._matched(event) for event in events if isinstance(event, Adu)]
@@ -248,6 +244,3 @@ class SerialMaster(MasterLink):
             return Answered(-1, adu.pdu, adu.start_ns, adu.end_ns)
         self._open = None
         return Answered(number, adu.pdu, adu.start_ns, adu.end_ns)
-
-    def _lost(self) -> LinkError:
-        return LinkError(f"serial port {self._link.port}: lost; is it still plugged in?")

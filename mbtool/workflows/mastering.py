@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -138,10 +139,8 @@ class MasterRun:
             while not conductor.has_ended and not stops():
                 now_ns = time.monotonic_ns()
                 if desk is not None:
-                    for control in desk.controls():
-                        steering.apply(control, now_ns)
                     done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
-                    desk.show(steering.progress(clock.place(now_ns), done))
+                    steering.attend(desk, now_ns, done)
                 step = conductor.next_step(now_ns)
                 if step is not None:
                     master.send(step.number, step.unit, step.pdu)
@@ -174,15 +173,17 @@ class MasterRun:
 
 def junit(report: Report) -> str:
     """The report as JUnit XML: a case for each request, and one for each register that differs."""
-    cases = []
-    for one in report.asked:
-        told = [
-            _told(each)
-            for each in report.differences
-            if (each.unit, each.function, each.reference or "")
-            == (one.unit, one.function, one.reference)
-        ]
-        cases.append(Case(f"unit {one.unit}", f"{one.what} {one.reference}".rstrip(), told))
+    told = defaultdict(list)
+    for each in report.differences:
+        told[each.unit, each.function, each.reference or ""].append(_told(each))
+    cases = [
+        Case(
+            f"unit {one.unit}",
+            f"{one.what} {one.reference}".rstrip(),
+            told[one.unit, one.function, one.reference],
+        )
+        for one in report.asked
+    ]
     cases += [
         Case(f"unit {each.unit}", f"value of {each.reference}", [_told(each)])
         for each in report.differences

@@ -56,11 +56,14 @@ class Seam:
     """Where what was read so far ends."""
 
     def __init__(self) -> None:
+        self._first_ns: int | None = None
         self._last_ns: int | None = None
         self._types: set[int] = set()
 
     def note(self, item: Evidence) -> None:
         self._last_ns = item.ts_ns
+        if self._first_ns is None:
+            self._first_ns = item.ts_ns
         if isinstance(item, Packet):
             self._types.add(item.link_type)
 
@@ -71,3 +74,10 @@ class Seam:
         if isinstance(item, Packet) and self._types and item.link_type not in self._types:
             return False
         return item.ts_ns >= self._last_ns - BACK_NS
+
+    def is_overtaken_by(self, item: Evidence) -> bool:
+        """Whether a next file begins with a packet from amidst what was read: out of order."""
+        if self._first_ns is None or self._last_ns is None or not isinstance(item, Packet):
+            return False
+        is_alike = item.link_type in self._types
+        return is_alike and self._first_ns <= item.ts_ns < self._last_ns - BACK_NS

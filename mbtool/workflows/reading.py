@@ -4,15 +4,14 @@
 # its own. A log gives back what was decoded when it was made, or with `raw`
 # decodes its evidence afresh: by the line settings and profiles that it carries, unless the user
 # gives others. Files that are parts of one capture (parts.py), named in their order, are decoded as
-# one: a connection may begin in one and end in the next.
+# one: a connection may begin in one and end in the next. Where one is cut or damaged, the next are
+# read all the same, behind a gap.
 #
-# Raises InputError for what cannot be read, CutError after all that came before a cut, and
-# DamageError after all of a log that is whole.
+# Raises InputError for what cannot be read, and after all else, what was cut (CutError) or damaged
+# (DamageError) first.
 
 from __future__ import annotations
 
-import os
-import stat
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,6 +19,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import (
     Chunk,
+    CutError,
+    DamageError,
     EventKind,
     InputError,
     LineSettings,
@@ -29,17 +30,24 @@ from mbtool.core import (
     Silence,
     UsageError,
     WireEvent,
-    parse_link,
 )
-from mbtool.devices import Assignment, Assignments, Namer, parse_who, profile_from_json
+from mbtool.devices import Assignments, Namer, profile_from_json
 from mbtool.logs import LogReader, follow
 from mbtool.modbus import Transaction
 from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
-from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
+from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.heard_line import HeardLine
 from mbtool.workflows.line_timing import LineTiming
+from mbtool.workflows.log_links import (
+    PORTS,
+    RTU_PORTS,
+    all_assignments,
+    names_any_port,
+    ports_of,
+    serial_lines,
+)
 from mbtool.workflows.parts import Part, Seam
 
 if TYPE_CHECKING:
@@ -52,11 +60,6 @@ if TYPE_CHECKING:
 _UNREAD_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
-SPEC = "spec"
-PORTS = "ports"
-RTU_PORTS = "rtu_ports"
-ANY_PORT = "any"
-"""What a log says of a link beside its name: the keys of its metadata."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,6 +101,12 @@ class Reading:
         self._heard: list[HeardLine] = []
         """Of each file whose serial bytes do not say how fast they were."""
         self._not_closed: list[str] = []
+        self._broken: list[InputError] = []
+        """What ended files early, or was damaged in them."""
+        self._misordered: list[str] = []
+        self._kinds: set[CaptureKind] = set()
+        self._last_ns = 0
+        """The time of the last record."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
             options.ports or (DEFAULT_PORT,),
             options.rtu_ports,
@@ -158,7 +167,12 @@ class Reading:
             usual = SerialFormat()
             remarks.append(f"{names}: taken as {usual}; name the line with --link rtu@{usual}")
         remarks += [heard.doubt for heard in self._heard if heard.doubt is not None]
-        return remarks + self._not_closed
+        if self._options.raw and CaptureKind.MCAP not in self._kinds:
+            remarks.append("--raw has no effect: it is for logs (.mcap), and there is none")
+        if self._options.line is not None and self._kinds <= PACKET_KINDS and not self._heard:
+            remarks.append("--link has no effect: these are packets of a network")
+        broken = [str(error) for error in self._broken[1:]]  # The first is raised.
+        return remarks + self._misordered + self._not_closed + broken
 
     def demand_files(self) -> None:
         """See that each file is there, named once, and of a kind that can be read.
@@ -167,7 +181,7 @@ class Reading:
         """
         known: set[object] = set()
         for path in self._paths:
-            place, is_pipe = _place(path)
+            place, is_pipe = place_of(path)
             if not is_pipe:
                 with open_capture(path, self._options.line) as capture:
                     self._demand_line_is_open(capture)
@@ -179,7 +193,7 @@ class Reading:
         """What the logs among the files carry; a pipe is not looked into. Raises InputError."""
         profiles = []
         for path in self._paths:
-            if not _place(path)[1]:
+            if not place_of(path)[1]:
                 with open_capture(path, self._options.line) as capture:
                     if capture.kind is CaptureKind.MCAP:
                         log = LogReader(capture.stream, capture.name)
@@ -193,6 +207,7 @@ class Reading:
         """Give everything, file by file."""
         for record in self._records():
             self._found = True
+            self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
             if isinstance(record, WireEvent) and record.kind in _UNREAD_EVENTS:
                 self._unread = self._unread or record.message
             else:
@@ -201,22 +216,43 @@ class Reading:
 
     def _records(self) -> Iterator[Record]:
         try:
-            for path in self._paths:
-                with open_capture(path, self._options.line) as capture:
-                    self._current = capture
-                    if capture.kind is CaptureKind.MCAP:
-                        yield from self._log_records(capture)
-                    elif capture.kind in PACKET_KINDS:
-                        yield from self._decoded(
-                            self._heard_packets(capture), Part(), self._own_decoder
-                        )
-                    else:
-                        yield from self._serial_records(capture)
+            for number, path in enumerate(self._paths, 1):
+                try:
+                    yield from self._file_records(path)
+                except (CutError, DamageError) as error:
+                    self._broken.append(error)
+                    if number < len(self._paths):
+                        yield from self._break_off(error)
                 self._done += 1
         except InputError:
             yield from self._end_capture()
             raise
         yield from self._end_capture()
+        if self._broken:
+            raise self._broken[0]
+
+    def _file_records(self, path: str) -> Iterator[Record]:
+        with open_capture(path, self._options.line) as capture:
+            self._current = capture
+            self._kinds.add(capture.kind)
+            if capture.kind is CaptureKind.MCAP:
+                yield from self._log_records(capture)
+            elif capture.kind in PACKET_KINDS:
+                yield from self._decoded(self._heard_packets(capture), Part(), self._own_decoder)
+            else:
+                yield from self._serial_records(capture)
+
+    def _break_off(self, error: InputError) -> Iterator[Record]:
+        """A file ends before its end, and the next part may go on behind the gap."""
+        is_of_packets = self._part is not None and self._part.number is None
+        gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
+        if self._decoder is None:
+            yield gap
+        elif is_of_packets:
+            yield from self._decoder.break_lines()
+            yield gap
+        else:
+            yield from self._decoder.feed(gap)
 
     def _own_decoder(self) -> Decoder:
         """For a file that says nothing of its links."""
@@ -280,6 +316,7 @@ class Reading:
         is_first = True
         for item in evidence:
             if is_first and not self._seam.is_continued_by(item):
+                self._note_order(item)
                 yield from self._end_capture()
                 self._part = part
             if is_first:
@@ -291,6 +328,15 @@ class Reading:
             self._evidence += 1
             self._seam.note(item)
             yield from self._decoder.feed(item)
+
+    def _note_order(self, item: Evidence) -> None:
+        """Remember, once, that a file may be a part that was named too late."""
+        if self._seam.is_overtaken_by(item) and not self._misordered:
+            self._misordered.append(
+                f"{self._current.name if self._current is not None else ''}: begins before "
+                f"{self.place} ends, so it is taken for another capture; "
+                "parts of one are named in the order of their times"
+            )
 
     def _end_capture(self) -> Iterator[Record]:
         """What comes next is another capture's; what this one has left open comes out."""
@@ -310,7 +356,7 @@ class Reading:
         self._demand_line_is_open(capture)
         log = LogReader(capture.stream, capture.name)
         if self._options.raw:
-            self.assignments = _all_assignments(log, self._options.assignments)
+            self.assignments = all_assignments(log, self._options.assignments)
             yield from self._decoded_again(log)
         elif self._options.t1_5 is not None or self._options.t3_5 is not None:
             raise UsageError(
@@ -325,10 +371,10 @@ class Reading:
             self._enter(is_log=True)
             # The log's transactions are named and timed: where these fail, only figures lack.
             with suppress(UsageError):
-                self.assignments = _all_assignments(log, self._options.assignments)
+                self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}
             with suppress(UsageError):
-                lines = _lines(log)
+                lines = serial_lines(log)
             timing = LineTiming(self.assignments)
             self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
             yield from _renamed(log, self._options.assignments)
@@ -341,13 +387,13 @@ class Reading:
         """Decode a log's evidence afresh."""
         options = self._options
         self._ports = (
-            options.ports or _ports(log, PORTS) or (DEFAULT_PORT,),
-            options.rtu_ports or _ports(log, RTU_PORTS),
+            options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,),
+            options.rtu_ports or ports_of(log, RTU_PORTS),
         )
         ports, rtu_ports = self._ports
         # What the user names stands in place of what the log says.
-        self._any_port = options.any_port or (not options.ports and _names_any_port(log))
-        lines = _lines(log)
+        self._any_port = options.any_port or (not options.ports and names_any_port(log))
+        lines = serial_lines(log)
 
         def begin() -> Decoder:
             return Decoder(
@@ -360,17 +406,6 @@ class Reading:
             )
 
         yield from self._decoded(log.evidence(), Part.of_log(log), begin)
-
-
-def _place(path: str) -> tuple[object, bool]:
-    """What tells a file from others, however it is named, and whether it is a pipe."""
-    if path == STANDARD_INPUT:
-        return path, True
-    try:
-        status = os.stat(path)
-    except (OSError, ValueError):  # Opening it says what is wrong.
-        return path, False
-    return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 
 
 def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:
@@ -402,29 +437,3 @@ def _named_anew(item: Record, namer: Namer, assignments: Assignments) -> Record:
 
 def bare(named: NamedTransaction) -> Transaction:
     return Transaction(**{name: getattr(named, name) for name in Transaction.__struct_fields__})
-
-
-def _all_assignments(log: LogReader, given: Assignments) -> Assignments:
-    """What the user gives, and for all others the log's own profiles."""
-    named = {str(assignment.who) for assignment in given}
-    of_log = (
-        Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))
-        for who, name in log.devices.items()
-        if who not in named and name in log.profiles
-    )
-    return Assignments([*given, *of_log])
-
-
-def _lines(log: LogReader) -> dict[str, SerialLink]:
-    links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
-    return {name: link for name, link in links if isinstance(link, SerialLink)}
-
-
-def _names_any_port(log: LogReader) -> bool:
-    return any(ANY_PORT in one.get(PORTS, "").split() for one in log.links.values())
-
-
-def _ports(log: LogReader, key: str) -> tuple[int, ...]:
-    texts = (one.get(key, "") for one in log.links.values())
-    ports = {port for text in texts for port in text.split()}
-    return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import InterfaceLink, TapLink, UsageError
 from mbtool.devices import profile_to_json
 from mbtool.logs import LogWriter, RotatingLog, demand_place
-from mbtool.workflows.reading import ANY_PORT, PORTS, RTU_PORTS, SPEC
+from mbtool.workflows.log_links import ANY_PORT, PORTS, RTU_PORTS, SPEC
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -87,9 +87,12 @@ class SlaveRun:
         def on_cut(error: CutError | DamageError) -> None:
             on_remark(f"mbtool: {error}; playing what is there")
 
-        self._recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark)
-        events = self._recorded.damage if options.with_damage else ()
-        self.recording = Recording.of(self._recorded.transactions, options.window, events)
+        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark)
+        events = recorded.damage if options.with_damage else ()
+        self.recording = Recording.of(recorded.transactions, options.window, events)
+        # What else was read is let go: it is several times as much.
+        self._profiles = recorded.assignments.profiles
+        self._profile_of = _profile_of_units(recorded)
         if not self.recording.answers:
             raise InputError(
                 f"{path}: no request to play an answer for{where_none(options.window)}"
@@ -101,9 +104,7 @@ class SlaveRun:
         options = self._options
         devices = {}
         if options.match is Match.AUTO:
-            devices = {
-                unit: RecordedDevice(profile) for unit, profile in _profiles(self._recorded).items()
-            }
+            devices = {unit: RecordedDevice(one) for unit, one in self._profile_of.items()}
         slave = RecordedSlave(
             self.recording,
             match=options.match,
@@ -117,8 +118,7 @@ class SlaveRun:
         )
         spoilt: Responder = slave
         if options.fault_file is not None:
-            profiles = self._recorded.assignments.profiles
-            spoilt = faulty(slave, options.fault_file, where, profiles)
+            spoilt = faulty(slave, options.fault_file, where, self._profiles)
         return PlayedSlave(slave, spoilt, where, allow_remote=allow_remote)
 
     def _latency(self) -> Latency:
@@ -174,7 +174,7 @@ class RecordedDevice:
         return self._device.respond(unit, pdu, now_ns)
 
 
-def _profiles(recorded: Recorded) -> dict[int, Profile]:
+def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
     """The profile of each unit that has one."""
     profiles: dict[int, Profile] = {}
     for transaction in recorded.transactions:

@@ -2,7 +2,8 @@
 
 # One loop for all sources: an item goes into the log as evidence before it is decoded, and what is
 # decoded follows it into the log before anyone sees it. The log is begun when all sources are open,
-# so that a link which is not there leaves no log behind. When the run ends, sources are closed
+# so that a link which is not there leaves no log behind, and before a tap lets anybody in, so that
+# callers cannot take the files that the log needs. When the run ends, sources are closed
 # first, then all that they had heard is decoded, and last the log is made whole.
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from mbtool.core import (
 )
 from mbtool.sources.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.live import live_source
+from mbtool.sources.live import Accepting, live_source
 from mbtool.workflows.refusals import Refusals
 
 if TYPE_CHECKING:
@@ -99,6 +100,9 @@ class Sniffer:
                 self.sources.append(opened.enter_context(source))
             if self._begin_log is not None:
                 self._log = self._begin_log()
+            for source in self.sources:
+                if isinstance(source, Accepting):
+                    source.accept()
             self._open_sources = opened.pop_all()
         self._open = len(self._links)
         return self

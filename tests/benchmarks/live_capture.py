@@ -214,4 +214,6 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["send"]:
         send(int(sys.argv[2]), float(sys.argv[3]))
         sys.exit(0)
+    if sys.argv[1:]:
+        sys.exit(__doc__)
     sys.exit(main())

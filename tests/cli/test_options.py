@@ -42,14 +42,14 @@ def test_a_silence_is_given_or_not() -> None:
 @pytest.mark.parametrize(
     ("texts", "expected"),
     [
-        (None, ([], False)),
-        (["502", "1502"], ([502, 1502], False)),
-        (["any"], ([], True)),
-        (["any", "1502"], ([1502], True)),
+        (None, ([], [], False)),
+        (["502", "1502"], ([502, 1502], [], False)),
+        (["any"], ([], [], True)),
+        (["any", "1502"], ([1502], [], True)),
     ],
 )
 def test_ports_are_numbers_or_any(
-    texts: list[str] | None, expected: tuple[list[int], bool]
+    texts: list[str] | None, expected: tuple[list[int], list[int], bool]
 ) -> None:
     assert tcp_ports(texts) == expected
 
@@ -58,3 +58,16 @@ def test_ports_are_numbers_or_any(
 def test_a_port_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="a number from 1 to 65535, or any"):
         tcp_ports([text])
+
+
+@pytest.mark.parametrize("text", ["0", "65536", "any", "x"])
+def test_a_port_of_rtu_is_a_number(text: str) -> None:
+    assert tcp_ports(None, ["502", "4001"]) == ([], [502, 4001], False)
+    with pytest.raises(UsageError, match=r"'--rtu-port': .*a number from 1 to 65535$"):
+        tcp_ports(None, [text])
+
+
+def test_a_port_speaks_one_of_both() -> None:
+    assert tcp_ports(["any"], ["502"]) == ([], [502], True)
+    with pytest.raises(UsageError, match=r"port 502 is named by --port, .*and by --rtu-port"):
+        tcp_ports(["1502", "502"], ["502"])

@@ -119,6 +119,13 @@ def test_a_filter_chooses_what_is_shown_and_not_what_is_logged(
     assert len(_logged(path)) == 3
 
 
+def test_a_port_without_an_interface_is_told_to_have_no_effect(
+    bench: Bench, mbtool: CommandLine
+) -> None:
+    told = mbtool("sniff", bench.tap(), "--port", "1502", "--duration", "0")
+    assert "--port has no effect: it is for interfaces (net:), and there is none" in told.err
+
+
 def test_stops_after_so_long(bench: Bench) -> None:
     with Program("sniff", bench.tap(), "--duration", "0.01") as program:
         told = program.end()

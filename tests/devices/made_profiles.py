@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 from hypothesis import strategies as st
 
 from mbtool.devices import (
@@ -21,10 +22,16 @@ from mbtool.devices import (
     WordOrder,
 )
 from mbtool.modbus.adu import Transport
+from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 
-TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="{"), max_size=30)
-SILENCES = st.none() | st.sampled_from(["28bits", "3.5chars", "5ms", "750us", "0.125 ms"])
+TEXT = st.text(
+    st.characters(exclude_categories=["Cs", "Cc", "Zl", "Zp"], exclude_characters="{"), max_size=30
+)
+PROSE = st.text(st.characters(exclude_categories=["Cs", "Cc"], include_characters="\n\t"))
+PREFIXES = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,12}", fullmatch=True)
+SHORT_SILENCES = st.none() | st.sampled_from(["15bits", "1.5chars", "750us"])
+SILENCES = st.none() | st.sampled_from(["28bits", "3.5chars", "5ms", "1750us", "0.875 ms"])
 AREA_ADDRESSES = 1000
 
 
@@ -41,23 +48,28 @@ def profiles(draw: st.DrawFn) -> Profile:
         for index, fields in enumerate(draw(st.lists(_areas(), max_size=4)))
     ]
     return Profile(
-        name=draw(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,12}", fullmatch=True)),
+        name=draw(PREFIXES),
         title=draw(TEXT),
         vendor=draw(TEXT),
         transports=[Transport.ASCII, *draw(st.lists(st.sampled_from(Transport)))],
         source=draw(TEXT),
         areas=areas,
         functions=draw(
-            st.dictionaries(st.integers(1, 0x7F).map(lambda code: f"{code:02X}"), _rules())
+            st.dictionaries(st.integers(1, 0x7F), _rules()).map(
+                lambda rules: {f"{code:02X}": _fitting(code, rule) for code, rule in rules.items()}
+            )
         ),
         exceptions=draw(_exceptions()),
-        timing=Timing(t1_5=draw(SILENCES), t3_5=draw(SILENCES), request_interval=draw(SILENCES)),
+        timing=Timing(
+            t1_5=draw(SHORT_SILENCES), t3_5=draw(SILENCES), request_interval=draw(SILENCES)
+        ),
         points=[point for area in areas for point in draw(_points(area))],
         behaviour=draw(st.none() | TEXT),
-        finding_prefix=draw(st.none() | TEXT),
+        finding_prefix=draw(st.none() | PREFIXES),
         model_code=draw(st.none() | st.integers(0, 0xFFFF)),
+        last_unit=draw(st.none() | st.integers(1, 255)),
         any_unit=draw(st.booleans()),
-        notes=draw(st.lists(TEXT, max_size=3)),
+        notes=draw(st.lists(PROSE, max_size=3)),
     )
 
 
@@ -75,12 +87,22 @@ def _areas() -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
+def _fitting(code: int, rule: FunctionRule) -> FunctionRule:
+    """Only what has a quantity has limits."""
+    known = FUNCTIONS.get(code)
+    if known is not None and known.table is not None:
+        limit = 9 if code == 0x17 else None
+        return msgspec.structs.replace(rule, write_limit=limit)
+    return msgspec.structs.replace(rule, limit=None, ascii_limit=None)
+
+
 def _rules() -> st.SearchStrategy[FunctionRule]:
     answers = st.builds(AnswerWord, name=TEXT, texts=_texts(0, 0xFFFF))
     return st.builds(
         FunctionRule,
         limit=st.none() | st.just(1),
         ascii_limit=st.none() | st.just(1),
+        data=st.none() | st.sampled_from(["00", "0000", "fF01"]),
         title=st.none() | TEXT,
         answer=st.none() | answers,
     ) | st.builds(FunctionRule, answers=st.just(False))
@@ -116,17 +138,17 @@ def _points(draw: st.DrawFn, area: Area) -> list[Point]:
         access = [None, area.access] if area.access is not Access.READ_WRITE else list(Access)
         points.append(
             Point(
-                name=f"{draw(TEXT)} {area.name} {index} {{n}}",
+                name=f"{draw(TEXT)} {area.name} {index} {'{n}' if count > 1 else ''}",
                 table=area.table,
                 address=at,
                 type=type_,
                 count=count,
-                stride=stride,
-                counted_from=draw(st.integers(-9, 99)),
+                stride=stride if count > 1 else 1,
+                counted_from=draw(st.integers(-9, 99)) if count > 1 else 1,
                 access=draw(st.sampled_from(access)),
                 block=draw(st.none() | st.integers(area.first, at)),
                 unit=draw(st.none() | TEXT),
-                note=draw(st.none() | TEXT),
+                note=draw(st.none() | PROSE),
                 **fields,
             )
         )
@@ -143,7 +165,8 @@ def _values(draw: st.DrawFn, type_: PointType) -> dict[str, Any]:
     if type_ is PointType.STRING:
         fields["length"] = draw(st.integers(1, 12))
     elif type_ is not PointType.BIT:
-        fields["word_order"] = draw(st.sampled_from(WordOrder))
+        orders = list(WordOrder) if type_.words > 1 else [WordOrder.HIGH_FIRST]
+        fields["word_order"] = draw(st.sampled_from(orders))
         fields["byte_order"] = draw(st.sampled_from(ByteOrder))
     if type_.is_number:
         fields["scale"] = draw(finite.filter(bool))

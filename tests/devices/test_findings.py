@@ -14,6 +14,7 @@ from mbtool.devices import (
 from mbtool.devices.checking.rules import RULES
 from mbtool.devices.findings import exception_finding, request_findings
 from mbtool.modbus import Table, Transport
+from tests.devices.checking import talk
 from tests.devices.transactions import transaction
 
 FT1A = load_profile("idec-ft1a-touch")
@@ -37,6 +38,27 @@ def test_request_is_held_against_the_manual(
 ) -> None:
     asked = transaction(function, address, quantity=quantity)
     assert list(request_findings(FT1A, asked)) == codes
+
+
+@pytest.mark.parametrize(
+    ("device", "request_pdu", "codes"),
+    [
+        ("fa3-at1m8x", "41 00", []),
+        ("fa3-at1m8x", "41 01", ["FA3-D65"]),
+        ("fa3-at1m8x", "41", ["FA3-D65"]),
+        ("fa3-at1m8x", "43 01", ["FA3-D67"]),
+        ("fa3-at1m8x", "44 00", []),
+        ("chino-lt830", "08 0000 1234", []),
+        ("chino-lt830", "08 000A 0000", ["LT830-D8"]),
+    ],
+)
+def test_data_that_the_manual_fixes_are_held_against_it(
+    device: str, request_pdu: str, codes: list[str]
+) -> None:
+    asked = talk.transaction(request_pdu, None, profile=device, on_a_line=device == "chino-lt830")
+    assert asked.findings == codes
+    if codes:
+        assert "the manual fixes them as 00" in finding_text(codes[0], load_profile(device))
 
 
 @pytest.mark.parametrize(

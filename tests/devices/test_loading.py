@@ -240,3 +240,21 @@ def test_example_of_the_documentation_reads_as_it_says_there(tmp_path: Path) -> 
 def _words(form: str, value: float | bytes) -> list[int]:
     data = struct.pack(form, value)
     return [int.from_bytes(data[at : at + 2], "big") for at in range(0, len(data), 2)]
+
+
+@pytest.mark.parametrize(
+    ("keys", "stride"),
+    [
+        ("type = 'float32'", 2),
+        ("type = 'float32'\nstride = 3", 3),
+        ("type = 'string'\nlength = 4", 4),
+        ("type = 'int16'", 1),
+    ],
+)
+def test_several_points_stand_one_behind_the_other(keys: str, stride: int, tmp_path: Path) -> None:
+    path = tmp_path / "pump.toml"
+    path.write_text(
+        PUMP.replace("last = 9", "last = 99").replace('"Speed"', '"CH{n}"') + f"count = 4\n{keys}\n"
+    )
+    (point,) = load_profile(str(path)).points
+    assert point.addresses == range(3, 3 + 4 * stride, stride)

@@ -57,29 +57,113 @@ def test_a_model_code_decides(profile: Any) -> None:
 
 
 def test_models_without_a_code_are_told_apart_by_their_addresses() -> None:
-    analog = verdict(on_tcp(3, 0x0102, response_values=[0]), on_tcp(4, 2, response_values=[1]))
-    assert set(best(analog)) <= {"fa3-at1m8x", "fa3-at1m8y"}
-    outputs = verdict(on_tcp(15, 0x10, quantity=16, request_values=[1] * 16))
-    inputs = verdict(on_tcp(2, 0, quantity=16, response_values=[0] * 16))
-    assert not set(best(outputs)) & set(best(inputs))
+    digital = {"fa3-th1m16xc", "fa3-th1m16y", "fa3-th1m16ye"}
+    analog = {"fa3-at1m8x", "fa3-at1m8y"}
+    buffer = on_tcp(3, 0x0120, response_values=[0])
+    fields: dict[str, Any] = {"quantity": 16, "request_values": [1] * 16}
+    assert set(best(verdict(buffer, on_tcp(15, 0x10, **fields)))) == analog
+    refused = on_tcp(15, 0x10, **fields, exception=2, outcome=Outcome.EXCEPTION)
+    assert set(best(verdict(buffer, refused))) == digital
+
+
+def test_names_decide_nothing() -> None:
+    found = verdict(transaction(3, 205, quantity=3, response_values=[30, 120, 20]))
+    assert of(found, "chino-lt830").named == 3
+    assert of(found, "idec-ft1a-touch").named == 0
+    assert best(found) == ["chino-lt830", "idec-ft1a-smartaxis", "idec-ft1a-touch"]
+    assert {of(found, name).score for name in best(found)} == {90}
+    (more,) = [on_tcp(3, 0x0102, response_values=[0])]
+    assert len(verdict(more).best) >= len(MODELS)  # They all have that buffer memory.
+
+
+@pytest.mark.parametrize(
+    ("fields", "winner"),
+    [
+        ({"function": 8, "response_raw": rtu_adu(1, bytes(5))}, "chino-lt830"),
+        (
+            {"function": 3, "address": 1, "quantity": 27, "exception": 3},
+            "chino-lt830",
+        ),
+        (
+            {"function": 15, "address": 0, "quantity": 8, "request_values": [1] * 8},
+            "idec-ft1a-smartaxis",
+        ),
+        (
+            {"function": 3, "address": 1, "quantity": 65, "response_values": [1] * 65},
+            "idec-ft1a-touch",
+        ),
+        ({"function": 6, "address": 205, "quantity": 1, "exception": 0x11}, "chino-lt830"),
+        ({"function": 1, "address": 0, "quantity": 2, "response_values": [1, 1]}, None),
+    ],
+)
+def test_what_devices_differ_in_tells_them_apart(
+    fields: dict[str, Any], winner: str | None
+) -> None:
+    if "exception" in fields:
+        fields = {**fields, "outcome": Outcome.EXCEPTION}
+    other = transaction(fields.pop("function"), fields.pop("address", None), **fields)
+    found = verdict(transaction(3, 205, quantity=3, response_values=[1, 2, 3]), other)
+    if winner is None:
+        assert best(found) == ["idec-ft1a-smartaxis", "idec-ft1a-touch"]
+    else:
+        assert best(found) == [winner]
+
+
+def test_a_unit_that_a_device_cannot_be_speaks_against_it() -> None:
+    found = verdict(transaction(3, 205, quantity=3, response_values=[1, 2, 3], unit=100))
+    assert best(found) == ["idec-ft1a-smartaxis", "idec-ft1a-touch"]
+    assert of(found, "chino-lt830").against == ("it can be unit 1 to 99, and this is 100",)
+    at_99 = verdict(transaction(3, 205, quantity=3, response_values=[1, 2, 3], unit=99))
+    assert "chino-lt830" in best(at_99)
+
+
+def test_a_refusal_for_another_reason_speaks_against_it() -> None:
+    lacking = transaction(15, 0, quantity=1, exception=2, outcome=Outcome.EXCEPTION)
+    touch = of(verdict(lacking), "idec-ft1a-touch")
+    assert (touch.explained, touch.contradicted) == (0, 1)
+    assert touch.against == ("0F C1 refused by 02, though it has no function 0F",)
+
+
+def test_a_value_that_is_refused_says_nothing_of_its_address() -> None:
+    refused = on_tcp(6, 0x00F2, quantity=1, exception=3, outcome=Outcome.EXCEPTION)
+    model = of(verdict(refused), "fa3-at1m8x")
+    assert (model.explained, model.contradicted) == (0, 0)
+
+
+def test_what_17h_refuses_is_not_counted_against_either_half() -> None:
+    fields: dict[str, Any] = {"quantity": 1, "write_address": 3, "outcome": Outcome.EXCEPTION}
+    refused = on_tcp(0x17, 0, **fields, request_values=[1] * 101, exception=3)
+    wago = of(verdict(refused), "wago-750")
+    assert (wago.explained, wago.contradicted) == (0, 0)
+    lacking = on_tcp(0x17, 0, **fields, request_values=[1], exception=1)
+    assert of(verdict(lacking), "wago-750").against == (
+        "17 %IW0 refused, though its manual has that",
+        "17 %QW3 refused, though its manual has that",
+    )
+
+
+def test_what_is_written_is_called_as_what_is_written() -> None:
+    bits = on_tcp(15, 0, quantity=257, request_values=[1] * 257)
+    assert of(verdict(bits), "wago-750").against[0].startswith("0F DO0..256 answered")
 
 
 def test_what_nothing_confirms_is_told_so() -> None:
-    reads = [on_tcp(4, at, quantity=2, response_values=[1, 2]) for at in range(2, 9)]
-    found = verdict(*reads, on_tcp(2, 0x10, quantity=8, response_values=[1] * 8))
-    assert len(found.best) == 1
+    reads = [transaction(1, at, quantity=8, response_values=[1] * 8) for at in range(9)]
+    written = transaction(15, 0, quantity=8, request_values=[1] * 8)
+    found = verdict(*reads, written)
     assert found.sentence == (
-        f"explained best by {best(found)[0]}, though no refusal, model code or name confirms it"
+        "explained best by idec-ft1a-smartaxis, though no refusal, model code or name confirms it"
     )
-    refused = on_tcp(3, 0x10, quantity=2, exception=2, outcome=Outcome.EXCEPTION)
-    assert "confirms" not in verdict(*reads, refused).sentence
+    refused = transaction(3, 5000, quantity=2, exception=2, outcome=Outcome.EXCEPTION)
+    assert "confirms" not in verdict(*reads, written, refused).sentence
 
 
 def test_a_tie_is_told_as_a_tie() -> None:
     found = verdict(transaction(3, 5, quantity=1, response_values=[1]))
     assert len(found.best) > 1
     assert found.sentence == (
-        f"a tie of {' and '.join(best(found))}: nothing in one request tells them apart"
+        "a tie of chino-lt830, idec-ft1a-smartaxis and idec-ft1a-touch: nothing in one request "
+        "tells them apart"
     )
 
 

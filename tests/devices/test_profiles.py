@@ -225,7 +225,7 @@ def test_smartaxis_takes_128_bits_64_words_and_no_preset_value() -> None:
         assert profile.allows(holding, range(first, first + 200))
         assert not profile.allows(holding, range(first, first + 1), writing=True)
     assert profile.exceptions.documented == [1, 2, 3]
-    assert profile.timing.request_interval == "5ms"
+    assert profile.timing.request_interval is None  # Its 5 ms are those of a SmartAXIS as master.
 
 
 @pytest.mark.parametrize(

@@ -81,9 +81,8 @@ def test_range_from_one_notation_into_another_has_each_end_in_its_own() -> None:
         ("idec-ft1a-smartaxis", Table.COILS, 0x7E7, 2, "M1277..1280"),
         ("idec-ft1a-smartaxis", Table.HOLDING_REGISTERS, 2000, 3, "D2000..2002"),
         ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x10, 1, "RWw10"),
-        ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x0F, 0x20, "RWwF..RWw2E"),
+        ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x0F, 8, "RWwF..RWw16"),
         ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x5000, 2, "5000H..5001H"),
-        ("chino-lt830", Table.HOLDING_REGISTERS, 0xFFFF, 1, "465536"),
     ],
 )
 def test_outside_the_areas_the_notation_of_the_one_below_goes_on(
@@ -98,10 +97,20 @@ def test_below_all_areas_the_notation_of_the_one_above_begins_earlier() -> None:
 
 
 def test_reference_outside_the_areas_never_is_one_that_stands_elsewhere() -> None:
-    profile = load_profile("wago-750")  # %IW256 and %QW256 are at 6000H and 7000H.
-    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x100) == "0x0100"
-    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x100, writing=True) == "0x0100"
-    assert write_reference(profile, Table.INPUT_REGISTERS, 0x6300, 2) == "%IW1276..1277"
+    profile = _profile(
+        _area("M", 0, 9), _area("M", 100, 109, base=-90), _area("Q", 200, 209, base=-200)
+    )
+    assert write_reference(profile, Table.COILS, 10) == "coil 10"  # M10 is at 100.
+    assert write_reference(profile, Table.COILS, 30, 2) == "M30..31"
+    assert write_reference(profile, Table.COILS, 9, 2) == "coil 9..10"
+    # Its coils are 1 to 9999, and 10001 is a discrete input.
+    assert write_reference(load_profile("chino-lt830"), Table.COILS, 10_000) == "coil 10000"
+
+
+def test_of_two_areas_that_end_alike_the_one_for_what_is_asked_goes_on() -> None:
+    profile = load_profile("wago-750")
+    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x6300) == "%IW1280"
+    assert write_reference(profile, Table.HOLDING_REGISTERS, 0x6300, writing=True) == "%QW1280"
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,8 @@ def test_limit_beyond_the_standards_is_refused() -> None:
     )
     for code in ("41", "14"):  # The maker's own, and one that counts otherwise.
         validate(_profile(functions={code: FunctionRule(limit=200)}), "pump.toml")
+    both = {"15": FunctionRule(limit=100), "0F": FunctionRule()}  # So 15 is no 15 in decimal.
+    validate(_profile(functions=both), "pump.toml")
 
 
 def test_limit_on_ascii_lines_is_for_devices_that_have_them() -> None:

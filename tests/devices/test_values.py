@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import msgspec
@@ -345,3 +346,22 @@ def test_the_short_way_for_plain_numbers_says_the_same(
 def test_a_value_among_others_is_that_value(words: list[int], index: int) -> None:
     place = Place(_point(PointType.UINT32), 0, "R0")
     assert place.value_in(words, index) == place.value(words[index : index + 2])
+
+
+def test_value_a_little_below_zero_is_not_minus_zero() -> None:
+    point = Point(
+        name="Flow",
+        table=Table.HOLDING_REGISTERS,
+        address=0,
+        type=PointType.FLOAT32,
+        decimals=2,
+        unit="l/h",
+    )
+    registers = [int.from_bytes(part) for part in _halves(struct.pack(">f", -0.004))]
+    assert Place(point, 0, "").value(registers).text == "0.00 l/h"
+    registers = [int.from_bytes(part) for part in _halves(struct.pack(">f", -0.006))]
+    assert Place(point, 0, "").value(registers).text == "-0.01 l/h"
+
+
+def _halves(data: bytes) -> tuple[bytes, bytes]:
+    return data[:2], data[2:]

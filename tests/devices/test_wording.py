@@ -55,7 +55,7 @@ def test_series_of_points_are_said_together(points: list[PointValue], phrases: l
 
 def test_bits_without_a_name_are_said_behind_those_that_have_one() -> None:
     device = Assignments([Assignment(Who(), load_profile("fa3-at1m8x"))])
-    values = [0] * 8 + [1] + [0] * 7
+    values = [0] * 9 + [1] + [0] * 6
     read = Namer(device).name(transaction(1, 0, quantity=16, response_values=values))
     assert describe(read) == "Y0..YF Initial data setting request flag: on; others off"
 

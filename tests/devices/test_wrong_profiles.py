@@ -186,6 +186,38 @@ WRONG = [
      "extends: no profile 'fa3-at1m9x'; did you mean fa3-at1m8x or fa3-at1m8y?"),
     ('source = "its manual"', 'source = "its manual"\nextends = "base.toml"',
      "extends: no profile 'base.toml'; name a built-in one or a file beside this one"),
+    # Texts that would tear a line, or be obeyed by a terminal.
+    ('title = "A pump"', 'title = "A \\u001b[31mpump"',
+     "title: 'A \\x1b[31mpump' has a control character, '\\x1b'; leave it out"),
+    ('name = "Speed"', 'name = "Sp\\need"',
+     "points \"Sp?eed\".name: 'Sp\\need' has a control character, '\\n'; leave it out"),
+    ('name = "data"', 'name = "data"\nprefix = "D\\u2028"',
+     "areas \"data\".prefix: 'D\\u2028' has a control character, '\\u2028'; leave it out"),
+    ("address = 3", 'address = 3\ntexts = { 1 = "o\\u0007n" }',
+     "points \"Speed\".texts.1: 'o\\x07n' has a control character, '\\x07'; leave it out"),
+    ("limit = 16", 'title = "a\\tb"',
+     "functions.03.title: 'a\\tb' has a control character, '\\t'; leave it out"),
+    ('source = "its manual"', 'source = "its manual"\nnotes = ["a\\u0000b"]',
+     "notes: 'a\\x00b' has a control character, '\\x00'; leave it out"),
+    # Keys of one part that do not go together.
+    ('source = "its manual"', 'source = "its manual"\nfinding_prefix = "my dev"',
+     "finding_prefix: 'my dev': letters, digits, '-', '_' and '.' make a prefix, as FA3 in "
+     "FA3-Q16"),
+    ("[functions]", '[timing]\nt1_5 = "50bits"\nt3_5 = "28bits"\n\n[functions]',
+     "timing.t1_5: 50bits inside a frame is longer than t3_5, 28bits, which ends it"),
+    ("address = 3", "address = 3\ntype = 'int16'\nword_order = 'low-first'",
+     'points "Speed".word_order: int16 has one register; \'byte_order\' swaps its bytes'),
+    ("address = 3", "address = 3\nstride = 2",
+     "points \"Speed\".stride: there is only one such point; 'count' says how many there are"),
+    ("address = 3", "address = 3\ncounted_from = 0",
+     "points \"Speed\".counted_from: there is only one such point; 'count' says how many there "
+     "are"),
+    ('"Speed"', '"CH{n} speed"',
+     "points \"CH{n} speed\".name: {n} counts several points; 'count' says how many there are"),
+    ("[functions]", "[exceptions]\ndocumented = '1,0x2'\n\n[functions]",
+     "exceptions.documented: expected a list, for example [1, 0x2], not '1,0x2'"),
+    ("[functions]", "[exceptions]\ndocumented = 'all'\n\n[functions]",
+     "exceptions.documented: expected a list, for example [1, 2], not 'all'"),
     # Areas, functions and exceptions that do not go together.
     ('["rtu"]', "[]", "transports: is empty; name rtu, ascii or tcp"),
     ("first = 0", "first = 12",
@@ -199,6 +231,20 @@ WRONG = [
      'areas "data".name: another area has this name; give it one of its own'),
     ('table = "holding_registers"\nfirst', 'table = "input_registers"\nfirst',
      "areas \"data\".access: no function writes input_registers; 'r' would be right"),
+    ("03 = { limit = 16 }", "16 = { limit = 100 }",
+     "functions.16.limit: 100 is more than the 1 that the standard allows for mask write register; "
+     "keys are hexadecimal, and write multiple registers, function 16, is 10"),
+    ("03 = { limit = 16 }", "23 = { limit = 100 }",
+     "functions.23.limit: the standard has none for function 23H; keys are hexadecimal, and "
+     "read/write multiple registers, function 23, is 17"),
+    ("03 = { limit = 16 }", "15 = { limit = 100 }",
+     "functions.15.limit: the standard has none for write file record; keys are hexadecimal, and "
+     "write multiple coils, function 15, is 0F"),
+    ("limit = 16", "write_limit = 8",
+     "functions.03.write_limit: only function 17 both reads and writes; 'limit' would be right"),
+    ("03 = { limit = 16 }", "17 = { write_limit = 122 }",
+     "functions.17.write_limit: 122 is more than the 121 that the standard allows function 17 to "
+     "write"),
     ("limit = 16", "ascii_limit = 8",
      "functions.03.ascii_limit: the device is on no ASCII line; add 'ascii' to the transports"),
     ("limit = 16", 'answers = false, answer = { name = "x" }',
@@ -225,7 +271,7 @@ WRONG = [
     ("address = 3", "address = 3\ncount = 2",
      'points "Speed".name: 2 points need {n} or {reference} in their name'),
     ('"Speed"', '"CH{no}"', 'points "CH{no}".name: only {n} and {reference} are filled in'),
-    ('name = "Speed"', 'name = "CH{n}"\ncount = 2\ntype = "int32"',
+    ('name = "Speed"', 'name = "CH{n}"\ncount = 2\nstride = 1\ntype = "int32"',
      'points "CH{n}".stride: 1 is less than the 2 addresses that each takes'),
     ("address = 3",
      "address = 20\n" + _area("commands", 20, 22, "w") + _area("states", 20, 22, "r"),
@@ -353,17 +399,18 @@ source = "its manual"
 behaviour = "fa3"
 finding_prefix = "P"
 model_code = 1
+last_unit = 99
 any_unit = true
 notes = ["a note"]
-functions = { 03 = { limit = 16, ascii_limit = 8, title = "t", answers = true }, 42 = { answer = { name = "c", texts = { 1 = "x" } } } }
+functions = { 03 = { limit = 16, ascii_limit = 8, data = "00", title = "t", answers = true }, 17 = { write_limit = 9 }, 42 = { answer = { name = "c", texts = { 1 = "x" } } } }
 exceptions = { function = 1, address = 2, value = 3, documented = [1, 2, 3], texts = { 2 = "x" } }
 timing = { t1_5 = "1ms", t3_5 = "28bits", request_interval = "5ms" }
 areas = [{ name = "d", table = "holding_registers", first = 0, last = 9, access = "rw", prefix = "D", base = 1, radix = "hex", width = 2, suffix = "H" }]
 points = [
-    { name = "a", table = "holding_registers", address = 2, type = "uint32", count = 1, stride = 2, counted_from = 1, access = "r", block = 0, word_order = "low-first", byte_order = "low-first", unit = "s", scale = 0.1, offset = 1, decimals = 1, texts = { 1 = "x" }, minimum = 0, maximum = 9, note = "n" },
-    { name = "b", table = "holding_registers", address = 4, type = "flags", bits = { 0 = "x" }, default = 1 },
-    { name = "c", table = "holding_registers", address = 5, type = "bit-field", first_channel = 1, channels = 4, channel = "DO" },
-    { name = "s", table = "holding_registers", address = 6, type = "string", length = 2 },
+    { name = "a{n}", table = "holding_registers", address = 2, type = "uint32", count = 2, stride = 2, counted_from = 1, access = "r", block = 0, word_order = "low-first", byte_order = "low-first", unit = "s", scale = 0.1, offset = 1, decimals = 1, texts = { 1 = "x" }, minimum = 0, maximum = 9, note = "n" },
+    { name = "b", table = "holding_registers", address = 6, type = "flags", bits = { 0 = "x" }, default = 1 },
+    { name = "c", table = "holding_registers", address = 7, type = "bit-field", first_channel = 1, channels = 4, channel = "DO" },
+    { name = "s", table = "holding_registers", address = 8, type = "string", length = 2 },
 ]
 """  # noqa: E501 - a line for each key that a profile has
 

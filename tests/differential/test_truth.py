@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.differential.truth import captures_with_truth, compare, explanations
+from tests.captures import FOLDER, public_folder
+from tests.differential.truth import captures_with_truth, compare, explanations, main
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -68,3 +69,11 @@ def test_a_cut_file_gives_every_adu_of_its_whole_packets(public_captures: Path) 
     result = compare(by_name["cutfile_nopnop.pcap"])
     assert result.agrees
     assert "ends in the middle of a record" in result.cut
+
+
+def test_a_folder_without_captures_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    assert main(public_folder()) == 3
+    assert str(tmp_path) in capsys.readouterr().err

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Chunk, CutError, Direction
 from mbtool.modbus import Adu, Conversation, parse_pdu
 from mbtool.packets import StreamClosed, StreamGap, StreamItem, TcpReassembler
-from tests.captures import read_packets
+from tests.captures import FOLDER, public_folder, read_packets
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -238,12 +238,16 @@ def _flow(one: str, other: str) -> Flow:
 
 
 def main(folder: Path) -> int:
-    """Print the table; the answer is 1 where a difference is not explained."""
+    """Print the table; the answer is 1 where a difference is not explained, 3 without captures."""
+    paths = captures_with_truth(folder)
+    if not paths:
+        print(f"{folder}: no capture with its truth; {FOLDER} names their folder", file=sys.stderr)
+        return 3
     unexplained = 0
     explained = explanations()
     reasons = []
     print(f"{'capture':<90} {'truth':>7} {'found':>7} {'missing':>8} {'extra':>6}  note")
-    for path in captures_with_truth(folder):
+    for path in paths:
         result = compare(path)
         note = "cut" if result.cut else ""
         if not result.agrees:
@@ -263,5 +267,4 @@ def main(folder: Path) -> int:
 
 
 if __name__ == "__main__":
-    default = Path(__file__).resolve().parents[3] / "shared" / "captures"
-    sys.exit(main(Path(sys.argv[1]) if len(sys.argv) > 1 else default))
+    sys.exit(main(Path(sys.argv[1]) if len(sys.argv) > 1 else public_folder()))

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mbtool.core import Direction, Endpoint, SerialFormat, SerialLink
 from mbtool.modbus import encode_pdu
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.asking import Master, RtuMaster, TcpMaster
+from mbtool.workflows.asking import Master, TcpMaster
 from tests.end_to_end.programs import answering, decoded, sniffing, tcp_port
 from tests.sources.live_helpers import wait_for_end
 
@@ -69,7 +69,7 @@ def test_a_killed_serial_sniffer_loses_at_most_a_second_and_leaves_no_process(
         sniffer = stack.enter_context(sniffing(str(links[1]), "-w", str(log)))
         readers = [os.pidfd_open(pid) for pid in children(sniffer.process.pid)]
         assert len(readers) == 1
-        master = stack.enter_context(RtuMaster(links[2]))
+        master = stack.enter_context(Master(links[2]))
         answered_ns = write_one_after_another(master, 0, pace_s, count)
         threading.Event().wait(rest_s)
         killed_ns = time.time_ns()

@@ -15,7 +15,8 @@ from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
 from mbtool.modbus import rtu_adu
 from mbtool.workflows.decoding import Decoder
-from mbtool.workflows.reading import SPEC, Reading, ReadingOptions
+from mbtool.workflows.log_links import SPEC
+from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
 from mbtool.workflows.sniffing import Sniffer, serial_lines
 from tests.workflows.bench import FAST, Bench, speak, until

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
+FOLDER = Path(__file__).resolve().parents[2] / "captures" / "findings"
 START_NS = 1_767_225_600_000_000_000
 """2026-01-01 00:00 UTC."""
 MS = 1_000_000
@@ -31,6 +32,7 @@ NANOSECONDS = 0xA1B23C4D
 
 TOUCH = ("--device", "1=idec-ft1a-touch")
 SMARTAXIS = ("--device", "8=idec-ft1a-smartaxis")
+PATIENT = ("--device", f"8={FOLDER / 'slave-of-smartaxis.toml'}")
 FA3 = ("--device", f"{SLAVE}=fa3-at1m8x")
 WAGO = ("--device", f"{SLAVE}=wago-750")
 
@@ -196,6 +198,32 @@ def glued(*, is_glued: bool) -> bytes:
     return bus.file()
 
 
+def paused(*, by_ms: float, times: int) -> bytes:
+    """Unit 2 is asked four times, so often with a silence inside the request."""
+    bus = _beside_unit_1()
+    for number in range(4):
+        if number < times:
+            bus.torn(2, READ, at=3, by_ms=by_ms).frame(2, VALUE)
+        else:
+            bus.asked(2)
+    return bus.file()
+
+
+def hasty(*, times: int) -> bytes:
+    """Unit 2 is asked four times, and answers so often before the silence is over."""
+    bus = _beside_unit_1()
+    for number in range(4):
+        bus.frame(2, READ).frame(2, VALUE, after_ms=1.0 if number < times else 5.0)
+    return bus.file()
+
+
+def _beside_unit_1() -> Bus:
+    bus = Bus()
+    for _ in range(12):
+        bus.asked()
+    return bus
+
+
 def damaged(*, is_damaged: bool) -> bytes:
     request = rtu_adu(1, bytes.fromhex("06 0001 0005"))
     if is_damaged:
@@ -349,6 +377,7 @@ CASES = (
         exchange("06 00F2 3840", "06 00F2 3840"),
         FA3,
     ),
+    Case("FA3-D67", exchange("43 01", "C3 03"), exchange("43 00", "43 00"), FA3),
     Case("FT1A-E3", on_a_line(1, READ, "83 03"), on_a_line(1, READ, "83 02"), TOUCH),
     # Requests.
     Case(
@@ -388,24 +417,24 @@ CASES = (
     # A serial line.
     Case(
         "RTU-101",
-        lambda: Bus().asked().torn(1, READ, at=3, by_ms=1.2).frame(1, VALUE).file(),
-        lambda: Bus().asked().torn(1, READ, at=3, by_ms=0.7).frame(1, VALUE).file(),
+        lambda: paused(by_ms=1.2, times=3),
+        lambda: paused(by_ms=1.2, times=1),
     ),
     Case(
         "RTU-102",
-        lambda: Bus().asked().torn(1, READ, at=3, by_ms=10).frame(1, VALUE).file(),
-        lambda: Bus().asked().torn(1, READ, at=3, by_ms=0.8).frame(1, VALUE).file(),
+        lambda: paused(by_ms=10, times=3),
+        lambda: paused(by_ms=10, times=1),
     ),
     Case(
         "RTU-103",
-        lambda: Bus().asked().frame(1, READ).frame(1, VALUE, after_ms=1.0).file(),
-        lambda: Bus().asked().frame(1, READ).frame(1, VALUE, after_ms=2.1).file(),
+        lambda: hasty(times=3),
+        lambda: hasty(times=1),
     ),
     Case("RTU-104", lambda: glued(is_glued=True), lambda: glued(is_glued=False)),
     Case("RTU-201", lambda: damaged(is_damaged=True), lambda: damaged(is_damaged=False)),
     Case("RTU-202", lambda: stray(is_between=True), lambda: stray(is_between=False)),
     Case("RTU-203", lambda: driver(0x07), lambda: driver(0x00)),
-    Case("RTU-301", lambda: paced(3.0), lambda: paced(6.0), SMARTAXIS),
+    Case("RTU-301", lambda: paced(3.0), lambda: paced(6.0), PATIENT),
     Case("RTU-302", lambda: broadcast(wait_ms=40), lambda: broadcast(wait_ms=120)),
     # Connections.
     Case("TCP-101", lambda: ids(1), lambda: ids(2)),

@@ -103,6 +103,7 @@ NAMED = transaction(
         PointValue(name="HR400001", reference="HR400001", value=4660.0, text="4660"),
         PointValue(name="level", reference="HR400002", value=2.5, text="2.5 m", unit="m"),
         PointValue(name="flow", reference="HR400003", text="not a number"),
+        PointValue(name="valve", reference="HR400004", value=1, text="open", written=True),
     ],
     findings=["FT1A-Q3"],
 )

@@ -55,7 +55,7 @@ def test_a_csv_row_has_a_cell_for_each_column() -> None:
     assert row["response_values"] == "4660 22136"
     assert row["request_values"] == ""
     assert row["verdicts"] == "glued"
-    assert row["points"] == "HR400001=4660; level=2.5 m; flow=not a number"
+    assert row["points"] == "HR400001=4660; level=2.5 m; flow=not a number; valve:=open"
     assert row["findings"] == "FT1A-Q3"
     assert row["request_raw"] == "010300000002c40b"
 

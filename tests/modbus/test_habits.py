@@ -16,10 +16,10 @@ def test_habit_costs_at_first_what_it_is_supposed_to() -> None:
 
 def test_what_is_seen_costs_less_and_what_is_not_costs_more() -> None:
     habit = Habit(2.0, (0.2, 5.0))
-    habit.learn(seen=True)
+    habit.learn(True)
     cheaper = habit.bits
     assert cheaper < 2.0
-    habit.learn(seen=False)
+    habit.learn(False)
     assert habit.bits > cheaper
 
 
@@ -27,7 +27,7 @@ def test_what_is_seen_costs_less_and_what_is_not_costs_more() -> None:
 def test_habit_stays_within_its_limits(seen: bool, bits: float) -> None:
     habit = Habit(2.0, (0.2, 5.0))
     for _ in range(10_000):
-        habit.learn(seen=seen)
+        habit.learn(seen)
         assert 0.2 <= habit.bits <= 5.0
     assert habit.bits == bits
 
@@ -35,16 +35,16 @@ def test_habit_stays_within_its_limits(seen: bool, bits: float) -> None:
 def test_few_dozen_frames_teach_a_habit() -> None:
     habit = Habit(2.0, (0.2, 5.0))
     for number in range(64):
-        habit.learn(seen=number % 2 == 0)
+        habit.learn(number % 2 == 0)
     assert habit.bits == pytest.approx(1.0, abs=0.3)
 
 
 def test_line_that_changes_is_learned_anew() -> None:
     habit = Habit(8.0, (3.0, 10.0))
     for _ in range(1000):
-        habit.learn(seen=False)
+        habit.learn(False)
     for _ in range(100):
-        habit.learn(seen=True)
+        habit.learn(True)
     assert habit.bits == 3.0
 
 
@@ -108,7 +108,7 @@ def test_a_steady_habit_forgets_less_of_what_is_rare() -> None:
     hasty, steady = Habit(8.0, (0.0, 10.0)), Habit(8.0, (0.0, 10.0), slowest=STEADY)
     for habit in (hasty, steady):
         for number in range(400):
-            habit.learn(seen=number % 20 == 0)
+            habit.learn(number % 20 == 0)
         for _ in range(40):
-            habit.learn(seen=False)
+            habit.learn(False)
     assert 4.0 < steady.bits < hasty.bits - 0.5

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction
 from mbtool.modbus import Table, parse_pdu
-from mbtool.modbus.reach import REACHING, Reach, reach_of, response_to, values_after
+from mbtool.modbus.reach import (
+    REACHING,
+    Reach,
+    keeps_limits,
+    reach_of,
+    response_to,
+    values_after,
+)
 
 COILS, INPUTS = Table.COILS, Table.DISCRETE_INPUTS
 HOLDING, REGISTERS = Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS
@@ -56,6 +63,25 @@ def test_names_what_is_read_and_written(request_: str, reach: Reach) -> None:
 )
 def test_knows_no_reach_of_what_is_wrong_or_reaches_no_table(request_: str) -> None:
     assert _reach(request_) is None
+
+
+@pytest.mark.parametrize(
+    ("request_", "keeps"),
+    [
+        ("01 0300 07D0", True),
+        ("01 0300 0000", False),
+        ("02 0300 07D1", False),
+        ("03 FFFF 0001", True),
+        ("03 FFFF 0002", False),
+        ("17 0003 0006 FFFF 0001 02 00FF", True),
+        ("17 0003 0006 FFFF 0002 04 00FF 0001", False),
+        ("14 07 06 0004 0001 0002", True),
+        ("14 07 05 06 000D FE00 20", False),
+        ("41 00", True),
+    ],
+)
+def test_request_keeps_the_limits_of_its_function(request_: str, keeps: bool) -> None:
+    assert keeps_limits(parse_pdu(bytes.fromhex(request_), Direction.REQUEST)) is keeps
 
 
 @pytest.mark.parametrize(

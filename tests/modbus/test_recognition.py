@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Connection, Direction, Endpoint, EventKind, WireEvent
 from mbtool.modbus import Decoded, Recognition, State, mbap_adu, rtu_adu
-from mbtool.modbus.recognition import ENOUGH, ENOUGH_BYTES, GAP_COUNTS, MAX_TOLD
+from mbtool.modbus.recognition import ENOUGH, ENOUGH_BYTES, GAP_COUNTS, MAX_TOLD, NOISE
 from tests.modbus.reading import adus, transactions, wire_events
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
@@ -18,6 +18,7 @@ CONNECTION = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 1502),
 
 READ = bytes.fromhex("03 0000 0002")  # read holding registers, address 0, quantity 2
 VALUES = bytes.fromhex("03 04 1234 5678")  # four bytes, two registers
+WRITE_ONE = bytes.fromhex("06 0010 1234")  # write single register, address 16
 LONG_READ = bytes.fromhex("03 0000 0002 00")  # a byte more than the function has
 OWN_FUNCTION = bytes.fromhex("41 01")  # a function that no table knows
 
@@ -45,6 +46,11 @@ RTU_PAIR: list[Piece] = [(REQUEST, rtu_adu(1, READ)), (RESPONSE, rtu_adu(1, VALU
 def expected(*, joined: bool = False) -> Recognition:
     """A connection to a port that the user named."""
     return Recognition(CONNECTION, joined=joined)
+
+
+def at_its_own_port(*, joined: bool = False) -> Recognition:
+    """A connection to a port of Modbus/TCP, where any other port may be one of RTU."""
+    return Recognition(CONNECTION, joined=joined, rtu=True)
 
 
 def anywhere(*, joined: bool = False) -> Recognition:
@@ -204,9 +210,68 @@ def test_rtu_at_a_port_of_modbus_tcp_is_told_with_the_option_that_reads_it() -> 
 def test_a_frame_that_is_also_an_adu_is_a_frame_because_of_its_crc() -> None:
     # 01 03 00 00 00 02 C4 0B: transaction 0103H, length 2, unit C4H, function 0BH.
     assert rtu_adu(1, READ)[4:6] == b"\x00\x02"
-    recognition = Recognition(CONNECTION, rtu=True)
-    (adu,) = adus(fed(recognition, RTU_PAIR[:1]))
-    assert adu.pdu == READ
+    decoded = fed(at_its_own_port(), RTU_PAIR)
+    assert [one.pdu for one in adus(decoded)] == [READ, VALUES]
+
+
+def test_an_adu_that_is_also_a_frame_is_an_adu_where_the_answer_is_one() -> None:
+    request = RTU_PAIR[0]
+    answer = bytes.fromhex("0103 0000 0006 C4 0B 0000 0000")  # Its counter stands at 0.
+    (one,) = transactions(
+        [
+            *fed(recognition := at_its_own_port(), [request, (RESPONSE, answer)]),
+            *recognition.close(),
+        ]
+    )
+    assert (one.function, one.unit) == (0x0B, 0xC4)
+
+
+def test_one_frame_by_chance_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+    chance = rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
+    for joined in (False, True):
+        recognition = at_its_own_port(joined=joined)
+        said = [(REQUEST, b"\xff" * 90 + chance + b"\xff" * 90)]
+        assert is_one_event([*fed(recognition, said), *recognition.close()])
+
+
+def test_one_frame_before_a_gap_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+    recognition = at_its_own_port(joined=True)
+    chance = b"\xff" * 90 + rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
+    decoded = fed(recognition, [(REQUEST, chance)]) + recognition.gap(REQUEST, 9, 0)
+    assert is_one_event([*decoded, *recognition.close()])
+
+
+def test_where_modbus_tcp_is_expected_frames_are_shown_as_elsewhere() -> None:
+    assert len(transactions(fed(at_its_own_port(), RTU_PAIR))) == 1
+    recognition = at_its_own_port()
+    assert len(adus(fed(recognition, [(REQUEST, rtu_adu(1, WRITE_ONE))] * ENOUGH))) == ENOUGH
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu", "any"])
+@pytest.mark.parametrize("noise", [b"\xff" * 9, b"\xff\x2b\x17" * 400])
+def test_bytes_of_another_protocol_are_one_event_when_the_connection_ends(
+    kind: str, noise: bytes
+) -> None:
+    recognition = Recognition(CONNECTION, joined=True, tcp=kind != "rtu", rtu=kind != "tcp")
+    assert is_one_event([*fed(recognition, [(REQUEST, noise)]), *recognition.close()])
+
+
+def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends() -> None:
+    tcp = expected(joined=True)
+    assert fed(tcp, [(REQUEST, mbap_adu(1, 1, READ)[:7])]) == []
+    assert [one.kind for one in wire_events(tcp.close())] == [EventKind.SKIPPED]
+    rtu = Recognition(CONNECTION, joined=True, tcp=False, rtu=True)
+    assert fed(rtu, [(REQUEST, rtu_adu(1, READ)[:-1] + b"\xee")]) == []
+    assert [one.kind for one in wire_events(rtu.close())] == [EventKind.BAD_CHECK]
+
+
+@pytest.mark.parametrize(("before", "found"), [(NOISE - 8, 2), (NOISE - 7, 0)])
+def test_elsewhere_a_frame_is_looked_for_in_the_first_bytes_only(before: int, found: int) -> None:
+    for size in (1, 7, 1000):
+        recognition = anywhere(joined=True)
+        said = [(REQUEST, b"\xff" * before + RTU_PAIR[0][1]), RTU_PAIR[1]]
+        decoded = fed(recognition, in_pieces(said, size)) + recognition.close()
+        assert len(adus(decoded)) == found
 
 
 def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
@@ -264,7 +329,7 @@ PIECES: list[Piece] = [
 @given(
     pieces=st.lists(st.sampled_from(PIECES), max_size=12),
     size=st.integers(1, 40),
-    kind=st.sampled_from([expected, anywhere]),
+    kind=st.sampled_from([expected, at_its_own_port, anywhere]),
     joined=st.booleans(),
 )
 def test_where_segments_end_does_not_matter(

@@ -200,6 +200,35 @@ def test_echo_of_a_slow_slave_is_no_retry() -> None:
     assert all(sure(events))
 
 
+@pytest.mark.parametrize("way", ["whole", "byte-by-byte", "without-times"])
+@pytest.mark.parametrize("known", [True, False], ids=["known-line", "new-line"])
+@pytest.mark.parametrize("latency_ms", [1, 60, 250, 600, 990, 1010, 3000])
+def test_late_answer_of_a_requests_length_is_one(latency_ms: int, known: bool, way: str) -> None:
+    """17 to 24 bits: three bytes, which say where and how many as well as what."""
+    sent, expected = (polled() if known else line()), [REQUEST, RESPONSE] * (20 if known else 0)
+    asked = rtu_adu(1, bytes.fromhex("02 03E8 0014"))
+    for bits in ("000000", "050000", "010203", "000001"):
+        sent.frame(asked, 50 * MS)
+        sent.frame(rtu_adu(1, bytes.fromhex("02 03" + bits)), latency_ms * MS)
+        expected += [REQUEST, RESPONSE]
+    sizes = [1] * len(sent.data) if way == "byte-by-byte" else []
+    events = feed_all(RtuSplitter(FORMAT, timed=way != "without-times"), sent.reads(sizes))
+    assert directions(events) == expected
+    assert all(sure(events))
+
+
+def test_late_answer_of_a_requests_length_is_one_where_frames_are_glued() -> None:
+    """An adapter hands over an answer with the requests around it, and once after a while."""
+    asked = rtu_adu(1, bytes.fromhex("02 0014 0018"))
+    answer = rtu_adu(1, bytes.fromhex("02 03 000000"))
+    sent = line().frame(asked)
+    for number in range(40):
+        sent.frame(answer + asked, 900 * MS if number == 30 else 20 * MS)
+    events = heard(sent)
+    assert directions(events) == [REQUEST, *[RESPONSE, REQUEST] * 40]
+    assert all(sure(events))
+
+
 def test_retry_on_a_line_that_nothing_is_known_of_is_ambiguous() -> None:
     events = heard(line().send(WRITE).frame(WRITE, 250 * MS))
     assert sure(events)[1] is False

@@ -288,6 +288,107 @@ def test_request_for_bits_that_comes_again_is_no_answer_to_itself() -> None:
     assert spoken.hear(1, bytes.fromhex("01 03 1234 01")).direction is RESPONSE
 
 
+# Answers as long as a request. Late is what takes longer than any answer before it.
+
+CONTACTS = "01 03E8 0018"
+LATE = pytest.mark.parametrize("late_ns", [40 * MS, 600 * MS, TURN_NS + MS, 3 * TURN_NS])
+
+
+@LATE
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        pytest.param(CONTACTS, "01 03 000000", id="quantity-0"),
+        pytest.param(CONTACTS, "01 03 FF07D1", id="quantity-over-the-limit"),
+        pytest.param("02 0014 0018", "02 03 FF0018", id="never-asked"),
+        pytest.param("02 03E8 0014", "02 03 010203", id="never-asked-from-the-same-block"),
+        pytest.param("02 03E8 0011", "02 03 00FFFE", id="bits-that-nobody-asked-for"),
+        pytest.param(
+            "17 0003 0005 000E 0001 02 00FF", "17 0A 00FE 0ACD 0001 0002 000D", id="registers"
+        ),
+        pytest.param("14 07 06 0004 0001 0002", "14 06 05 06 0DFE 0020", id="file"),
+        pytest.param("08 000B 0000", "08 000B 0108", id="count"),
+    ],
+)
+def test_answer_that_is_no_likely_request_may_be_late(
+    asked: str, answer: str, late_ns: int
+) -> None:
+    spoken = Spoken().learn_latency(5 * MS)
+    assert spoken.hear(1, bytes.fromhex(asked), 30 * MS).direction is REQUEST
+    late = spoken.hear(1, bytes.fromhex(answer), late_ns)
+    assert says(late) == (RESPONSE, DirectionBy.PENDING, True)
+
+
+@LATE
+@pytest.mark.parametrize(
+    ("unit", "pdu"),
+    [
+        pytest.param(1, "01 0320 0018", id="next-of-the-same-quantity"),
+        pytest.param(1, "02 0320 0010", id="other-function"),
+        pytest.param(2, "01 0320 0010", id="other-unit"),
+        pytest.param(1, "01 0420 0010", id="other-byte-count"),
+        pytest.param(1, CONTACTS, id="retry"),
+    ],
+)
+def test_request_behind_one_that_is_not_answered_is_one(unit: int, pdu: str, late_ns: int) -> None:
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(1, bytes.fromhex(CONTACTS), 30 * MS)
+    assert spoken.hear(unit, bytes.fromhex(pdu), late_ns).direction is REQUEST
+
+
+def test_frame_that_is_often_asked_is_judged_by_its_time() -> None:
+    """It is what was asked for, and the next request of the master's list as well."""
+    asked, other = bytes.fromhex(CONTACTS), bytes.fromhex("01 0320 0010")
+    for after_ns, called in ((6 * MS, RESPONSE), (600 * MS, REQUEST)):
+        spoken = Spoken().learn_latency(5 * MS)
+        for _ in range(3):
+            spoken.hear(1, other, 30 * MS)
+            spoken.hear(1, bytes.fromhex("01 02 0000"), 5 * MS)
+        spoken.hear(1, asked, 30 * MS)
+        assert says(spoken.hear(1, other, after_ns))[::2] == (called, True)
+
+
+@LATE
+def test_other_file_behind_one_that_is_not_answered_is_asked_for(late_ns: int) -> None:
+    """How long the answer will be does not follow from the request, so less speaks for one."""
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(1, bytes.fromhex("14 07 06 0004 0001 0002"), 30 * MS)
+    assert spoken.hear(1, bytes.fromhex("14 07 06 0009 0001 0002"), late_ns).direction is REQUEST
+
+
+@pytest.mark.parametrize(
+    ("asked", "none"), [(CONTACTS, "01 0300 0000"), ("08 000B 0000", "08 000B 0108")]
+)
+def test_request_that_is_none_stays_an_answer_though_it_was_heard_as_one(
+    asked: str, none: str
+) -> None:
+    """From a tester that asks for what nobody has."""
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(1, READ, 30 * MS)
+    pdu = bytes.fromhex(none)
+    spoken.turns.hear(Judgement(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, 0, spoken.now_ns)
+    spoken.hear(1, bytes((pdu[0] | 0x80, 3)), 5 * MS)
+    spoken.hear(1, bytes.fromhex(asked), 30 * MS)
+    assert says(spoken.hear(1, pdu, 900 * MS)) == (RESPONSE, DirectionBy.PENDING, True)
+
+
+def test_another_request_ends_the_wait_for_a_late_answer() -> None:
+    spoken = Spoken().learn_latency(5 * MS)
+    spoken.hear(1, bytes.fromhex(CONTACTS), 30 * MS)
+    spoken.hear(1, READ, 600 * MS)
+    late = spoken.hear(1, bytes.fromhex("01 0320 0010"), TURN_NS + MS)
+    assert says(late) == (REQUEST, DirectionBy.IDLE, True)
+
+
+def test_read_of_bits_that_comes_again_is_no_second_answer_to_itself() -> None:
+    spoken = Spoken(timed=False)
+    contacts = bytes.fromhex("01 0300 0011")
+    heard = [contacts, contacts, bytes.fromhex("01 03 000000"), contacts]
+    assert [spoken.hear(1, pdu).direction for pdu in heard] == [
+        REQUEST, REQUEST, RESPONSE, REQUEST,
+    ]  # fmt: skip
+
+
 def test_damage_leaves_the_turn_in_doubt() -> None:
     spoken = Spoken()
     spoken.hear(1, READ)

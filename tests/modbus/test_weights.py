@@ -70,6 +70,12 @@ def test_lateness_can_make_an_echo_a_retry() -> None:
     assert retry + weights.EARLY_REPEAT > weights.ANSWER + weights.LATE
 
 
+def test_lateness_alone_makes_no_answer_a_request_that_is_none() -> None:
+    """Not even one that was heard before, and the turn is over."""
+    request = weights.REQUEST + weights.FITS_AS_ANSWER
+    assert likelihood(request - weights.ANSWER - weights.MOST_FOR_LATENESS) >= SURE
+
+
 def test_crc_that_is_right_outweighs_noise() -> None:
     found = weights.REQUEST + weights.NEW_REQUEST + weights.GLUED_LIMITS[1]
     assert found < weights.COINCIDENCE

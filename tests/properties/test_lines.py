@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction, SerialFormat
@@ -132,6 +132,75 @@ def test_what_an_rtu_line_gives_says_what_it_is(line: Line, timed: bool) -> None
 def test_direction_is_that_of_the_one_who_speaks(line: Line, speaker: Direction) -> None:
     for adu in adus(feed_all(RtuSplitter(FORMAT, speaker=speaker), line.reads())):
         assert (adu.direction, adu.direction_by) == (speaker, DirectionBy.PORT)
+
+
+@st.composite
+def exchanges(draw: st.DrawFn) -> tuple[bytes, bytes]:
+    """A request and its right answer: those that may be as long as a request, and their kin."""
+    code = draw(st.sampled_from((0x01, 0x02, 0x03, 0x04, 0x17)))
+    is_bits = code in (0x01, 0x02)
+    quantities = st.integers(1, 2000) | st.integers(17, 24) if is_bits else st.integers(1, 125)
+    quantity = draw(quantities)
+    address = draw(st.integers(0, 0x10000 - quantity) | st.integers(0x300, 0x3FF))
+    request = bytes((code, *address.to_bytes(2), *quantity.to_bytes(2)))
+    if is_bits:
+        count = (quantity + 7) // 8
+        bits = draw(st.integers(0, 2**quantity - 1) | st.just(0))
+        values = bytearray(bits.to_bytes(count, "little"))
+    else:
+        count = 2 * quantity
+        values = bytearray(draw(st.binary(min_size=count, max_size=count)))
+    if code == 0x17:
+        written = max(quantity - 4, 1)
+        request += bytes((0, 0, 0, written, 2 * written)) + bytes(2 * written)
+        if quantity > 4:
+            values[7] = 2 * written  # Where a request of this length has its byte count.
+    answer = bytes((code, count)) + values
+    # The next request of the same list, by each of its bytes, is for the turn to tell.
+    assume((request[1], request[3:5]) != (answer[1], answer[3:5]))
+    return request, answer
+
+
+LATENCIES = st.integers(1_000_000, 3_000_000_000)
+
+
+@given(
+    unit=UNIT,
+    exchange=exchanges(),
+    other=exchanges(),
+    latency_ns=LATENCIES,
+    polls=st.lists(st.none() | LATENCIES, max_size=4),
+    pause_ns=st.integers(5_000_000, 2_000_000_000),
+    timed=st.booleans(),
+    sizes=SIZES,
+)
+def test_request_and_its_right_answer_are_a_pair_however_late(
+    unit: int,
+    exchange: tuple[bytes, bytes],
+    other: tuple[bytes, bytes],
+    latency_ns: int,
+    polls: list[int | None],
+    pause_ns: int,
+    timed: bool,
+    sizes: list[int],
+) -> None:
+    """Also behind polls of the same, answered or not (None), and of something else."""
+    line, truth = Line(FORMAT), []
+
+    def say(unit: int, pdu: bytes, direction: Direction, before_ns: int) -> None:
+        line.frame(rtu_adu(unit, pdu), before_ns)
+        truth.append((rtu_adu(unit, pdu), direction))
+
+    assume(exchange[1] != other[0])  # A request of this list after all.
+    assume(other[1] != exchange[0])
+    say(unit % 247 + 1, other[0], Direction.REQUEST, pause_ns)
+    say(unit % 247 + 1, other[1], Direction.RESPONSE, 5_000_000)
+    for answered_ns in (*polls, latency_ns):
+        say(unit, exchange[0], Direction.REQUEST, pause_ns)
+        if answered_ns is not None:
+            say(unit, exchange[1], Direction.RESPONSE, answered_ns)
+    events = feed_all(RtuSplitter(FORMAT, timed=timed), line.reads(sizes))
+    assert [(adu.raw, adu.direction) for adu in adus(events)] == truth
 
 
 # What it holds and what it does are bounded, whatever comes.

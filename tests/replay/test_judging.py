@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
 from mbtool.modbus import Table, Transaction
-from mbtool.replay.judging import Judge, Tolerance
+from mbtool.replay.judging import MAX_WRONG, Judge, Tolerance
 from mbtool.replay.script import Script, Step
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
@@ -81,6 +81,38 @@ def test_an_answer_that_breaks_its_form_is_wrong() -> None:
     ((kind, _, a, b, _),) = _told(judge)
     assert (kind, a) == ("outcome", "ok")
     assert b.startswith("malformed: ")
+
+
+def test_an_answer_to_another_function_is_wrong_whatever_it_says() -> None:
+    as_function_04, refused_as_04 = "04 04 0007 0008", "84 02"
+    ok, refused = answered(0, READ, VALUES), answered(0, READ, "83 02")
+    for transaction, answer, recorded in (
+        (ok, as_function_04, "ok"),
+        (refused, refused_as_04, "exception 02 illegal data address"),
+    ):
+        told = _told(_judged(transaction, answer))
+        assert told == [("outcome", "holding 10..11", recorded, "answer to function 04", 1)]
+
+
+def test_two_answers_that_break_their_form_alike_are_compared_as_bytes() -> None:
+    told = _told(_judged(answered(0, READ, "03 04 0007"), "03 04 0009"))
+    assert told == [("outcome", "holding 10..11", "03 04 00 07", "03 04 00 09", 1)]
+
+
+def test_bytes_that_differ_late_are_told_too() -> None:
+    text = "2B 0E 01 01 00 00 01 00 14" + 19 * " 41"
+    told = _told(_judged(answered(0, "2B 0E 01 00", text + " 31"), text + " 32"))
+    assert [(a, b) for _, _, a, b, _ in told] == [("byte 28: 31", "byte 28: 32")]
+
+
+def test_outcomes_that_are_always_others_are_kept_up_to_a_bound() -> None:
+    step, judge = _step(answered(0, "0B", "0B 0000 0000")), Judge()
+    for count in range(1, 1001):
+        judge.judge(step, bytes.fromhex(f"0B 0000 {count:04X}"), None)
+    told = judge.differences()
+    assert (judge.wrong, len(told)) == (1000, MAX_WRONG + 1)
+    assert (told[-1].a.text, told[-1].b.text) == ("others", "others")
+    assert sum(one.b.count or 0 for one in told) == 1000
 
 
 def test_an_acknowledgement_of_something_else_is_wrong() -> None:

@@ -335,6 +335,20 @@ def test_a_pause_stops_the_clock_and_a_step_goes_to_the_next_request() -> None:
     assert (progress.place_ns, progress.is_paused) == (500 * MS, True)
 
 
+def test_a_step_behind_the_last_request_begins_the_next_round() -> None:
+    transactions = [answered(at, READ, f"03 02 000{at}") for at in (1, 2, 3)]
+    slave = RecordedSlave(Recording.of(transactions), match=Match.TIME, on_end=OnEnd.LOOP)
+    _at(slave, 0, READ)
+    slave.control(Control.PAUSE, BEGIN)
+    shown = []
+    for _ in range(5):
+        slave.control(Control.STEP, BEGIN)
+        shown.append((_at(slave, 0, READ), slave.progress(BEGIN).lap))
+    assert shown == [
+        (f"03 02 00 0{at}", lap) for at, lap in ((2, 0), (3, 0), (1, 1), (2, 1), (3, 1))
+    ]
+
+
 def test_without_a_clock_a_pause_repeats_and_a_step_uses_up_one_answer() -> None:
     slave = _slave(*(answered(at, READ, f"03 02 000{at}") for at in range(5)))
     assert _ask(slave, READ) == "03 02 00 00"

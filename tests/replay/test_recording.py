@@ -43,6 +43,12 @@ def test_keeps_the_answers_of_a_request_in_order(transport: Transport) -> None:
     }
 
 
+def test_what_is_asked_again_and_again_is_kept_once() -> None:
+    recording = Recording.of([answered(at, READ, "03 02 0001") for at in (0, 10)])
+    (first, _), (second, _) = recording.order
+    assert first is second
+
+
 def test_orders_by_the_time_of_the_request() -> None:
     # What got no answer comes out of the decoder late.
     recording = Recording.of([answered(100, READ, "03 02 0001"), unanswered(0, READ)])

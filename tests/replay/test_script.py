@@ -42,6 +42,12 @@ def test_steps_come_in_the_order_of_their_requests() -> None:
     assert [step.expected is None for step in steps] == [False, True, False]
 
 
+def test_what_is_asked_again_and_again_is_kept_once() -> None:
+    first, second = _steps(answered(0, READ, VALUE), answered(10, READ, VALUE))
+    assert first.pdu is second.pdu
+    assert first.reference is second.reference
+
+
 def test_what_nobody_asked_is_no_step_and_a_broadcast_is_one() -> None:
     (step,) = _steps(unasked(0, VALUE), to_all(5, "06 0001 0002"))
     assert (step.is_broadcast, step.unit, step.expected) == (True, 0, None)

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from mbtool.replay import Control, PlayClock, Steering
+from mbtool.replay import Control, PlayClock, Progress, Steering
+from mbtool.replay.steering import Gate
 
 S = 1_000_000_000
 
@@ -76,3 +77,53 @@ def test_progress_says_where_it_is() -> None:
     assert (after.place_ns, after.length_ns, after.lap) == (3 * S, 10 * S, 0)
     assert after.rate == 1
     assert not after.is_waiting
+
+
+def test_a_gate_lets_pass_by_the_clock_and_while_it_stands_step_by_step() -> None:
+    clock = PlayClock(10 * S)
+    gate = Gate(clock)
+    assert gate.opens_ns(2 * S, 0) is None
+    gate.let_go()
+    assert gate.opens_ns(2 * S, 1 * S) == 1 * S
+    assert not gate.passes(2 * S, 1 * S)
+    assert (clock.place(9 * S), gate.opens_ns(3 * S, 2 * S)) == (2 * S, None)
+    clock.run(4 * S)
+    assert gate.opens_ns(3 * S, 4 * S) == 5 * S
+    assert gate.passes(3 * S, 5 * S)
+
+
+def test_steps_that_nothing_was_there_for_are_forgotten_when_the_clock_goes_on() -> None:
+    clock = PlayClock(10 * S)
+    gate = Gate(clock)
+    for _ in range(3):
+        gate.let_go()
+    clock.run(0)
+    assert gate.opens_ns(2 * S, 1 * S) == 2 * S
+    clock.pause(1 * S)
+    assert gate.opens_ns(2 * S, 3 * S) is None
+
+
+class _Desk:
+    def __init__(self, *wanted: Control) -> None:
+        self._wanted = wanted
+        self.shown: list[Progress] = []
+
+    def controls(self) -> tuple[Control, ...]:
+        return self._wanted
+
+    def show(self, progress: Progress) -> None:
+        self.shown.append(progress)
+
+
+def test_a_desk_is_obeyed_and_then_shown_where_it_is() -> None:
+    steered = Steered()
+    steered.steering.begin(0)
+    desk = _Desk(Control.FASTER, Control.PAUSE)
+    steered.steering.attend(desk, 2 * S, "2 bytes")
+    (shown,) = desk.shown
+    assert (shown.place_ns, shown.rate, shown.is_paused, shown.done) == (
+        2 * S,
+        Fraction(2),
+        True,
+        "2 bytes",
+    )

@@ -109,6 +109,7 @@ def test_reads_each_kind(tmp_path: Path, text: str, fault: Fault) -> None:
         ('kind = "exception"\ncode = 256', "fault 1: code: 256: write a number from 1 to 255"),
         ('kind = "exception"\ncode = true', "fault 1: code: True: write a number"),
         ('kind = "wrong-unit"\nby = 0', "fault 1: by: 0: write a number from 1"),
+        ('kind = "wrong-unit"\nby = 256', "fault 1: by: 256: write a number from 1 to 255"),
         ('kind = "extra-bytes"\nbytes = "0"', "fault 1: bytes: '0': write hexadecimal bytes"),
         ('kind = "split"\npieces = 1', "fault 1: pieces: 1: write a number from 2 to 260"),
         ('kind = "close"\nunits = []', "fault 1: units: []: list numbers from 0 to 255"),

@@ -106,6 +106,13 @@ def test_refuses_a_file_of_another_kind(tmp_path: Path, data: bytes, says: str) 
         load_image(file, load_profile("idec-ft1a-touch"), RegisterImage())
 
 
+@pytest.mark.parametrize("value", ["{}", "{{ ramp = [0, {}], seconds = 1 }}"])
+def test_numbers_that_no_computer_reckons_with_are_refused(tmp_path: Path, value: str) -> None:
+    text = '"CH1 digital operation value" = ' + value.format("1" + "0" * 400)
+    with pytest.raises(UsageError, match="CH1 digital operation value"):
+        _load(tmp_path, text, "fa3-at1m8x")
+
+
 def test_refuses_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"absent\.toml: cannot be read: No such file"):
         load_image(tmp_path / "absent.toml", load_profile("idec-ft1a-touch"), RegisterImage())

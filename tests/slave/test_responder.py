@@ -36,7 +36,7 @@ def _device(name: str) -> DeviceResponder:
 
 
 def _own_device(
-    *areas: tuple[Table, int, int, Access], functions: Iterable[str]
+    *areas: tuple[Table, int, int, Access], functions: Iterable[str] | dict[str, FunctionRule]
 ) -> DeviceResponder:
     profile = Profile(
         name="own",
@@ -48,7 +48,9 @@ def _own_device(
             Area(name=f"area {first}", table=table, first=first, last=last, access=access)
             for table, first, last, access in areas
         ],
-        functions={function: FunctionRule() for function in functions},
+        functions=functions
+        if isinstance(functions, dict)
+        else {function: FunctionRule() for function in functions},
         exceptions=Exceptions(function=0x11, address=0x12, value=0x13, documented=[17, 18, 19]),
     )
     return DeviceResponder(profile, RegisterImage())
@@ -235,6 +237,17 @@ def test_reads_what_it_has_just_written_in_one_request() -> None:
     assert _ask(device, "17 00C7 0002 0002 0001 02 1111") == "97 12"
     assert _ask(device, "17 0001 0001 00C7 0002 04 1111 1111") == "97 12"
     assert device.image.get(holding, 0, 200) == [0, 0, 0xABCD, *([0] * 197)]
+
+
+def test_writes_no_more_in_one_request_than_its_profile_allows() -> None:
+    device = _own_device(
+        (Table.HOLDING_REGISTERS, 0, 9, Access.READ_WRITE),
+        functions={"17": FunctionRule(limit=3, write_limit=2)},
+    )
+    assert _ask(device, "17 0000 0003 0000 0002 04 0001 0002") == "17 06 00 01 00 02 00 00"
+    assert _ask(device, "17 0000 0003 0000 0003 06 0007 0008 0009") == "97 13"
+    assert _ask(device, "17 0000 0004 0000 0001 02 0007") == "97 13"
+    assert device.image.get(Table.HOLDING_REGISTERS, 0, 3) == [1, 2, 0]
 
 
 def test_a_listed_function_that_cannot_be_played_is_refused() -> None:

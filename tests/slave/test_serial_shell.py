@@ -18,7 +18,7 @@ from mbtool.devices import load_profile
 from mbtool.modbus import Answer, Table, ascii_adu, rtu_adu
 from mbtool.modbus.spoiling import Spoiling
 from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, units_on
-from mbtool.slave.serial_shell import MAX_WAITING
+from mbtool.slave.serial_shell import MAX_WAITING, port_in_use
 from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
@@ -235,6 +235,24 @@ def test_a_lost_port_ends_it_with_an_error() -> None:
     with pytest.raises(LinkError, match=r"^serial port .*: lost"):
         slave.wait(PATIENCE_S)
     slave.stop()
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (OSError(errno.EIO, "gone"), "lost; is it still plugged in"),
+        (termios.error(errno.EIO, "gone"), "lost; is it still plugged in"),
+        (serial.SerialTimeoutException("full"), "takes no bytes"),
+    ],
+)
+def test_what_an_open_port_raises_is_told(error: Exception, says: str) -> None:
+    with (
+        pytest.raises(LinkError, match=f"^serial port /dev/a: {says}"),
+        port_in_use(SerialLink("/dev/a", FAST)),
+    ):
+        raise error
+    with pytest.raises(KeyError), port_in_use(SerialLink("/dev/a", FAST)):
+        raise KeyError
 
 
 def test_stop_frees_the_port(line: VirtualLine, master: serial.Serial) -> None:

@@ -65,3 +65,14 @@ def test_a_lost_link_is_raised_by_wait() -> None:
 def test_is_started_once() -> None:
     with _Fake() as shell, pytest.raises(RuntimeError, match="started once"):
         shell.start()
+
+
+def test_stopping_what_has_just_ended_is_no_error() -> None:
+    class Ending(_Fake):
+        def _interrupt(self) -> None:
+            super()._interrupt()
+            raise RuntimeError("Event loop is closed")
+
+    with Ending() as shell:
+        shell.wait(0)
+    assert shell.runs == 1

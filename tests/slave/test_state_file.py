@@ -123,6 +123,13 @@ def test_a_device_that_keeps_nothing_has_no_state(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_links_in_a_circle_are_told(tmp_path: Path) -> None:
+    state = tmp_path / "state.toml"
+    state.symlink_to(state)
+    with pytest.raises(InputError, match=r"cannot be read: .*[Ll]oop"):
+        _device(state)
+
+
 def test_a_link_to_a_state_stays_a_link(tmp_path: Path) -> None:
     state, link = tmp_path / "state.toml", tmp_path / "link.toml"
     link.symlink_to(state)

@@ -46,9 +46,9 @@ class _Shell:
         return None
 
 
-def _feed(chunks: Iterator[bytes]) -> list[bytes]:
+def _feed(chunks: Iterator[bytes], rules: ConnectionRules | None = None) -> list[bytes]:
     """The unit and PDU of each request that is found in the chunks of a stream."""
-    shell = _Shell()
+    shell = _Shell(rules=rules or ConnectionRules())
     connection = Connection.__new__(Connection)
     _prepare(connection, shell)
     for chunk in chunks:
@@ -98,6 +98,18 @@ def test_the_longest_and_the_shortest_request_are_read_and_no_longer_one() -> No
 def test_what_an_earlier_read_left_in_the_buffer_does_not_count() -> None:
     short = mbap_adu(1, 2, READ)[:6]
     assert _feed(iter([mbap_adu(1, 2, READ), short])) == [bytes([2]) + READ]
+
+
+class _Resetting(ConnectionRules):
+    """Wants no connections from the first request on."""
+
+    closed_until_ns = 1
+
+
+def test_what_stands_behind_a_remote_reset_is_lost() -> None:
+    several = mbap_adu(1, 2, READ) * 3
+    assert _feed(iter([several]), _Resetting()) == [bytes([2]) + READ]
+    assert _feed(iter([several])) == [bytes([2]) + READ] * 3
 
 
 class _Watched(ConnectionRules):

@@ -6,6 +6,7 @@ import errno
 import select
 import socket
 import threading
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
@@ -361,6 +362,57 @@ def test_a_port_is_held_without_listening_while_no_connection_is_taken(
         socket.create_connection(address[:2], PATIENCE_S).close()
 
 
+class _ClosedForAWhile(ConnectionRules):
+    """Wants no connection until a moment."""
+
+    until_ns = 0
+
+    @property
+    def closed_until_ns(self) -> int:
+        return self.until_ns
+
+
+def test_another_that_listens_while_no_connection_is_taken_is_told() -> None:
+    rules = _ClosedForAWhile()
+
+    def close(_: int, pdu: bytes) -> Answer:
+        rules.until_ns, rules.changed = slave.clock() + round(PATIENCE_S * 1e9), True
+        return Answer(pdu)
+
+    slave = TcpSlave(LOOPBACK, Scripted(close), rules=rules)
+    with slave, socket.socket() as other, _connect(slave) as connection:
+        connection.sendall(mbap_adu(0, 1, READ))
+        _await_end(connection)
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        while other.getsockname()[1] != slave.endpoint.port:
+            with suppress(OSError):  # Until it has closed its own.
+                other.bind(("127.0.0.1", slave.endpoint.port))
+        other.listen()
+        slave._loop.call_soon_threadsafe(slave._woken.set)
+        with pytest.raises(LinkError, match="the port is in use"):
+            slave.wait(PATIENCE_S)
+
+
+def test_a_shell_that_is_stopped_before_it_serves_frees_the_port() -> None:
+    slave = TcpSlave(LOOPBACK, Scripted(echo))
+    slave._is_stopping = True
+    slave.start()
+    slave.wait(PATIENCE_S)
+    with socket.socket() as other:
+        other.bind((slave.endpoint.host, slave.endpoint.port))
+
+
+def test_who_connects_while_it_ends_is_not_waited_for() -> None:
+    slave = TcpSlave(LOOPBACK, Scripted(echo))
+    with slave:
+        with _connect(slave) as connection:
+            _ask(connection)
+        slave._is_stopping = True
+        with _connect(slave) as connection:
+            _await_end(connection)
+        assert not slave.connections
+
+
 def test_rules_of_a_device_count_instead_of_bounds() -> None:
     rules = ConnectionRules(places=1)
     bounds = Bounds(connections=5)
@@ -373,3 +425,15 @@ def test_rules_of_a_device_count_instead_of_bounds() -> None:
         _await_end(second)
         assert (slave.places, slave.turned_away) == (1, 1)
         assert slave.notes() == []
+
+
+def test_that_no_more_files_can_be_opened_is_said_once() -> None:
+    context = {"exception": OSError(errno.EMFILE, "Too many open files")}
+    with TcpSlave(LOOPBACK, Scripted(echo)) as slave, _connect(slave) as connection:
+        _ask(connection)
+        for _ in range(9):
+            slave._loop.call_soon_threadsafe(slave._loop.call_exception_handler, context)
+        _ask(connection)
+        assert slave.notes() == [
+            "no more connections for now: Too many open files; ulimit -n allows more"
+        ]

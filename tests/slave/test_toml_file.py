@@ -21,6 +21,12 @@ def test_keys_come_in_their_order(tmp_path: Path) -> None:
     assert list(_read(path).items()) == [("b", 1), ("a", 2)]
 
 
+def test_a_mark_that_editors_set_at_the_beginning_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes(b"\xef\xbb\xbfa = 1")
+    assert _read(path) == {"a": 1}
+
+
 @pytest.mark.parametrize(
     ("data", "problem"),
     [

@@ -127,11 +127,12 @@ def test_requests_are_counted_by_what_was_wrong_with_them() -> None:
         "05 0000 1234",  # no value of a coil
         "03 0000 007E",
         "10 0000 0065 CA" + 101 * "0001",
+        "17 0000 0001 0000 0065 CA" + 101 * "0001",
         "01 0000 07D1",
     ):
         _ask(coupler, request)
     assert _ask(coupler, "03 1029 0009") == (
-        "03 12 00 00 00 00 00 01 00 01 00 01 00 01 00 02 00 01 00 08"
+        "03 12 00 00 00 00 00 01 00 01 00 01 00 01 00 03 00 01 00 09"
     )
     assert _ask(coupler, "06 1029 1234") == "06 10 29 12 34"
     assert _ask(coupler, "03 1029 0004") == "03 08 00 00 00 00 00 01 00 01"

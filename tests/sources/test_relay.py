@@ -396,7 +396,8 @@ def test_the_end_does_not_wait_for_a_handshake(bench: SecureBench) -> None:
         (
             ELSEWHERE,
             TARGET,
-            "IP address mismatch, certificate is not valid for '127.0.0.1'",
+            "IP address mismatch, certificate is not valid for '127.0.0.1'; "
+            "--tls-target-name says which name it has instead",
         ),
         (EXPIRED, TARGET, "certificate has expired"),
     ],
@@ -410,7 +411,7 @@ def test_a_target_whose_certificate_is_wrong_is_one_event_and_resets_the_master(
         bench.accept(slave_context(cert, version=version)).recv(100)
     with pytest.raises(ConnectionResetError):
         master.recv(100)
-    message = f"{bench.target} cannot be reached: TLS: the slave's certificate is refused: {why}"
+    message = f"{bench.target}: TLS: the slave's certificate is refused: {why}"
     assert [(event.kind, event.message) for event in bench.events()] == [
         (EventKind.REFUSED, message)
     ]
@@ -419,8 +420,13 @@ def test_a_target_whose_certificate_is_wrong_is_one_event_and_resets_the_master(
 @pytest.mark.parametrize("cert", [SLAVE, ELSEWHERE])
 @pytest.mark.parametrize(
     "target",
-    [TargetTls(None), TargetTls(SLAVE, name="localhost"), TargetTls(CA, name="plc.example")],
-    ids=["unverified", "the certificate itself", "named"],
+    [
+        TargetTls(None),
+        TargetTls(SLAVE),
+        TargetTls(ELSEWHERE),
+        TargetTls(CA, name="plc.example"),
+    ],
+    ids=["unverified", "its certificate", "the certificate of another name", "named"],
 )
 def test_a_target_may_be_known_by_its_name_or_its_very_certificate_or_not_at_all(
     bench: SecureBench, cert: str, target: TargetTls
@@ -448,6 +454,6 @@ def test_a_target_that_refuses_the_taps_certificate_is_one_event(
     (event,) = bench.events()
     assert event.kind is EventKind.REFUSED
     # With TLS 1.3 the tap's handshake is over by then.
-    assert event.message.removeprefix(f"{bench.target} cannot be reached: ") == (
+    assert event.message.removeprefix(f"{bench.target}: ") == (
         "TLS: the slave refuses: it does not know who vouches for the tap's certificate"
     )

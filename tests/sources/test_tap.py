@@ -327,6 +327,46 @@ def test_a_connection_over_the_bound_is_turned_away_with_an_event(bench: Bench) 
     assert bench.accept().recv(100) == b"room again"
 
 
+def test_a_tap_that_waits_lets_nobody_in_before_it_is_told_to(bench: Bench) -> None:
+    link = TapLink(ANY_PORT, bench.target)
+    with TapSource(link, bench.inbox, waits=True) as tap:
+        master = bench.call(tap)
+        master.sendall(REQUEST)
+        for _ in range(3):  # Three looks at the clock.
+            assert isinstance(bench.inbox.get(PATIENCE_S), Quiet)
+        tap.accept()
+        assert bench.accept().recv(100) == REQUEST
+    with TapSource(link, bench.inbox, waits=True) as tap:
+        master = bench.call(tap)
+    with suppress(ConnectionError):
+        assert master.recv(100) == b""
+
+
+def test_that_no_more_files_can_be_opened_is_told_once(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    tap = bench.tap()
+    context = {
+        "message": "socket.accept() out of system resource",
+        "exception": OSError(errno.EMFILE, os.strerror(errno.EMFILE)),
+    }
+    loop = tap._loop
+    assert loop is not None
+    for _ in range(100):
+        loop.call_soon_threadsafe(loop.call_exception_handler, context)
+    other = {"message": "something else", "exception": ValueError("of another kind")}
+    loop.call_soon_threadsafe(loop.call_exception_handler, other)
+    bench.call(tap)
+    bench.accept()
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamOpened))
+    (event,) = [item for item in items if isinstance(item, WireEvent)]
+    assert event.kind is EventKind.REFUSED
+    assert event.message == (
+        "no more connections for now: Too many open files; ulimit -n allows more"
+    )
+    assert [record.message for record in caplog.records] == ["something else"]
+
+
 def test_an_idle_connection_is_closed(bench: Bench) -> None:
     tap = bench.tap(idle_s=0.0)
     master = bench.call(tap)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import LinkError, ListenTls, TargetTls
-from mbtool.sources.tls import client_context, failure, server_context
-from tests.certificates import CA, EXPIRED_CA, LATIN_1, LOCKED_KEY, MASTER, SLAVE
+from mbtool.sources.tls import client_context, failure, server_context, why_outdated
+from tests.certificates import CA, EXPIRED, EXPIRED_CA, LATIN_1, LOCKED_KEY, MASTER, SLAVE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -135,3 +135,15 @@ def _ssl_error(reason: str) -> ssl.SSLError:
 )  # fmt: skip
 def test_why_tls_failed_is_said_in_words(error: OSError, why: str | None) -> None:
     assert failure(error, "slave") == why
+
+
+def test_a_certificate_of_the_taps_own_that_has_expired_is_told(tmp_path: Path) -> None:
+    why = why_outdated("--tls-cert", EXPIRED)
+    assert why == (
+        f"--tls-cert {EXPIRED}: expired at 2020-02-01 00:00 UTC; peers that look will refuse it"
+    )
+    assert why_outdated("--tls-cert", SLAVE) is None
+    other = tmp_path / "other.pem"
+    assert why_outdated("--tls-cert", str(other)) is None
+    other.write_text("-----BEGIN CERTIFICATE-----\n!!\n-----END CERTIFICATE-----\n")
+    assert why_outdated("--tls-cert", str(other)) is None

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import ssl
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.sources.tls_peer import MAX_TEXT, ROLE_OID, role_of, subject_of
-from tests.certificates import CA, MASTER, NO_ROLE, SLAVE
+from mbtool.sources.tls_peer import MAX_TEXT, ROLE_OID, end_of, role_of, subject_of
+from tests.certificates import CA, EXPIRED, MASTER, NO_ROLE, SLAVE
 
 
 def der_of(path: str) -> bytes:
@@ -93,3 +94,17 @@ def test_what_a_terminal_would_act_on_is_escaped_and_long_names_are_cut() -> Non
     assert subject_of({"subject": ((("commonName", "a\x1b[2J\n"),),)}) == r"CN=a\x1b[2J\n"
     long = subject_of({"subject": ((("commonName", "x" * 1000),),)})
     assert long == "CN=" + "x" * (MAX_TEXT - 3) + "..."
+
+
+def test_the_end_of_a_certificates_validity_is_read() -> None:
+    assert end_of(der_of(EXPIRED)) == datetime(2020, 2, 1, tzinfo=UTC)
+    assert end_of(der_of(SLAVE)) == datetime(2120, 1, 1, tzinfo=UTC)  # A time of another kind.
+
+
+@given(st.binary(max_size=80))
+def test_a_validity_that_cannot_be_read_has_no_end(noise: bytes) -> None:
+    validity = element(0x30, element(0x17, b"200101000000Z") + element(0x17, noise))
+    body = element(0x30, b"") * 2 + validity
+    end = end_of(element(0x30, element(0x30, body)))
+    assert end is None or len(noise) >= 8
+    assert end_of(noise) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -177,7 +178,7 @@ def test_a_read_brings_its_points() -> None:
 def test_17h_has_what_it_wrote_beside_where_and_what_it_read_in_the_result() -> None:
     wrote = msgspec.structs.replace(_point("Valve", "open", 1, "D3"), written=True)
     read = _point("Level", "5 m", 5, "D1")
-    fields = {
+    fields: dict[str, Any] = {
         "function": 0x17,
         "reference": "D1, write D3",
         "write_address": 3,

@@ -148,8 +148,15 @@ def test_a_page_says_what_holds_in_one_mode_only_and_what_a_code_means() -> None
 
 
 def test_a_page_says_how_far_apart_requests_are() -> None:
-    lines = _lines(profile_page(load_profile("idec-ft1a-smartaxis")))
-    assert "timing: at least 5ms before each request" in lines
+    smartaxis = load_profile("idec-ft1a-smartaxis")
+    patient = msgspec.structs.replace(smartaxis, timing=Timing(request_interval="5ms"))
+    assert "timing: at least 5ms before each request" in _lines(profile_page(patient))
+
+
+def test_a_page_says_which_units_and_data_there_are() -> None:
+    assert "units: 1 to 99" in _lines(profile_page(load_profile("chino-lt830")))
+    lines = _lines(profile_page(load_profile("fa3-at1m8x")))
+    assert "41        remote reset (data 00), without an answer" in [one.rstrip() for one in lines]
 
 
 def test_a_page_tells_what_is_read_from_what_is_written() -> None:

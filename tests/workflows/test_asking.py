@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink
-from mbtool.modbus import Answer
+from mbtool.modbus import Answer, mbap_adu
 from mbtool.slave import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
 from mbtool.workflows import asking
-from mbtool.workflows.asking import RtuMaster, TcpMaster
-from tests.slave.scripted import Scripted
+from mbtool.workflows.asking import Master, TcpMaster
+from tests.slave.scripted import PATIENCE_S, Scripted
 from tests.workflows.bench import ANY, FAST
 from tests.workflows.evidence import READ, VALUES, WRITE
 
@@ -49,15 +50,22 @@ def test_silence_over_tcp_is_no_answer_and_a_late_one_is_not_the_next_ones(
         assert master.ask(1, WRITE) == WRITE
 
 
-def test_a_closed_connection_is_no_answer_or_a_lost_link() -> None:
+def test_a_closed_connection_is_no_answer_and_is_opened_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(asking, "TIMEOUT_S", 0.2)
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
         TcpMaster(Endpoint("127.0.0.1", server.getsockname()[1])) as master,
     ):
         server.accept()[0].close()
         assert master.ask(1, READ) is None
-        with pytest.raises(LinkError, match="lost"):
-            master.ask(1, READ)
+        server.settimeout(PATIENCE_S)
+        with ThreadPoolExecutor() as pool:
+            answer = pool.submit(master.ask, 1, READ)
+            with server.accept()[0] as accepted:
+                assert accepted.recv(256) == mbap_adu(2, 1, READ)
+            assert answer.result(PATIENCE_S) is None
 
 
 def test_says_whom_it_cannot_reach() -> None:
@@ -70,7 +78,7 @@ def test_says_whom_it_cannot_reach() -> None:
 def test_asks_on_a_serial_line() -> None:
     with VirtualLine(ends=2, format=FAST) as line:
         slave, master = (SerialLink(port, FAST) for port in line.ports)
-        with SerialSlave(slave, Scripted(_device)), RtuMaster(master) as rtu:
+        with SerialSlave(slave, Scripted(_device)), Master(master) as rtu:
             assert rtu.ask(1, WRITE) == WRITE
             assert rtu.ask(2, READ) == VALUES
 
@@ -79,11 +87,11 @@ def test_silence_on_a_serial_line_is_no_answer(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(asking, "TIMEOUT_S", 0.2)
     with (
         VirtualLine(ends=2, format=FAST) as line,
-        RtuMaster(SerialLink(line.ports[1], FAST)) as rtu,
+        Master(SerialLink(line.ports[1], FAST)) as rtu,
     ):
         assert rtu.ask(1, READ) is None
 
 
 def test_a_port_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="absent: is not there"):
-        RtuMaster(SerialLink(str(tmp_path / "absent"), FAST))
+        Master(SerialLink(str(tmp_path / "absent"), FAST))

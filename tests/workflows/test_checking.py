@@ -194,6 +194,13 @@ def test_codes_of_a_device_that_a_log_carries_are_known(tmp_path: Path) -> None:
         checked(tmp_path / "x.mcap", selection=Selection.parse(["LINE8"], [])).demand_selection()
 
 
+def test_silences_that_are_too_few_for_a_finding_are_a_remark() -> None:
+    checking = checked(FINDINGS / "RTU-101-nearly.pcap")
+    assert not [*checking.findings()]
+    remark = checking.remarks[-1]
+    assert ": a silence longer than t1.5 inside a frame in 1 of 16 transactions; so few" in remark
+
+
 def test_a_slave_that_says_its_model_is_a_remark() -> None:
     checking = checked(FOLDER / "fa3-at1m8x-setup.pcap")
     assert not [*checking.findings()]

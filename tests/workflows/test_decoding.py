@@ -209,8 +209,22 @@ def test_the_end_of_a_connection_ends_its_open_requests() -> None:
 
 
 def test_a_connection_that_a_bound_closed_is_discarded() -> None:
-    records = _decoded([StreamClosed(START_NS, CONNECTION, CloseReason.DISCARDED)])
-    assert _outcomes(records) == ["discarded"]
+    (record,) = _decoded([StreamClosed(START_NS, CONNECTION, CloseReason.DISCARDED)])
+    assert isinstance(record, WireEvent)
+    assert record.kind == "discarded"
+    assert "silent longest of more than 4096" in record.message
+
+
+def test_a_stranger_that_a_bound_closed_is_no_loss() -> None:
+    said = Chunk(
+        ts_ns=START_NS,
+        link=CONNECTION.link,
+        data=b"\xff" * 3000,
+        direction=REQUEST,
+        connection=CONNECTION,
+    )
+    records = _decoded([said, StreamClosed(START_NS, CONNECTION, CloseReason.DISCARDED)])
+    assert _outcomes(records) == ["foreign", "closed"]
 
 
 def test_what_a_line_lost_breaks_off_what_it_held() -> None:
@@ -577,6 +591,17 @@ def test_at_any_port_what_is_no_modbus_is_told_once_for_each_slave() -> None:
         )
         records += decoder.feed(StreamClosed(START_NS, connection, CloseReason.FINISHED))
     assert _outcomes(records) == ["foreign"]
+
+
+@pytest.mark.parametrize("port", [9000, 60000], ids=["slave lower", "master lower"])
+def test_at_any_port_strangers_joined_in_the_middle_are_told_once_for_each_slave(port: int) -> None:
+    decoder = Decoder(Namer(), any_port=True)
+    records: list[Record] = []
+    for number in range(20):
+        talk = Talk(End("10.0.0.1", 20000 + number, 1000), End("10.0.0.2", port, 5000))
+        for packet in (talk.request(b"\xff" * 900), talk.response(b"\xff" * 900)):
+            records += decoder.feed(packet)
+    assert _outcomes([*records, *decoder.close()]) == ["foreign"]
 
 
 def test_a_foreign_connection_to_a_port_that_is_named_is_one_event() -> None:

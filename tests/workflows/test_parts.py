@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import Direction, Packet, WireEvent
+from mbtool.core import CutError, Direction, Packet, WireEvent
+from mbtool.devices import Namer
 from mbtool.logs import LogWriter, RotatingLog, Rotation
+from mbtool.workflows.decoding import Decoder
+from mbtool.workflows.log_links import SPEC
 from mbtool.workflows.parts import BACK_NS, Part, Seam
-from mbtool.workflows.reading import SPEC, Reading, ReadingOptions
+from mbtool.workflows.reading import Reading, ReadingOptions
 from tests.packets.building import pcap
 from tests.workflows.evidence import (
     LINE,
@@ -95,6 +98,86 @@ def test_a_capture_that_begins_earlier_is_another(tmp_path: Path) -> None:
         outcomes = _outcomes(_read(paths))
         assert "no-answer" in outcomes
         assert "unsolicited" in outcomes
+
+
+def _cut(path: Path) -> Path:
+    path.write_bytes(path.read_bytes()[:-1])
+    return path
+
+
+def _read_to_the_cut(paths: Iterable[Path], *, raw: bool = False) -> tuple[Reading, list[Record]]:
+    """What is read of files of which some are cut: the first is named after all else."""
+    reading = Reading([str(path) for path in paths], ReadingOptions(raw=raw))
+    records: list[Record] = []
+    with pytest.raises(CutError) as raised:
+        records.extend(reading.records())
+    assert str(raised.value).startswith(str(next(one for one in paths if "cut" in one.name)))
+    return reading, records
+
+
+def test_parts_behind_one_that_is_cut_are_read_behind_a_gap(tmp_path: Path) -> None:
+    packets = captured(6)
+    parts = _written(tmp_path, packets[:5], packets[5:8], packets[8:11], packets[11:])
+    parts[1], parts[2] = (_cut(one.rename(tmp_path / f"cut-{one.name}")) for one in parts[1:3])
+    reading, records = _read_to_the_cut(parts)
+    outcomes = _outcomes(records)
+    assert outcomes.count("ok") == 4
+    gaps = [one for one in records if isinstance(one, WireEvent) and one.kind == "gap"]
+    # Two files, and the bytes that their last packets had.
+    assert [bool(one.link) for one in gaps].count(False) == 2
+    assert "cut-part-1.pcap" in gaps[0].message
+    assert [one for one in reading.remarks if "cut-part-2.pcap" in one]
+    assert isinstance(records[-1], WireEvent)
+    assert records[-1].kind == "closed"
+
+
+def test_a_serial_line_does_not_go_on_behind_a_cut(tmp_path: Path) -> None:
+    packets = _serial_packets(3)
+    parts = _written(tmp_path, packets[:4], packets[4:])
+    parts[0] = _cut(parts[0].rename(tmp_path / "cut.pcap"))
+    _, records = _read_to_the_cut(parts)
+    assert _outcomes(records) == ["ok", "no-answer", "ok"]
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_parts_of_a_log_behind_one_that_is_cut_are_read_behind_a_gap(
+    tmp_path: Path, raw: bool
+) -> None:
+    evidence = [chunk for at_ms in range(0, 900, 100) for chunk in exchange(at_ms)]
+    parts = [tmp_path / "cut.mcap", tmp_path / "next.mcap"]
+    for number, path in enumerate(parts):
+        decoder = Decoder(Namer(), lines={LINE.name: LINE})
+        with LogWriter(path, capture={"part": str(number + 1)}) as log:
+            _introduce(log)
+            for place, chunk in enumerate(evidence[12 * number :][:12]):
+                log.write(chunk)
+                for record in decoder.feed(chunk):
+                    log.write(record)
+                log.tick(place * 1_000_000_000)
+            for record in decoder.close():
+                log.write(record)
+    data = parts[0].read_bytes()
+    parts[0].write_bytes(data[: len(data) // 3])
+    _, records = _read_to_the_cut(parts, raw=raw)
+    (gap,) = [one for one in records if isinstance(one, WireEvent) and one.kind == "gap"]
+    at = records.index(gap)
+    assert gap.ts_ns >= evidence[0].ts_ns
+    assert "ok" in _outcomes(records[:at])
+    assert _outcomes(records[at:]) == ["ok"] * 3
+
+
+def test_a_part_that_is_named_too_late_is_told_once(tmp_path: Path) -> None:
+    packets = [
+        replace(one, ts_ns=one.ts_ns + 2 * BACK_NS * place) for place, one in enumerate(captured(6))
+    ]
+    paths = _written(tmp_path, packets[:3], packets[3:6], packets[6:9], packets[9:12], packets[12:])
+    reading = Reading([str(paths[at]) for at in (0, 1, 4, 2, 3)], ReadingOptions())
+    list(reading.records())
+    (remark,) = reading.remarks
+    assert remark.startswith(f"{paths[2]}: begins before {paths[4]} ends")
+    in_order = Reading([str(path) for path in paths], ReadingOptions())
+    list(in_order.records())
+    assert in_order.remarks == []
 
 
 def test_a_capture_of_another_link_type_is_another() -> None:

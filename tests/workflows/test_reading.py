@@ -537,6 +537,17 @@ def test_as_what_line_is_said_once_for_all_files(tmp_path: Path) -> None:
     assert remark.startswith(f"{paths[0]} and 2 more: taken as 19200-8E1; ")
 
 
+def test_options_without_effect_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(1))
+    reading = Reading([str(path)], ReadingOptions(raw=True, line=parse_line("rtu@19200-8E1")))
+    list(reading.records())
+    assert reading.remarks == [
+        "--raw has no effect: it is for logs (.mcap), and there is none",
+        "--link has no effect: these are packets of a network",
+    ]
+
+
 def test_a_packet_capture_needs_no_remark(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file())

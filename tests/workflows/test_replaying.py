@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import InputError, UsageError, parse_line, parse_link
+from mbtool.devices import NamedTransaction
 from mbtool.modbus import Transport, mbap_adu
 from mbtool.modbus.spoiling import wire_pieces
 from mbtool.replay import Control, Match, OnMiss, Window
@@ -69,6 +71,20 @@ def test_a_recording_answers_as_its_slave_did(tmp_path: Path) -> None:
         assert master.ask(1, READ) == VALUES
         assert master.ask(1, READ) == VALUES
         assert master.ask(1, READ) == VALUES
+
+
+def test_what_was_read_is_let_go_once_it_can_be_played(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(50))
+
+    def held() -> int:
+        gc.collect()
+        return sum(isinstance(one, NamedTransaction) for one in gc.get_objects())
+
+    before = held()
+    run = SlaveRun(str(path), SlaveOptions())
+    assert len(run.recording.order) == 50
+    assert held() == before
 
 
 def test_only_what_is_wanted_is_played(tmp_path: Path) -> None:

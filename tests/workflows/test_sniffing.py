@@ -30,6 +30,7 @@ from mbtool.core import (
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
 from mbtool.sources.serial_line import SerialSource
+from mbtool.sources.tap import TapSource
 from mbtool.workflows.decoding import Decoder
 from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.recording import begin_log
@@ -86,6 +87,29 @@ def test_hears_a_relay_and_logs_it(bench: Bench, tmp_path: Path) -> None:
         list(log.items())
         assert log.closed
         assert log.capture["discarded_packets"] == log.capture["discarded_bytes"] == "0"
+
+
+def test_the_log_is_begun_before_a_tap_lets_anybody_in(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    accept = TapSource.accept
+
+    def noted(tap: TapSource) -> None:
+        done.append("accepts")
+        accept(tap)
+
+    monkeypatch.setattr(TapSource, "accept", noted)
+    links = [bench.tap()]
+
+    def begin() -> Mock:
+        done.append("log")
+        return Mock()
+
+    with Sniffer(links, Decoder(Namer()), begin_log=begin) as sniffer:
+        assert done == ["log", "accepts"]
+        ask(sniffer, WRITE)
+        assert len(_run(sniffer, 1)) >= 1
 
 
 def test_hears_a_serial_line_and_logs_it(bench: Bench, tmp_path: Path) -> None:

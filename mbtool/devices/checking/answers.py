@@ -10,6 +10,8 @@
 #     a request at the very end of the capture, whose answer may come after it,
 #     an answer soon after its beginning, whose request may have come before it,
 #     what surrounds bytes that are lost, or that could not be read,
+#     a frame that may be another (Verdict.AMBIGUOUS), and the request before it to the same unit,
+#     whose answer it may be,
 #     what is carried out in silence: function 08 with sub-function 4, functions whose profile says
 #     so, and what RTU over TCP sends to all units.
 #
@@ -27,7 +29,7 @@ from mbtool.devices.checking.finding import Finding, found, is_joined
 from mbtool.devices.checking.kept import Kept
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
-from mbtool.modbus.adu import Transport
+from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
@@ -45,6 +47,7 @@ EDGE_NS = 1_000_000_000
 
 _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
+_ONE_SIDED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
 
 _Party = tuple[str, str | None]
@@ -100,8 +103,11 @@ class AnswerRules:
         if transaction.response_ns is not None:
             self._note_time(transaction.response_ns)
             self._heard[transaction.link, transaction.unit][0] = True
+        is_doubtful = Verdict.AMBIGUOUS in transaction.verdicts
+        if is_doubtful and transaction.outcome in _ONE_SIDED:
+            self._forget(party, transaction.unit)
         if transaction.outcome is Outcome.UNSOLICITED:
-            if _was_unasked(state, at_ns):
+            if _was_unasked(state, at_ns) and not is_doubtful:
                 yield found("MB-403", transaction, _unasked_text(transaction))
             return
         state.has_asked, state.is_damaged = True, False
@@ -109,7 +115,7 @@ class AnswerRules:
         question = (party, transaction.unit, _asked(transaction))
         if transaction.outcome is Outcome.NO_ANSWER:
             was_lost = state.lost_ns is not None and state.lost_ns >= at_ns
-            if not was_lost and not _is_silent(transaction, profile):
+            if not (was_lost or is_doubtful or _is_silent(transaction, profile)):
                 yield from self._not_answered(question, transaction)
         elif transaction.outcome is not Outcome.BROADCAST:
             earlier = self._held.pop(question, None)
@@ -191,8 +197,8 @@ class AnswerRules:
             del self._held[question]
         return self._unanswered(oldest)
 
-    def _forget(self, party: _Party) -> None:
-        for question in [one for one in self._held if one[0] == party]:
+    def _forget(self, party: _Party, unit: int | None = None) -> None:
+        for question in [one for one in self._held if one[0] == party and unit in (None, one[1])]:
             self._number_held -= len(self._held.pop(question))
 
     def _unanswered(self, transaction: NamedTransaction) -> Finding:

@@ -3,6 +3,9 @@
 # Each rule looks at the records of its own kind, in the order in which they are decoded, which is
 # that of their ends. No rule asks the clock, and all that they hold is bounded, as their modules
 # say. What many transactions come to is told at the end, when all of them are known.
+#
+# A frame that may be another (Verdict.AMBIGUOUS) breaks no rule of content, since its bytes may say
+# something else (naming.py gives it no codes); how many there are is a remark.
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from mbtool.devices.checking.polls import PollRules
 from mbtool.devices.checking.surroundings import Surroundings
 from mbtool.devices.checking.transactions import TransactionRules
 from mbtool.devices.checking.wago import WagoRules, is_wago
+from mbtool.modbus.adu import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,6 +41,9 @@ class Checker:
         self._connections = ConnectionRules(self._around.ports)
         self._fa3 = Fa3Rules()
         self._wago = WagoRules()
+        self._ambiguous = 0
+        self.remarks: list[str] = []
+        """What is no finding and yet worth a line, once the capture has ended."""
 
     def feed(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
         """Take the next record, a transaction as it was named with today's rules."""
@@ -51,9 +58,20 @@ class Checker:
         yield from self._connections.close()
         yield from self._lines.close()
         yield from self._polls.close()
+        if self._ambiguous:
+            many = self._ambiguous > 1
+            self.remarks.append(
+                f"{self._ambiguous} transactions are ambiguous; what they say was held against no "
+                "rule"
+                if many
+                else "1 transaction is ambiguous; what it says was held against no rule"
+            )
+        self.remarks += self._lines.remarks
 
     def _transaction(self, one: NamedTransaction) -> Iterator[Finding]:
         profile = self._around.assignments.profile_for(one)
+        is_doubtful = Verdict.AMBIGUOUS in one.verdicts
+        self._ambiguous += is_doubtful
         yield from self._each.check(one, profile)
         is_serial = one.transport.is_serial
         format_ = self._around.line_of(one.link) if is_serial else None
@@ -66,7 +84,7 @@ class Checker:
             yield from self._connections.transaction(one)
         if format_ is not None or not is_serial:
             self._polls.transaction(one)
-        if profile is not None:
+        if profile is not None and not is_doubtful:
             if is_fa3(profile):
                 yield from self._fa3.transaction(one, profile)
             if is_wago(profile):

@@ -25,6 +25,7 @@ from mbtool.devices.checking.connections import foreign_text, is_foreign_message
 from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
 from mbtool.devices.checking.kept import Kept
 from mbtool.devices.checking.transactions import asked_for
+from mbtool.devices.findings import has_other_data
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -73,7 +74,7 @@ class Fa3Rules:
         source, at_ns = transaction.source or "", transaction.start_ns
         if source in module.connections:
             module.connections[source] = max(at_ns, module.connections[source])
-        if transaction.function == _REMOTE_RESET and transaction.outcome is Outcome.NO_ANSWER:
+        if _is_reset(transaction, profile) and transaction.outcome is Outcome.NO_ANSWER:
             yield found("FA3-X3", transaction, "a remote reset is asked for")
             yield from self._reset(module, source, at_ns)
         elif transaction.request_ns is not None and source != module.reset_by:
@@ -127,6 +128,15 @@ class Fa3Rules:
                 yield _with_time(finding, at_ns - since_ns)
         else:
             module.recent.append((at_ns, finding))
+
+
+def _is_reset(transaction: NamedTransaction, profile: Profile) -> bool:
+    """With other data than the manual's it is an error of its own, and resets nothing."""
+    rule = profile.rule(_REMOTE_RESET)
+    if transaction.function != _REMOTE_RESET:
+        return False
+    fixed = bytes.fromhex(rule.data) if rule is not None and rule.data is not None else b""
+    return not has_other_data(transaction, fixed)
 
 
 def _with_time(finding: Finding, after_ns: int) -> Finding:

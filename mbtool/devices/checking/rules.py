@@ -62,6 +62,12 @@ _ROWS = (
     ),
     ("A", _E, "The function addresses what the device's manual does not have.", _MANUAL),
     ("W", _E, "The function writes where the device's manual lets a master only read.", _MANUAL),
+    (
+        "D",
+        _E,
+        "The request has other data than the device's manual fixes for the function.",
+        _MANUAL,
+    ),
     ("V", _W, "A value is written that is outside the range in the device's manual.", _MANUAL),
     ("E", _W, "The device gave an exception code that its manual does not list.", _MANUAL),
     # Requests.

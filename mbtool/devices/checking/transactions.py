@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.rules import DeviceCode
-from mbtool.devices.findings import finding_text, value_ranges, values_outside
+from mbtool.devices.findings import finding_text, request_data, value_ranges, values_outside
 from mbtool.devices.form import ADDRESSES, answer_form, padding_of, request_form
+from mbtool.devices.references import is_neutral
 from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, short_name
 
 if TYPE_CHECKING:
@@ -70,7 +71,10 @@ class TransactionRules:
         if letter == "F":
             return text
         if letter == "Q":
-            return f"{asked_for(transaction)}: quantity {transaction.quantity}, {text}"
+            return f"{asked_for(transaction)}: {_quantities(transaction)}, {text}"
+        if letter == "D":
+            data = (request_data(transaction) or b"").hex(" ").upper() or "none"
+            return f"{asked_for(transaction)}: data {data}, {text}"
         if letter == "V" and profile is not None:
             return f"{asked_for(transaction)}: {self._outside(transaction, profile)}"
         return f"{asked_for(transaction)}: {text}"
@@ -80,7 +84,7 @@ class TransactionRules:
         if ranges is None:
             ranges = self._ranges[profile.name] = value_ranges(profile)
         phrases = []
-        for point in values_outside(ranges, transaction.points):
+        for point in values_outside(ranges, transaction.written_points):
             least, greatest = ranges[point.name]
             if least is None or greatest is None:
                 limits = f"up to {greatest}" if least is None else f"from {least} on"
@@ -94,9 +98,17 @@ def asked_for(transaction: NamedTransaction) -> str:
     """What a transaction asks, in a few words: `write registers HR400001..400110`."""
     function = transaction.function
     name = short_name(function, transaction.function_name)
-    if transaction.device is None and function in _PLAIN:
+    if not transaction.reference:
+        return name
+    if function in _PLAIN and is_neutral(transaction.reference):
         name = "write" if FUNCTIONS[function].writes else "read"  # The reference names the table.
-    return f"{name} {transaction.reference}" if transaction.reference else name
+    return f"{name} {transaction.reference}"
+
+
+def _quantities(transaction: NamedTransaction) -> str:
+    if transaction.write_address is None:
+        return f"quantity {transaction.quantity}"
+    return f"reads {transaction.quantity}, writes {len(transaction.request_values or ())}"
 
 
 def _wrong_quantity(transaction: NamedTransaction) -> str:

@@ -184,7 +184,7 @@ def decide(
     numbers = [written.number for written, _ in addresses]
     least, most = min(numbers), max(numbers)
     if counting is not None:
-        return counting, "as you said"
+        return counting, "you said so"
     if all(_is_reference(written, table) for written, table in addresses):
         return Counting.REFERENCES, f"every one of {least}..{most} can be a reference"
     if re.search(r"\b(?:0|zero) ?based|\bpdu\b|\bprotocol\b|\bwire\b", hint):

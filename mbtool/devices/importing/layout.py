@@ -20,7 +20,7 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from mbtool.devices.importing.columns import Column
     from mbtool.devices.importing.rows import Complaints
@@ -304,7 +304,7 @@ def lay_areas(laid: Sequence[Laid]) -> tuple[list[Area], list[Point], dict[str, 
     run: list[Laid] = []
     for one in (*laid, None):
         if run and (one is None or not _goes_on(run, one)):
-            area = _area(run)
+            area = _area(run, {each.name for each in areas})
             areas.append(area)
             points += [_with_access(member, area) for member in run]
             codes |= _functions(run, area)
@@ -327,7 +327,8 @@ def _goes_on(run: Sequence[Laid], one: Laid) -> bool:
     )
 
 
-def _area(run: Sequence[Laid]) -> Area:
+def _area(run: Sequence[Laid], taken: Collection[str]) -> Area:
+    """The area of a run; where another is called like it, since numbers repeat, its address too."""
     first, last = run[0], run[-1]
     rights = {member.placed.access for member in run}
     prefix, base, radix, width, suffix = first.placed.notation
@@ -346,6 +347,8 @@ def _area(run: Sequence[Laid]) -> Area:
     span = area.span(area.first, area.last)
     words = area.table.value.replace("_", " ")
     name = f"{words if area.last > area.first else words.removesuffix('s')} {span}"
+    if name in taken:
+        name = f"{name}, from address {area.first}"
     return msgspec.structs.replace(area, name=name)
 
 

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -29,9 +30,9 @@ from mbtool.devices.importing.columns import Column, Meaning, Sheet, find_sheet,
 from mbtool.devices.importing.layout import MAX_HOLE, lay_areas, lay_points
 from mbtool.devices.importing.placing import ImportOptions, Placer
 from mbtool.devices.importing.rows import Complaints, Item, RowReader
-from mbtool.devices.importing.spellings import parse_type
+from mbtool.devices.importing.spellings import Kind, parse_type
 from mbtool.devices.loading import MAX_FILE_BYTES
-from mbtool.devices.model import Profile
+from mbtool.devices.model import PointType, Profile
 from mbtool.devices.starting import name_for
 from mbtool.devices.validation import validate
 from mbtool.modbus.adu import Transport
@@ -97,6 +98,7 @@ class _Import:
         laid = lay_points(placer.place_all(), self._complaints, column)
         self._remarks += [*placer.remarks, *reader.remarks]
         self._tell_types(items)
+        self._tell_limits(items, reader)
         self._tell_unused(sheet)
         if self._complaints.count:
             raise WrongCellsError(self._file, self._complaints)
@@ -202,6 +204,29 @@ class _Import:
             )
         else:
             self._tell_rows("without a type, taken as uint16, of two registers as uint32", untyped)
+        kinds = [(item, item.kind) for item in items if item.kind is not None]
+        endless = [item.row for item, kind in kinds if _has_no_length(item, kind)]
+        self._tell_rows("with a text without a length, taken as 1 register", endless)
+        wide = [item.row for item, kind in kinds if kind.is_bits and kind.type.words > 1]
+        self._tell_rows(
+            "with bits in several registers, taken as a whole number, since only one register can "
+            "have named bits",
+            wide,
+        )
+
+    def _tell_limits(self, items: Sequence[Item], reader: RowReader) -> None:
+        scaled = [
+            item.row
+            for item in items
+            if (item.scale, item.offset) != (1, 0)
+            and not item.minimum is item.maximum is item.default is None
+        ]
+        self._tell_rows(
+            "with a range or default that is kept as a note, since the list does not say whether "
+            "it is before or after scaling",
+            scaled,
+        )
+        self._tell_rows("with a range or values that cannot be read, kept as a note", reader.unread)
 
     def _tell_unused(self, sheet: Sheet) -> None:
         nameless = [
@@ -225,6 +250,7 @@ class _Import:
             self._remarks.append(f"row{'s' if len(rows) > 1 else ''} {what}: {shown}{more}")
 
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 _WITHOUT = "without an address, so left out"
 _RESERVED = "called reserved or unused, so left out"
 _REPEATED = "repeating the headings, so left out"
@@ -234,8 +260,16 @@ _TOO_LONG = (
 _ADDRESS_WANTED = "is no address; 40001, 4x0001, 12, 0x0102, 0102H and HR12 are"
 
 
+def _has_no_length(item: Item, kind: Kind) -> bool:
+    return (
+        kind.type is PointType.STRING and kind.length is item.registers is item.written.last is None
+    )
+
+
 def _with_plain_ends(text: str) -> str:
-    return text.replace("\r\n", "\n").replace("\r", "\n").replace("\x00", "")
+    """Lines as Python ends them, without control characters, which no profile can have."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return text if text.isprintable() else _CONTROL.sub("", text)
 
 
 def _read_all(cells: Sequence[str]) -> list[Written | None]:

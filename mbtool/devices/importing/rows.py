@@ -118,6 +118,8 @@ class RowReader:
             None,
         )
         self.remarks: list[str] = []
+        self.unread: list[int] = []
+        """Rows whose range or values are prose, which becomes a note."""
         self._names = {self._name(row) for row in sheet.body} - {""}
         self._scaling = scaling or self._find_scaling()
         self._size_of = self._find_size()
@@ -138,7 +140,9 @@ class RowReader:
         unit_factor, unit = parse_unit(self._of(row, Meaning.UNIT))
         scale, decimals = self._scale(number, row, kind, unit_factor)
         texts, prose = self._texts(row)
-        low, high, range_note = self._limits(number, row)
+        low, high, range_note = self._limits(number, row, texts)
+        if prose or range_note:
+            self.unread.append(number)
         factor = self._factor(row)
         scaled_by = f"scaled by the power of ten in {factor}" if factor in self._names else ""
         notes = (self._note(row), prose, range_note, scaled_by)
@@ -287,18 +291,22 @@ class RowReader:
     def _texts(self, row: Sequence[str]) -> tuple[Mapping[int, str], str]:
         text = self._of(row, Meaning.TEXTS)
         if is_nothing(text):
-            return {}, ""
+            # "0=off, 1=on" may stand in a column of ranges; one alone is as likely a limit.
+            pairs = parse_texts(self._of(row, Meaning.RANGE)) or {}
+            return (pairs if len(pairs) > 1 else {}), ""
         texts = parse_texts(text)
         return (texts, "") if texts is not None else ({}, " ".join(text.split()))
 
     def _limits(
-        self, number: int, row: Sequence[str]
+        self, number: int, row: Sequence[str], texts: Mapping[int, str]
     ) -> tuple[float | None, float | None, str | None]:
         low = self._plain_number(row, Meaning.MINIMUM)
         high = self._plain_number(row, Meaning.MAXIMUM)
         text = self._of(row, Meaning.RANGE)
         if not is_nothing(text):
             span = parse_range(text)
+            if span is None and texts and parse_texts(text) == texts:
+                return low, high, None
             if span is None:
                 return low, high, f"range: {' '.join(text.split())}"
             low, high = span

@@ -32,6 +32,8 @@ class Kind:
     """Else it counts characters, two in each register."""
     is_switch: bool = False
     """A yes or no, wherever it stands."""
+    is_bits: bool = False
+    """Bits that have meanings of their own."""
 
 
 _LETTERS = {
@@ -184,7 +186,7 @@ def _flags(name: str, bits: int | None, order: Order | None) -> Kind | None:
     if match is None:
         return None
     said = _width(match, bits, None) or 16
-    return Kind(_CODES[said], order)
+    return Kind(_CODES[said], order, is_bits=True)
 
 
 def _integer(name: str, bits: int | None, order: Order | None) -> Kind | None:

@@ -56,6 +56,22 @@ def test_a_request_without_answer_is_found_when_the_capture_goes_on() -> None:
     assert found(unanswered, later) == [("MB-401", "read holding 0: no answer")]
 
 
+def test_an_ambiguous_frame_is_missed_by_nobody_and_may_be_the_answer_before_it() -> None:
+    def doubtful(one: NamedTransaction) -> NamedTransaction:
+        return msgspec.structs.replace(one, verdicts=[Verdict.AMBIGUOUS])
+
+    asked = transaction(response=None, on_a_line=True)
+    frame = transaction("02 0300 0000", None, at_ms=500, on_a_line=True)
+    later = transaction(OTHER, OTHER_ANSWER, at_ms=9000, on_a_line=True)
+    assert codes(asked, frame, later) == ["MB-401", "MB-401"]
+    assert codes(asked, doubtful(frame), later) == []
+    elsewhere = transaction("02 0300 0000", None, at_ms=500, on_a_line=True, unit=7)
+    assert codes(asked, doubtful(elsewhere), later) == ["MB-401"]
+    unasked = transaction("", OTHER_ANSWER, at_ms=9000, on_a_line=True)
+    assert codes(later, unasked) == ["MB-403"]
+    assert codes(later, doubtful(unasked)) == []
+
+
 def test_a_slave_that_is_never_heard_is_said_to_be() -> None:
     silent = transaction(response=None, unit=9)
     assert found(silent, transaction(OTHER, OTHER_ANSWER, at_ms=2000)) == [

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -47,6 +47,37 @@ def test_all_kinds_of_rules_are_asked() -> None:
     assert codes(*polls) == ["MB-404"]
     failed = [transaction(response="83 04", at_ms=at, profile="wago-750") for at in (0, 20)]
     assert codes(*failed, profile="wago-750") == ["WAGO-X1"]
+
+
+def test_a_frame_that_may_be_another_breaks_no_rule_of_content() -> None:
+    frames: list[dict[str, Any]] = [
+        {"quantity": 0, "outcome": Outcome.NO_ANSWER},
+        {"quantity": 1, "exception": 0x55, "outcome": Outcome.EXCEPTION},
+        {"quantity": 1, "outcome": Outcome.UNSOLICITED},
+        {"quantity": 1, "outcome": Outcome.BROADCAST, "unit": 0},
+    ]
+    namer = named_by("idec-ft1a-touch")
+    for verdicts in ([], [Verdict.AMBIGUOUS]):
+        for fields in frames:
+            one = bare(3, 9999, **fields, link=LINE, request_ns=START_NS, verdicts=verdicts)
+            again = transaction(at_ms=8000, on_a_line=True)
+            found = codes(again, namer.name(one), again, profile="idec-ft1a-touch")
+            assert bool(found) is not bool(verdicts), (fields, found)
+
+
+def test_what_is_too_little_for_a_finding_is_a_remark() -> None:
+    checker = Checker(Surroundings(assigned(None), lambda _: SerialFormat(19200)))
+    doubtful = bare(3, 0, quantity=0, link=LINE, verdicts=[Verdict.AMBIGUOUS])
+    late = transaction(on_a_line=True, verdicts=(Verdict.T1_5_BROKEN,))
+    for one in (named_by(None).name(doubtful), late, *[transaction(on_a_line=True)] * 9):
+        assert not [*checker.feed(one)]
+    assert checker.remarks == []
+    assert not [*checker.close()]
+    assert checker.remarks == [
+        "1 transaction is ambiguous; what it says was held against no rule",
+        "rs485: a silence longer than t1.5 inside a frame in 1 of 11 transactions; so few are late "
+        "reads more likely than the line's",
+    ]
 
 
 def test_an_answer_to_a_broadcast_is_told_once() -> None:

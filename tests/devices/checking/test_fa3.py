@@ -53,6 +53,11 @@ def test_another_protocol_id_gets_no_answer() -> None:
     assert codes(event(EventKind.FOREIGN, raw=b"\x16\x03\x01")) == []
 
 
+def test_a_reset_with_other_data_than_the_manuals_is_none() -> None:
+    assert codes(said("41 00", None)) == ["FA3-X3"]
+    assert codes(said("41 01", None)) == []
+
+
 def test_a_third_connection_drops_the_one_that_was_silent_longest() -> None:
     two: list[Record] = [opened(source=A), opened(source=B, at_ms=1), said(source=A, at_ms=50)]
     assert found(*two, opened(source=C, at_ms=100)) == [

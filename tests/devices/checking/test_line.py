@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
 
 FORMAT = SerialFormat(19200)
-SMARTAXIS = "idec-ft1a-smartaxis"
+PATIENT = str(
+    Path(__file__).resolve().parents[3] / "captures" / "findings" / "slave-of-smartaxis.toml"
+)
 EIGHT_BYTES_MS = 8 * FORMAT.character_ns / 1e6
 
 
@@ -50,12 +53,27 @@ def codes(*records: NamedTransaction | WireEvent, **options: Any) -> list[str]:
         (Verdict.GLUED, "RTU-103"),
     ],
 )
-def test_a_broken_silence_is_one_finding_for_the_line(verdict: Verdict, code: str) -> None:
+def test_broken_silences_are_one_finding_for_a_unit(verdict: Verdict, code: str) -> None:
     good = [on_line(at_ms=at) for at in range(0, 20_000, 1000)]
-    bad = [on_line(at_ms=at, verdicts=(verdict,)) for at in (500, 1500)]
-    (one,) = findings(*good, *bad)
-    assert (one.code, one.count, one.ts_ns) == (code, 2, bad[0].start_ns)
-    assert one.message.endswith("in 2 of 22 transactions")
+    bad = [on_line(at_ms=at, unit=2, verdicts=(verdict,)) for at in range(500, 3500, 1000)]
+    fine = [on_line(at_ms=at, unit=2) for at in range(5500, 17500, 1000)]
+    (one,) = findings(*good, *bad, *fine)
+    assert (one.code, one.unit, one.count) == (code, 2, 3)
+    assert one.ts_ns == bad[0].start_ns
+    assert one.message.endswith("in 3 of 15 transactions")
+    assert codes(*good, *bad, *fine, on_line(at_ms=18_500, unit=2)) == []
+
+
+@pytest.mark.parametrize("verdict", [Verdict.T1_5_BROKEN, Verdict.SPLIT, Verdict.GLUED])
+def test_a_late_read_now_and_then_is_a_remark(verdict: Verdict) -> None:
+    late = [on_line(at_ms=1000 * at, unit=at, verdicts=(verdict,)) for at in range(1, 6)]
+    good = [on_line(at_ms=1000 * at + 500, unit=at % 5 + 1) for at in range(40)]
+    rules = LineRules()
+    assert not [one for each in (*late, *good) for one in rules.transaction(each, None, FORMAT)]
+    assert not [*rules.close()]
+    (remark,) = rules.remarks
+    assert remark.startswith("rs485: ")
+    assert " in 5 of 45 transactions; so few are late reads" in remark
 
 
 def test_many_broken_silences_are_the_adapters() -> None:
@@ -129,19 +147,20 @@ def test_a_master_that_does_not_wait_after_a_broadcast_is_found() -> None:
 def test_a_master_that_asks_sooner_than_the_manual_wants_is_found() -> None:
     first = on_line(unit=8, latency_ms=10)
     soon = [on_line(unit=8, at_ms=10 + gap + EIGHT_BYTES_MS) for gap in (3, 1)]
-    (one,) = findings(first, soon[0], first, soon[1], profile=SMARTAXIS)
+    (one,) = findings(first, soon[0], first, soon[1], profile=PATIENT)
     assert (one.code, one.unit, one.count) == ("RTU-301", 8, 2)
     assert (
         one.message == "2 requests sooner than 5ms after the frame before; the soonest after 1.0 ms"
     )
     in_time = on_line(unit=8, at_ms=15 + EIGHT_BYTES_MS)
-    assert codes(first, in_time, profile=SMARTAXIS) == []
+    assert codes(first, in_time, profile=PATIENT) == []
     assert codes(first, soon[0]) == []
-    assert codes(first, soon[0], profile=SMARTAXIS, format_=None) == []
+    assert codes(first, soon[0], profile="idec-ft1a-smartaxis") == []  # No rule of the slave's.
+    assert codes(first, soon[0], profile=PATIENT, format_=None) == []
 
 
 def test_a_clock_that_was_set_back_tells_nothing_of_the_pace() -> None:
-    assert codes(on_line(at_ms=1000), on_line(), profile=SMARTAXIS) == []
+    assert codes(on_line(at_ms=1000), on_line(), profile=PATIENT) == []
 
 
 def test_memory_is_bounded() -> None:

@@ -72,6 +72,14 @@ def test_a_finding_of_the_standard_has_its_figures(
             "read holding HR400001: exception 03 (illegal data value) is not documented",
         ),
         (
+            "wago-750",
+            "17 0000 0001 0000 0065 CA" + 101 * " 0000",
+            "97 03",
+            "WAGO-Q23",
+            "read/write %IW0, write %QW0..100: reads 1, writes 101, at most 125 are read and 100 "
+            "written",
+        ),
+        (
             "idec-ft1a-smartaxis",
             "06 2328 0001",
             "86 02",
@@ -106,3 +114,12 @@ def test_a_request_is_said_in_few_words() -> None:
     assert asked_for(transaction(profile="idec-ft1a-touch")) == "read holding HR400001"
     assert asked_for(transaction("42 00", "42 0016", profile="fa3-at1m8x")) == "read model name"
     assert asked_for(transaction("16 0000 00F2 0025", None)) == "mask write holding 0"
+
+
+def test_a_table_that_its_reference_names_is_not_named_twice() -> None:
+    # Coil 10000 would be 10001, which is a discrete input.
+    one = transaction("01 2710 0001", "81 02", profile="chino-lt830")
+    assert asked_for(one) == "read coil 10000"
+    assert asked_for(transaction("07", "87 01")) == "read exc status"
+    unasked = transaction("", "01 01 01")
+    assert asked_for(unasked) == "read coils"

@@ -120,7 +120,7 @@ def test_a_reference_must_fit_the_table_of_its_row() -> None:
 
 def test_what_the_user_says_counts() -> None:
     assert decide([(written("0"), None)], "", Counting.ONE_BASED) == (
-        Counting.ONE_BASED, "as you said",
+        Counting.ONE_BASED, "you said so",
     )  # fmt: skip
 
 

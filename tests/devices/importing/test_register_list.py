@@ -457,3 +457,63 @@ def test_any_list_becomes_a_profile_or_complaints(text: str) -> None:
     except UsageError:
         return
     assert found.profile.points
+
+
+def test_what_becomes_of_a_text_without_a_length_is_said() -> None:
+    text = "Address,Name,Type\n0,Model,STRING\n10,Serial,STRING[8]\n"
+    assert points(text)["Model"].length == 1
+    assert "row with a text without a length, taken as 1 register: 2" in imported(text).remarks
+
+
+def test_what_becomes_of_bits_in_several_registers_is_said() -> None:
+    text = "Address,Name,Type\n0,State,bitfield16\n2,Faults,bitfield32\n4,More,BITMAP64\n"
+    assert points(text)["Faults"].type is PointType.UINT32
+    assert (
+        "rows with bits in several registers, taken as a whole number, since only one register "
+        "can have named bits: 3, 4"
+    ) in imported(text).remarks
+
+
+def test_what_becomes_of_the_range_of_a_scaled_value_is_said() -> None:
+    text = (
+        "Address,Name,Type,Scale,Min,Max,Default\n"
+        "0,Flow,U16,0.1,0,100,\n1,Count,U16,1,0,100,5\n2,Level,U16,0.1,,,7\n3,T,U16,0.1,,,\n"
+    )
+    assert points(text)["Flow"].note == "range in the list: 0..100"
+    assert points(text)["Count"].maximum == 100
+    assert (
+        "rows with a range or default that is kept as a note, since the list does not say whether "
+        "it is before or after scaling: 2, 4"
+    ) in imported(text).remarks
+
+
+def test_values_with_their_meaning_in_a_column_of_ranges_are_texts() -> None:
+    text = (
+        "Adresse;Bezeichnung;Typ;Wertebereich\n"
+        "0;Betrieb;UINT16;0=Aus, 1=Heizen\n1;Druck;UINT16;0..100\n2;Art;UINT16;nach Modell\n"
+    )
+    found = points(text)
+    assert (found["Betrieb"].texts, found["Betrieb"].note) == ({0: "Aus", 1: "Heizen"}, None)
+    assert found["Druck"].maximum == 100
+    assert found["Art"].note == "range: nach Modell"
+    assert (
+        "row with a range or values that cannot be read, kept as a note: 4"
+        in imported(text).remarks
+    )
+
+
+def test_meanings_in_both_columns_are_both_kept() -> None:
+    text = 'Address,Name,Type,Range,Values\n0,Mode,U16,"0=off, 1=on","0=Aus, 1=Ein"\n'
+    mode = points(text)["Mode"]
+    assert (mode.texts, mode.note) == ({0: "Aus", 1: "Ein"}, "range: 0=off, 1=on")
+
+
+def test_what_the_user_says_of_addresses_is_given_as_the_reason() -> None:
+    said = imported("Address,Name\n5,a\n", counting=Counting.ONE_BASED).remarks
+    assert any("are one-based, since you said so: 5 is address 4" in one for one in said)
+
+
+def test_control_characters_of_a_list_come_to_nothing() -> None:
+    found = imported("Address,Name,Unit\n0,\x1b[31mFlow\x07,l\x1b/h\n")
+    (point,) = found.profile.points
+    assert (point.name, point.unit) == ("[31mFlow", "l/h")

@@ -1,0 +1,57 @@
+"""No text of a profile holds control characters."""
+
+# Texts of a profile stand in tables, in lines of a log and in codes. A line end would tear them,
+# and an escape sequence would be carried out by the terminal that shows them. Only notes, which are
+# prose, may have line ends and tabs.
+
+from __future__ import annotations
+
+import unicodedata
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from mbtool.core.errors import ProfileError
+from mbtool.devices.model import Area, Point
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices.model import Profile
+
+_REFUSED = frozenset(("Cc", "Cs", "Zl", "Zp"))
+"""Categories of Unicode: control characters, halves of pairs, line and paragraph separators."""
+_PROSE = ("notes", "note")
+_OF_PROSE = "\n\r\t"
+
+
+def validate_characters(profile: Profile, file: str) -> None:
+    """Raise ProfileError for the first text that has a control character."""
+    for key, text in _texts("", profile):
+        allowed = _OF_PROSE if key.rpartition(".")[2] in _PROSE else ""
+        for one in text:
+            if unicodedata.category(one) in _REFUSED and one not in allowed:
+                raise ProfileError(
+                    file, key, f"{text!r} has a control character, {one!r}; leave it out"
+                )
+
+
+def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Every text that is not plainly printable, with its key."""
+    if isinstance(value, str):
+        if not value.isprintable():
+            yield key, value
+    elif isinstance(value, msgspec.Struct):
+        for name in value.__struct_fields__:
+            yield from _texts(f"{key}.{name}" if key else name, getattr(value, name))
+    elif isinstance(value, dict):
+        for name, one in value.items():
+            yield from _texts(f"{key}.{name}", one)
+    elif isinstance(value, list):
+        for one in value:
+            named = isinstance(one, Area | Point)
+            yield from _texts(f"{key} {_quoted(one.name)}" if named else key, one)
+
+
+def _quoted(name: str) -> str:
+    return f'"{"".join(one if one.isprintable() else "?" for one in name)}"'
