@@ -8,7 +8,7 @@
 #   with the first ADU that has the structure of its function, or a function that no table knows;
 #   after CONTRADICTING ADUs without that structure, or fewer, when the connection ends;
 #   when bytes are missing before that, and at its end, unless what came first of each side begins
-#   no ADU.
+#   no ADU (of Modbus/TCP: has another protocol id).
 # At any other port, and to be RTU where Modbus/TCP is expected, a connection must show
 #   a request and the response that answers it, each with the structure of a function that the
 #   table knows, on Modbus/TCP with equal transaction id and unit, in RTU with correct CRCs; or
@@ -67,6 +67,7 @@ MAX_TOLD = 8
 _MBAP = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
 _MBAP_SEEN = 6
 _MBAP_BEGUN = re.compile(rb"(?s).{0,2}\x00{0,3}\Z")
+_PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 
 TLS = "TLS"
 _TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-\x48].)")
@@ -357,9 +358,11 @@ class _Reading:
                 self.is_dead = True
 
     def may_be_begun(self, heads: Mapping[Direction, bytes]) -> bool:
-        """Whether nothing came, or what may be an ADU: with a wrong CRC, or not yet whole."""
+        """Whether nothing came, or what may be an ADU: a wrong CRC or length, or not yet whole."""
         if any(_is_wrong_frame(one) for one in self.given) or not any(heads.values()):
             return True
+        if not self._is_rtu:
+            return any(head and _PROTOCOL_ID.match(head) for head in heads.values())
         return any(head and self._may_begin(head, way) for way, head in heads.items())
 
     def _may_begin(self, head: bytes, direction: Direction) -> bool:

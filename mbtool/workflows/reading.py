@@ -167,9 +167,10 @@ class Reading:
             usual = SerialFormat()
             remarks.append(f"{names}: taken as {usual}; name the line with --link rtu@{usual}")
         remarks += [heard.doubt for heard in self._heard if heard.doubt is not None]
-        if self._options.raw and CaptureKind.MCAP not in self._kinds:
+        kinds = self._kinds
+        if self._options.raw and kinds and CaptureKind.MCAP not in kinds:
             remarks.append("--raw has no effect: it is for logs (.mcap), and there is none")
-        if self._options.line is not None and self._kinds <= PACKET_KINDS and not self._heard:
+        if self._options.line is not None and set() < kinds <= PACKET_KINDS and not self._heard:
             remarks.append("--link has no effect: these are packets of a network")
         broken = [str(error) for error in self._broken[1:]]  # The first is raised.
         return remarks + self._misordered + self._not_closed + broken

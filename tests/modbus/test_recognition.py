@@ -260,6 +260,9 @@ def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends
     tcp = expected(joined=True)
     assert fed(tcp, [(REQUEST, mbap_adu(1, 1, READ)[:7])]) == []
     assert [one.kind for one in wire_events(tcp.close())] == [EventKind.SKIPPED]
+    wrong_length = expected()
+    assert fed(wrong_length, [(REQUEST, b"\x00\x01\x00\x00\x88\x04\x05\x07")]) == []
+    assert {one.kind for one in wire_events(wrong_length.close())} == {EventKind.SKIPPED}
     rtu = Recognition(CONNECTION, joined=True, tcp=False, rtu=True)
     assert fed(rtu, [(REQUEST, rtu_adu(1, READ)[:-1] + b"\xee")]) == []
     assert [one.kind for one in wire_events(rtu.close())] == [EventKind.BAD_CHECK]

@@ -93,7 +93,7 @@ def test_the_link_is_heard_before_a_device_and_an_option_before_the_link(tmp_pat
 
 
 def test_a_devices_silence_that_contradicts_the_users_does_not_count(tmp_path: Path) -> None:
-    devices = _devices(tmp_path, ("5", "rtu", 't3_5 = "1ms"\nt1_5 = "8ms"'))
+    devices = _devices(tmp_path, ("5", "rtu", 't3_5 = "1ms"'))
     timing = LineTiming(devices, t1_5=Silence.parse("2ms"))
     assert str(timing.format_of(_line("rtu:/dev/a@9600-8E1"))) == "9600-8E1,t1.5=2ms"
 
