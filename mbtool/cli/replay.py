@@ -165,13 +165,11 @@ def replay(
     ] = False,
     start: Annotated[
         float,
-        typer.Option(
-            "--start", metavar="S", min=0, max=_MAX_S, help="Where to begin, in seconds of it."
-        ),
+        typer.Option("--start", metavar="S", help="Where to begin, in seconds of it."),
     ] = 0.0,
     end: Annotated[
         float | None,
-        typer.Option("--end", metavar="S", min=0, max=_MAX_S, help="Where to end, likewise."),
+        typer.Option("--end", metavar="S", help="Where to end, likewise."),
     ] = None,
     ignore: Annotated[
         list[str] | None,
@@ -345,6 +343,9 @@ def _end(on_end: EndChoice | None, *, is_loop: bool) -> EndChoice:
 def _window(start: float, end: float | None) -> tuple[int, int | None]:
     from mbtool.core import UsageError
 
+    for option, seconds in (("--start", start), ("--end", end)):
+        if seconds is not None and not 0 <= seconds <= _MAX_S:  # So is nan.
+            raise UsageError(f"{option} {seconds:g}: write seconds, such as 2.5")
     if end is not None and end <= start:
         raise UsageError(f"--end {end:g}: is not behind --start {start:g}")
     return round(start * 1e9), None if end is None else round(end * 1e9)

@@ -34,6 +34,9 @@ def play_as_master(
     """Ask, tell what differs, and exit with the code that says whether anything does."""
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
+    for written in (report_file, learn):
+        if written is not None:
+            _demand_writable(written)
     run = MasterRun(file, options, say)
     say(_what_is_played(file, run, to, options))
     if options.rate is not None:
@@ -81,6 +84,19 @@ def _add_ranges(file: Path, learned: Sequence[str]) -> None:
     _write(file, "".join(f"{one}\n" for one in [*known, *fresh]))
     count = "1 range" if len(fresh) == 1 else f"{len(fresh)} ranges"
     say(f"{count} of registers learned; give --ignore-from {file} to leave them out")
+
+
+def _demand_writable(file: Path) -> None:
+    """See that a file can be written before a long run, and leave none behind."""
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        return  # To open a pipe would wait for its reader.
+    was_there = file.exists() or file.is_symlink()
+    try:
+        file.open("ab").close()
+        if not was_there:
+            file.unlink()
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
 def _write(file: Path, text: str) -> None:

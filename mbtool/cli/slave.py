@@ -28,7 +28,7 @@ def slave(
         ),
     ],
     on: Annotated[
-        str,
+        list[str],
         typer.Option(
             "--on",
             metavar="LINK",
@@ -83,13 +83,15 @@ def slave(
     from mbtool.cli.output import open_output
     from mbtool.cli.serve import serve
     from mbtool.cli.talk import say
-    from mbtool.core import parse_link
+    from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.devices import load_profile
     from mbtool.workflows.exchanges import Exchanges
     from mbtool.workflows.serving import Station, device_slave
 
-    link = parse_link(on, ANSWERED)
+    if len(on) > 1:
+        raise UsageError(f"--on {on[1]}: it answers on {on[0]} already; start another slave there")
+    link = parse_link(on[0], ANSWERED)
     device = load_profile(profile)
     own, names = _units(unit or ())
     images = _images(image or (), own, names)
@@ -124,8 +126,8 @@ def _show(exchanges: Exchanges, out: Output) -> None:
     """Show what has come since the last time."""
     from mbtool.cli.talk import say
 
-    for transaction in exchanges.transactions():
-        out.add(transaction)
+    for record in exchanges.records():
+        out.add(record)
     out.wait()
     if missed := exchanges.missed():
         say(f"mbtool: {missed} more not shown: they come faster than they can be shown")

@@ -31,6 +31,8 @@ class EventKind(StrEnum):
     """A packet or link type this program cannot look into."""
     MISPLACED = "misplaced"
     """What is heard does not fit how the link was named: two ports are exchanged."""
+    SPOILT = "spoilt"
+    """This program, as the slave, has spoilt an answer on purpose."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 

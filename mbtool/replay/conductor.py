@@ -5,6 +5,7 @@
 #     step = conductor.next_step(now)     a step to send at once, or None
 #     conductor.has_left(step, now)       its last byte is on the link: latencies count from here
 #     conductor.answered(...)             what came back
+#     conductor.give_up(number, now)      what cannot come back any more
 #     conductor.expire(now)               what did not, in time
 #     conductor.wake_ns(now)              when to ask again at the latest
 #
@@ -148,12 +149,15 @@ class Conductor:
             for number, each in self._open.items()
             if now_ns - each.sent_ns >= self._manners.timeout_ns
         ]
-        given_up = []
-        for number in late:
-            step = self._open.pop(number).step
-            self._over(now_ns)
-            given_up.append((step, self._judge.judge(step, None, None)))
-        return given_up
+        return [each for number in late for each in self.give_up(number, now_ns)]
+
+    def give_up(self, number: int, now_ns: int) -> list[tuple[Step, bool]]:
+        """Wait no longer for an answer: the step, if it is open, and whether silence is right."""
+        open_ = self._open.pop(number, None)
+        if open_ is None:
+            return []
+        self._over(now_ns)
+        return [(open_.step, self._judge.judge(open_.step, None, None))]
 
     def _over(self, now_ns: int) -> None:
         """A request is over: the next may be sent."""

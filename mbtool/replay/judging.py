@@ -7,9 +7,10 @@
 #     value     each register or bit that was read, one by one
 #     data      functions whose form says nothing of registers: the bytes
 #
-# What differs is put together by request, and by register: how often, the recorded values, and
-# those that came. So a register that is wrong in a thousand polls is one difference. Latencies are
-# kept beside, and count only where the user says by how much they may differ.
+# What differs is put together by request, and by register: how often, and of how many, where that
+# is not always; the recorded values, and those that came. So a register that is wrong in a thousand
+# polls is one difference. Latencies are kept beside, and count only where the user says by how much
+# they may differ.
 #
 # Registers that may differ: those of `spans`, which the user names, and those that differed in a
 # run in which the judge learned; `learned` gives them.
@@ -19,6 +20,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -207,15 +209,18 @@ class Judge:
     def _outcomes(self) -> Iterable[Difference]:
         for asked in self._asked.values():
             for (recorded, came), count in asked.wrong.items():
-                yield _about(asked, Kind.OUTCOME, Side(text=recorded), Side(text=came, count=count))
+                text = _counted(came, count, asked.count)
+                yield _about(asked, Kind.OUTCOME, Side(text=recorded), Side(text=text, count=count))
 
     def _value_differences(self) -> Iterable[Difference]:
         if self._learns:
             return
+        reads = self._reads()
         for unit, device, place in sorted(self._registers, key=lambda key: (key[0], key[2])):
             pair = self._registers[unit, device, place]
             words = self._words(device)
             name, named = words.of(place)
+            came = held_text(pair.came, named)
             yield Difference(
                 kind=Kind.VALUE,
                 unit=unit,
@@ -224,11 +229,26 @@ class Judge:
                 what="read",
                 a=Side(text=held_text(pair.recorded, named), values=list(pair.recorded.values)),
                 b=Side(
-                    text=held_text(pair.came, named),
+                    text=_counted(came, pair.count, reads[unit, place]),
                     values=list(pair.came.values),
                     count=pair.count,
                 ),
             )
+
+    def _reads(self) -> Counter[tuple[int, Place]]:
+        """How often each register that differed was asked for."""
+        differed = {(unit, place) for unit, _, place in self._registers}
+        reads: Counter[tuple[int, Place]] = Counter()
+        for asked in self._asked.values():
+            step = asked.step
+            reach = reach_of(parse_pdu(step.pdu, Direction.REQUEST))
+            if reach is None:
+                continue
+            for address in reach.reads:
+                key = step.unit, Place(reach.table, address, is_written=False)
+                if key in differed:
+                    reads[key] += asked.count
+        return reads
 
     def _words(self, device: str | None) -> Words:
         if device not in self._of_devices:
@@ -260,6 +280,11 @@ def _about(asked: _Judged, kind: Kind, a: Side, b: Side) -> Difference:
         a=a,
         b=b,
     )
+
+
+def _counted(text: str, count: int, total: int) -> str:
+    """What came, and how often where it did not come always."""
+    return text if count == total else f"{text} ({count:,} of {total:,})"
 
 
 def _outcome(pdu: bytes | None, function: int) -> str:

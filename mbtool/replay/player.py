@@ -8,10 +8,10 @@
 #        knows too little, the device that the workflow gives for the unit
 #     4  else an exception response, or silence under OnMiss.SILENT
 #
-# The moment is the clock's, where the matcher goes by it. Else it is the latest recorded time among
-# the answers that were played, so it never runs backwards; before the first of them it is the
-# beginning. Until an address is first seen it holds its first known value. The clock starts with
-# the first request.
+# The moment is the clock's, where the matcher goes by it. Else it is the recorded time of the
+# answer that was played last, so one rare request does not throw the others forward for good;
+# silence leaves it, and before the first answer it is the beginning. Until an address is first seen
+# it holds its first known value. The clock starts with the first request.
 #
 # A write that is acknowledged lies over the image until the recording has a change there; recorded
 # answers stay as they are. One never seen is acknowledged where the recording knows its addresses.
@@ -131,7 +131,8 @@ class RecordedSlave:
             request = parse_pdu(pdu, Direction.REQUEST)
             for each in self._recording.units:
                 self._keep_write(each, request)
-            self._pass_by(found)
+            if isinstance(found, RecordedAnswer):
+                self._pass_by(found)
             return None
         if isinstance(found, RecordedAnswer):
             return self._play(unit, pdu, found)
@@ -186,20 +187,20 @@ class RecordedSlave:
         return unit == BROADCAST_UNIT and is_line and unit not in self._recording.units
 
     def _play(self, unit: int, pdu: bytes, recorded: RecordedAnswer) -> Answer | None:
-        self._pass_by(recorded)
         if recorded.pdu is None:
             if recorded.damaged is None or not self._with_damage:
                 return None
             delay_ns = self._delay_ns(unit, pdu[0], recorded.damaged.latency_ns)
             return recorded.damaged.again(self._transport, delay_ns)
+        self._pass_by(recorded)
         if recorded.pdu[0] == pdu[0]:
             self._keep_write(unit, parse_pdu(pdu, Direction.REQUEST))
         return Answer(recorded.pdu, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
-    def _pass_by(self, found: RecordedAnswer | Word) -> None:
-        """The requests say where in the recording we are, where the clock does not."""
-        if isinstance(found, RecordedAnswer) and not self._match.by_clock:
-            self._moment_ns = max(self._moment_ns, found.at_ns)
+    def _pass_by(self, played: RecordedAnswer) -> None:
+        """The answers say where in the recording we are, where the clock does not."""
+        if not self._match.by_clock:
+            self._moment_ns = played.at_ns
 
     def _delay_ns(self, unit: int, function: int, own_ns: int | None) -> int:
         latency_ns = self._latency.ns(unit, function, own_ns)

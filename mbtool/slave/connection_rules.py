@@ -50,6 +50,8 @@ class Admission:
     """None where it is turned away."""
     leaves: Peer | None = None
     """Whose connection is to be closed for it."""
+    is_full: bool = False
+    """It is turned away because all places are taken. For another reason the rules' notes tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,7 @@ class ConnectionRules:
     def admit(self, host: str, now_ns: int) -> Admission:
         """Learn that a master has connected."""
         if len(self.peers) >= self.places:
-            return Admission(None)
+            return Admission(None, is_full=True)
         peer = Peer(host, now_ns)
         self.peers.append(peer)
         return Admission(peer)

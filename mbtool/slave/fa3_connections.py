@@ -111,8 +111,10 @@ class Fa3Connections(ConnectionRules):
         if loss in ALARMS:
             self._alarm(ALARMS[loss])
             name = self._alarm_names.get(ALARMS[loss], "an alarm")
+            rejected = f", and {peer.host} is rejected for {DISCONNECTING_NS / 1e9:.0f} s"
             self.notes.append(
                 f"{name} ({ALARMS[loss]:04X}H): the connection from {peer.host} is closed"
+                + (rejected if loss is Loss.NOT_ALIVE else "")
             )
         if loss is Loss.NOT_ALIVE:
             still = {host: until for host, until in self._rejected.items() if until > now_ns}

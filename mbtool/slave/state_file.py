@@ -3,7 +3,8 @@
 # The file is TOML in the device's notation, as a file of start values is (image_file.py). It is
 # written whenever one of its registers has changed, before the master has its answer: into a file
 # beside it, which is on the disk before it takes the old one's name. So a crash or a power cut
-# leaves the old state or the new one.
+# leaves the old state or the new one, and perhaps the file beside it, which the next write takes
+# over: it has one name.
 
 from __future__ import annotations
 
@@ -41,6 +42,8 @@ def keep_state(
         raise UsageError(f"{profile.name} keeps nothing over a restart, so --state has no use")
     path = _resolved(path)
     if path.exists():
+        if not path.is_file():
+            raise UsageError(f"{path}: is no file; --state wants one that can be written anew")
         load_image(path, profile, device.image, kept)
 
     def save() -> None:
@@ -83,7 +86,7 @@ def _key(reference: str) -> str:
 
 def _replace(path: Path, text: str) -> None:
     """Give a file another content, all or nothing. Raises OSError."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside = path.with_name(f".{path.name}.new")
     try:
         with beside.open("w", encoding="utf-8") as file:
             file.write(text)

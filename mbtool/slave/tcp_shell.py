@@ -120,7 +120,7 @@ class TcpSlave(Shell):
                 if other.peer is admission.leaves:
                     other.abort()
         if admission.peer is None:
-            self.turned_away += 1
+            self.turned_away += admission.is_full
         else:
             self.connections.add(connection)
         return admission.peer
@@ -169,12 +169,23 @@ class TcpSlave(Shell):
                 raise LinkError(f"{self.place}: {_why_not_listening(error)}") from error
             await self._woken.wait()
             address = self._socket.getsockname()
+            await self._finish_accepting()
             server.close()
             await self._close_connections()
             await server.wait_closed()
             if not self._is_stopping:
                 self._socket = _bind(self._socket.family, address)
                 await self._stay_closed()
+
+    async def _finish_accepting(self) -> None:
+        """Let those arrive whom the loop has accepted: asyncio forgets them in a closed server.
+
+        It has a task for each. Nobody else is accepted meanwhile where the loop can be told so.
+        """
+        with suppress(NotImplementedError):
+            asyncio.get_running_loop().remove_reader(self._socket)
+        while arriving := asyncio.all_tasks() - {asyncio.current_task()}:
+            await asyncio.wait(arriving)
 
     def _note_trouble(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Say once what asyncio says at each try: that no connection can be taken."""

@@ -1,7 +1,9 @@
 """What a slave is asked and answers, for someone who looks on from another thread."""
 
 # The slave's thread hands over each request with its answer and goes on. Who looks on takes them as
-# transactions, named by the device's profile, and asks what stands at its outputs.
+# transactions, named by the device's profile, and asks what stands at its outputs. Behind one whose
+# answer was spoilt on purpose comes an event that says how: the transaction has the values that
+# were meant, and the bytes that left.
 #
 # Holds MAX_WAITING exchanges that nobody has taken; what comes while there are so many is counted
 # and not kept. So a screen that is slow does not slow the slave.
@@ -15,22 +17,25 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction
+from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.devices import Assignment, Assignments, Namer, Who
 from mbtool.modbus.adu import Adu, Transport
 from mbtool.modbus.joining import Ends, broadcast, no_answer, together
-from mbtool.modbus.spoiling import wire_pieces
+from mbtool.modbus.spoiling import Ending, wire_pieces
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from mbtool.core import LinkSpec
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.modbus import Answer
+    from mbtool.modbus.spoiling import Spoiling
     from mbtool.modbus.transaction import Transaction
     from mbtool.slave import Behaviour, Output
+    from mbtool.workflows.decoding import Record
 
 MAX_WAITING = 4096
+_ENDINGS = {Ending.CLOSE: "connection closed", Ending.RESET: "connection reset"}
 
 
 class Exchanges:
@@ -69,11 +74,12 @@ class Exchanges:
 
     # The looker's side.
 
-    def transactions(self) -> list[NamedTransaction]:
+    def records(self) -> list[Record]:
         """What has come since the last time."""
         return [
-            self._namer.name(self._joined(*self._waiting.popleft()))
+            record
             for _ in range(len(self._waiting))
+            for record in self._records(*self._waiting.popleft())
         ]
 
     def missed(self) -> int:
@@ -93,6 +99,18 @@ class Exchanges:
             for unit, behaviour in self._behaviours.items()
             for one in behaviour.outputs()
         ]
+
+    def _records(self, request: Adu, answer: Answer | None) -> Iterator[Record]:
+        transaction = self._joined(request, answer)
+        yield self._namer.name(transaction)
+        if answer is not None and answer.spoiling is not None:
+            yield WireEvent(
+                ts_ns=request.end_ns + answer.delay_ns,
+                link=self._ends.link,
+                kind=EventKind.SPOILT,
+                message=f"the answer above, on purpose: {_how_spoilt(answer.spoiling)}",
+                raw=transaction.response_raw or b"",
+            )
 
     def _joined(self, request: Adu, answer: Answer | None) -> Transaction:
         if answer is None:
@@ -115,3 +133,20 @@ class Exchanges:
             transaction_id=request.transaction_id,
         )
         return together(self._ends, request, response, 0, ())
+
+
+def _how_spoilt(spoiling: Spoiling) -> str:
+    """What was done to an answer, in the order in which it is done."""
+    ending = "" if spoiling.ending is None else _ENDINGS[spoiling.ending]
+    if spoiling.silent:
+        return ", ".join(filter(None, ("not sent", ending)))
+    done = (
+        "another unit" if spoiling.unit_by else "",
+        "another transaction id" if spoiling.id_by else "",
+        "a wrong checksum" if spoiling.wrong_check else "",
+        f"bytes missing at its end ({spoiling.cut})" if spoiling.cut else "",
+        f"more bytes behind it ({len(spoiling.extra)})" if spoiling.extra else "",
+        f"in {spoiling.pieces} pieces" if spoiling.pieces > 1 else "",
+        ending,
+    )
+    return ", ".join(filter(None, done)) or "nothing"

@@ -1,14 +1,16 @@
 """A link on which recorded requests are sent and their answers come back."""
 
-# Over TCP answers find their request by the transaction id, which counts up with each request; on
-# a serial line, and with RTU over TCP, there is one open request, and the next frame of its unit
+# Over TCP answers find their request by the transaction id, which counts up with each request; on a
+# serial line, and with RTU over TCP, there is one open request, and the next frame of its unit
 # answers it. A connection that the slave closes is opened again for the next request; while that
-# fails, requests have no answer.
+# fails, and when it is lost, requests have no answer and are not waited for. What is tried in vain
+# for a while is not tried for as long again, so at most half of the time goes into it; a refusal
+# takes none. Each failure is told once, and its end.
 #
 # One thread sends and receives: it waits in `receive` until bytes come or the time is over.
 #
-# Holds: the splitter's incomplete ADU, and the numbers of the requests that are open, at most
-# MAX_OPEN of them; the oldest is forgotten first.
+# Holds: the splitter's incomplete ADU, and the numbers of the requests that are open, and of those
+# that were lost, at most MAX_OPEN of each; the oldest is forgotten first.
 
 from __future__ import annotations
 
@@ -17,6 +19,7 @@ import select
 import socket
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
@@ -36,7 +39,7 @@ from mbtool.replay.script import MAX_OPEN
 from mbtool.slave import open_port, port_in_use
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from mbtool.modbus import Skipped
 
@@ -74,6 +77,10 @@ class MasterLink(ABC):
     def receive(self, timeout_ns: int) -> Sequence[Answered]:
         """The answers that have come; waits for one, at most so long. Raises LinkError."""
 
+    def lost(self) -> Sequence[int]:
+        """The requests since the last time that cannot be answered: their connection is gone."""
+        return ()
+
     @abstractmethod
     def close(self) -> None: ...
 
@@ -84,36 +91,47 @@ class MasterLink(ABC):
         self.close()
 
 
-def open_master(link: LinkSpec, timeout_ns: int) -> MasterLink:
-    """A master on a link, waiting so long for answers. Raises LinkError, UsageError."""
+def open_master(
+    link: LinkSpec, timeout_ns: int, on_remark: Callable[[str], None] = lambda _: None
+) -> MasterLink:
+    """A master on a link, waiting so long for answers. Raises LinkError, UsageError.
+
+    `on_remark` is told when a connection cannot be opened again, and when it can.
+    """
     if isinstance(link, SerialLink):
         link.demand_one_port()
         return SerialMaster(link, timeout_ns)
     if isinstance(link, TcpLink):
-        return TcpMaster(link, timeout_ns)
+        return TcpMaster(link, timeout_ns, on_remark)
     raise UsageError(f"link {link}: a master needs {ANSWERED}")
 
 
 class TcpMaster(MasterLink):
     """Speaks Modbus/TCP, or RTU over TCP."""
 
-    def __init__(self, link: TcpLink, timeout_ns: int) -> None:
+    def __init__(
+        self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None] = lambda _: None
+    ) -> None:
         """Connect. Raises LinkError."""
         self.manners = Manners(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
-        self.reconnected = 0
         self._link = link
+        self._on_remark = on_remark
+        self._is_away = False
+        """The connection could not be opened again."""
+        self._again_ns = 0
+        """When to try it again."""
         self._open: dict[int, tuple[int, int]] = {}
         """By transaction id, or 0 with RTU: the request's number and unit."""
+        self._lost: deque[int] = deque(maxlen=MAX_OPEN)
         self._last_id = 0
         self._socket: socket.socket | None = self._connect(CONNECT_S)
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         if self._socket is None:
-            try:
-                self._socket = self._connect(SLOW_S)
-            except LinkError:
-                return
-            self.reconnected += 1
+            self._socket = self._reconnect()
+        if self._socket is None:
+            self._lost.append(number)
+            return
         if self._link.rtu:
             self._open.clear()
             adu = rtu_adu(unit, pdu)
@@ -149,6 +167,11 @@ class TcpMaster(MasterLink):
             if (answer := self._matched(event)) is not None
         ]
 
+    def lost(self) -> Sequence[int]:
+        numbers = list(self._lost)
+        self._lost.clear()
+        return numbers
+
     def close(self) -> None:
         if self._socket is not None:
             self._socket.close()
@@ -166,7 +189,26 @@ class TcpMaster(MasterLink):
 
     def _lose(self) -> None:
         self.close()
+        self._lost.extend(number for number, _ in self._open.values())
         self._open.clear()
+
+    def _reconnect(self) -> socket.socket | None:
+        begin_ns = time.monotonic_ns()
+        if begin_ns < self._again_ns:
+            return None
+        try:
+            connected = self._connect(SLOW_S)
+        except LinkError as error:
+            if not self._is_away:
+                self._on_remark(f"mbtool: the connection was lost; {error}")
+            self._is_away = True
+            now_ns = time.monotonic_ns()
+            self._again_ns = now_ns + (now_ns - begin_ns)
+            return None
+        if self._is_away:
+            self._on_remark(f"mbtool: {self._link}: connected again")
+        self._is_away = False
+        return connected
 
     def _connect(self, timeout_s: float) -> socket.socket:
         endpoint = self._link.endpoint

@@ -92,6 +92,7 @@ class MasterRun:
         Raises InputError where there is nothing to ask, UsageError.
         """
         self._path = path
+        self._on_remark = on_remark
         self._options = options
 
         def on_cut(error: CutError | DamageError) -> None:
@@ -131,7 +132,7 @@ class MasterRun:
         clock = PlayClock(
             self.script.length_ns, rate=options.rate, gap_ns=_NS, is_loop=options.is_loop
         )
-        with open_master(link, options.timeout_ns) as master:
+        with open_master(link, options.timeout_ns, self._on_remark) as master:
             conductor = Conductor(self.script, clock, judge, master.manners)
             steering = Steering(clock, conductor.let_go)
             look_ns = _LOOK_NS if desk is None else _STEERED_NS
@@ -141,6 +142,9 @@ class MasterRun:
                 if desk is not None:
                     done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
                     steering.attend(desk, now_ns, done)
+                for number in master.lost():
+                    for gone, is_right in conductor.give_up(number, now_ns):
+                        on_answer(gone, None, is_right)
                 step = conductor.next_step(now_ns)
                 if step is not None:
                     master.send(step.number, step.unit, step.pdu)
@@ -172,7 +176,10 @@ class MasterRun:
 
 
 def junit(report: Report) -> str:
-    """The report as JUnit XML: a case for each request, and one for each register that differs."""
+    """The report as JUnit XML: a case for each request, and one for each register that differs.
+
+    A request fails where one of its answers was not as recorded, be it by a value only.
+    """
     told = defaultdict(list)
     for each in report.differences:
         told[each.unit, each.function, each.reference or ""].append(_told(each))
@@ -180,7 +187,7 @@ def junit(report: Report) -> str:
         Case(
             f"unit {one.unit}",
             f"{one.what} {one.reference}".rstrip(),
-            told[one.unit, one.function, one.reference],
+            [*_counted(one), *told[one.unit, one.function, one.reference]],
         )
         for one in report.asked
     ]
@@ -190,6 +197,12 @@ def junit(report: Report) -> str:
         if each.function is None
     ]
     return junit_xml(report.recording, cases)
+
+
+def _counted(request: Request) -> list[str]:
+    if not request.different:
+        return []
+    return [f"{request.different:,} of {request.count:,} answers not as recorded"]
 
 
 def _told(difference: Difference) -> str:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
+MAX_LATENCY_NS = 1_000_000_000_000
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
 """What is drawn by chance is the same in each run."""
@@ -201,4 +202,7 @@ def _fixed_latency_ns(text: str) -> int | None:
         raise UsageError(
             f"--latency {text!r}: write {RECORDED}, {NONE}, {SAMPLED}, or a time such as 5ms"
         )
-    return int(Fraction(match[1]) * _UNITS_NS[match[2]])
+    latency_ns = int(Fraction(match[1]) * _UNITS_NS[match[2]])
+    if latency_ns > MAX_LATENCY_NS:
+        raise UsageError(f"--latency {text}: no master waits so long; write 1000s at most")
+    return latency_ns

@@ -106,6 +106,36 @@ def test_wrong_usage_is_told(
     assert says in told.err
 
 
+@pytest.mark.parametrize("option", ["--report", "--learn"])
+def test_what_cannot_be_written_is_told_before_the_first_request(
+    mbtool: CommandLine, capture: Path, tmp_path: Path, option: str
+) -> None:
+    scripted = Scripted(lambda *_: Answer(VALUES))
+    for file, why in (
+        (tmp_path / "absent" / "x.json", "No such file or directory"),
+        (tmp_path / "folder.json", "Is a directory"),
+    ):
+        (tmp_path / "folder.json").mkdir(exist_ok=True)
+        with open_shell(parse_link("tcp:127.0.0.1:0"), scripted) as shell:
+            told = mbtool("replay", capture, "--as-master", "--to", shell.place, option, file)
+        assert told.code == exit_codes.UNREADABLE
+        assert told.err == f"mbtool: {file}: cannot be written: {why}\n"
+    assert scripted.asked == []
+
+
+def test_a_run_that_fails_leaves_no_empty_report(
+    mbtool: CommandLine, capture: Path, tmp_path: Path
+) -> None:
+    file, known = tmp_path / "a.json", tmp_path / "ranges.txt"
+    known.write_text("holding 9\n")
+    told = mbtool(
+        "replay", capture, "--as-master", "--to", "tcp:127.0.0.1:1", "--report", file,
+        "--learn", known,
+    )  # fmt: skip
+    assert told.code == exit_codes.UNREADABLE
+    assert (file.exists(), known.read_text()) == (False, "holding 9\n")
+
+
 def test_what_cannot_be_read_or_reached_is_told(
     mbtool: CommandLine, capture: Path, right: str, tmp_path: Path
 ) -> None:

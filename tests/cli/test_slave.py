@@ -91,6 +91,10 @@ def test_faults_of_a_file_are_shown_on_purpose(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
+        (
+            ["--on", "tcp:127.0.0.1:1"],
+            "--on tcp:127.0.0.1:1: it answers on tcp:127.0.0.1:0 already",
+        ),
         (["--unit", "256"], "--unit '256': write a number from 0 to 255, or 3=PROFILE"),
         (["--unit", "x"], "--unit 'x': write a number"),
         (["--unit", "1", "--unit", "2"], "unit 1 already; write 2=PROFILE for another one"),

@@ -119,6 +119,17 @@ def test_an_answer_that_does_not_come_is_given_up() -> None:
     assert played.sent(TIMEOUT_NS / MS) == [1]
 
 
+def test_what_cannot_be_answered_any_more_is_given_up_at_once() -> None:
+    played = Played(answered(0, READ, VALUE), to_all(5, "06 0000 0001"), answered(10, READ, VALUE))
+    played.sent(0)
+    ((step, is_right),) = played.conductor.give_up(0, BEGIN + 1)
+    assert (step.number, is_right) == (0, False)
+    assert played.conductor.give_up(0, BEGIN + 1) == []
+    assert played.sent(5) == [1]
+    assert played.conductor.give_up(1, BEGIN + 5 * MS) == []  # A broadcast has no answer.
+    assert (played.judge.count, played.judge.wrong) == (2, 1)
+
+
 def test_a_serial_line_carries_one_request_at_a_time() -> None:
     manners = Manners(one_at_a_time=True, pause_ns=4 * MS)
     played = Played(unanswered(0, READ), answered(1, READ, VALUE), manners=manners)

@@ -111,8 +111,20 @@ def test_outcomes_that_are_always_others_are_kept_up_to_a_bound() -> None:
         judge.judge(step, bytes.fromhex(f"0B 0000 {count:04X}"), None)
     told = judge.differences()
     assert (judge.wrong, len(told)) == (1000, MAX_WRONG + 1)
-    assert (told[-1].a.text, told[-1].b.text) == ("others", "others")
+    assert (told[-1].a.text, told[-1].b.text) == ("others", "others (984 of 1,000)")
     assert sum(one.b.count or 0 for one in told) == 1000
+
+
+def test_what_is_not_always_so_says_how_often_it_is() -> None:
+    judge = Judge()
+    step, part = _step(answered(0, READ, VALUES)), _step(answered(0, "03 000B 0001", "03 02 0008"))
+    for answer in (VALUES, None, "03 04 0007 0009", VALUES):
+        judge.judge(step, None if answer is None else bytes.fromhex(answer), None)
+    judge.judge(part, bytes.fromhex("03 02 0008"), None)
+    assert _told(judge) == [
+        ("outcome", "holding 10..11", "ok", "no answer (1 of 4)", 1),
+        ("value", "holding 11", "8", "9 (1 of 5)", 1),
+    ]
 
 
 def test_an_acknowledgement_of_something_else_is_wrong() -> None:

@@ -74,6 +74,32 @@ def test_writes_of_other_values_are_other_requests() -> None:
     assert _ask(slave, "06 0000 0001") == "06 00 00 00 01"
 
 
+@pytest.mark.parametrize("rare", ["03 02 0009", None])
+def test_one_rare_request_does_not_throw_the_registers_forward(rare: str | None) -> None:
+    late = "03 00C8 0001"
+    polls = [answered(100 * n, "03 0000 0004", "03 08" + f"{n:04X}" * 4) for n in range(31)]
+    more = [answered(100 * n + 10, "03 0004 0002", f"03 04 {n:04X} {n:04X}") for n in range(31)]
+    last = unanswered(3060, late) if rare is None else answered(3060, late, rare)
+    slave = _slave(*polls, *more, last)
+    assert _ask(slave, "03 0000 0004") == "03 08" + " 00 00" * 4
+    assert _ask(slave, late) == (None if rare is None else "03 02 00 09")
+    assert _ask(slave, "03 0000 0004") == "03 08" + " 00 01" * 4
+    assert _ask(slave, "03 0000 0004") == "03 08" + " 00 02" * 4
+    assert _ask(slave, "03 0000 0006") == "03 0c" + " 00 02" * 4 + " 00 01" * 2
+
+
+def test_silence_leaves_the_registers_where_they_are() -> None:
+    slave = _slave(
+        answered(0, READ, "03 02 0001"),
+        answered(100, READ, "03 02 0002"),
+        answered(200, "03 0001 0001", "03 02 0007"),
+        unanswered(300, "03 00C8 0001"),
+    )
+    assert _ask(slave, READ) == "03 02 00 01"
+    assert _ask(slave, "03 00C8 0001") is SILENCE
+    assert _ask(slave, "03 0000 0002") == "03 04 00 01 00 07"
+
+
 def test_exceptions_and_silence_are_played_as_recorded() -> None:
     slave = _slave(
         answered(0, READ, "83 06"),

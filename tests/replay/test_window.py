@@ -10,10 +10,13 @@ from mbtool.replay import Window
     [
         (Window(), [0, 5, 10], "from 0 s on"),
         (Window(5), [5, 10], "from 5e-09 s on"),
-        (Window(0, 5), [0, 5], "from 0 s to 5e-09 s"),
+        (Window(0, 5), [0], "from 0 s to 5e-09 s"),
+        (Window(5, 10), [5], "from 5e-09 s to 1e-08 s"),
         (Window(1_500_000_000, 2_000_000_000), [], "from 1.5 s to 2 s"),
     ],
 )
-def test_a_window_has_both_its_ends(window: Window, inside: list[int], says: str) -> None:
+def test_a_window_has_its_beginning_and_not_its_end(
+    window: Window, inside: list[int], says: str
+) -> None:
     assert [place for place in (0, 5, 10) if place in window] == inside
     assert str(window) == says

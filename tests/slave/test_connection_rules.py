@@ -11,7 +11,7 @@ def test_so_many_masters_are_let_in_and_no_more() -> None:
     assert first is not None
     assert second is not None
     third = rules.admit("a", 1)
-    assert (third.peer, third.leaves) == (None, None)
+    assert (third.peer, third.leaves, third.is_full) == (None, None, True)
     rules.lost(first, Loss.CLOSED, 2)
     rules.lost(first, Loss.CLOSED, 3)
     assert rules.peers == [second]

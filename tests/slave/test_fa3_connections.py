@@ -138,7 +138,12 @@ def test_while_it_disconnects_a_master_that_master_is_rejected() -> None:
     module = _Module()
     module.rules.lost(module.admit(0), Loss.NOT_ALIVE, SECOND)
     end = SECOND + DISCONNECTING_NS
-    assert module.rules.admit("10.0.0.1", end - 1).peer is None
+    rejected = module.rules.admit("10.0.0.1", end - 1)
+    assert (rejected.peer, rejected.is_full) == (None, False)
+    assert list(module.rules.notes) == [
+        "alive check error (0E30H): the connection from 10.0.0.1 is closed, and 10.0.0.1 is "
+        "rejected for 10 s"
+    ]
     assert module.rules.admit("10.0.0.2", end - 1).peer is not None
     assert module.rules.admit("10.0.0.1", end).peer is not None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -14,9 +14,6 @@ from mbtool.modbus import Table
 from mbtool.slave.image import RegisterImage
 from mbtool.slave.responder import DeviceResponder
 from mbtool.slave.state_file import keep_state
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PROFILE = load_profile("fa3-at1m8x")
 SET_SPLIT = bytes.fromhex("06 00F5 0005")
@@ -74,6 +71,25 @@ def test_the_file_is_whole_at_any_moment(tmp_path: Path, monkeypatch: pytest.Mon
     assert [path.name for path in tmp_path.iterdir()] == ["state.toml"]
 
 
+def test_what_a_crash_left_beside_the_file_is_taken_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = tmp_path / "state.toml"
+    device = _device(state)
+
+    def crash(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as crashing:
+        crashing.setattr(os, "replace", crash)
+        with pytest.raises(KeyboardInterrupt):
+            device.respond(0, SET_SPLIT, 0)
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.setattr(os, "getpid", lambda: -1)  # Another process, after the crash.
+    assert _kept(_device(state)) == AT_FIRST
+    assert [path.name for path in tmp_path.iterdir()] == ["state.toml"]
+
+
 def test_a_disk_that_is_full_later_is_told_and_the_old_state_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,6 +129,17 @@ def test_a_file_that_is_no_state_stays_as_it_is(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not TOML"):
         _device(state)
     assert state.read_text() == "not toml"
+
+
+@pytest.mark.parametrize("name", ["/dev/full", "."])
+def test_what_is_no_file_is_not_taken_for_a_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if not Path(name).exists():
+        pytest.skip(f"no {name} here")
+    with pytest.raises(UsageError, match="is no file; --state wants one"):
+        _device(Path(name))
 
 
 def test_a_device_that_keeps_nothing_has_no_state(tmp_path: Path) -> None:

@@ -393,6 +393,30 @@ def test_another_that_listens_while_no_connection_is_taken_is_told() -> None:
             slave.wait(PATIENCE_S)
 
 
+def test_who_is_accepted_as_the_device_closes_its_port_is_closed_too() -> None:
+    rules = _ClosedForAWhile()
+    held, released = threading.Event(), threading.Event()
+
+    def close(unit: int, pdu: bytes) -> Answer:
+        if unit == SLOW_UNIT:  # So that the loop finds the two things after it at once.
+            held.set()
+            assert released.wait(PATIENCE_S)
+        else:
+            rules.until_ns, rules.changed = slave.clock() + round(PATIENCE_S * 1e9), True
+        return Answer(pdu)
+
+    slave = TcpSlave(LOOPBACK, Scripted(close), rules=rules)
+    with slave, _connect(slave) as first, _connect(slave) as second:
+        first.sendall(mbap_adu(0, SLOW_UNIT, READ))
+        assert held.wait(PATIENCE_S)
+        second.sendall(mbap_adu(0, 1, READ))
+        with _connect(slave) as third:
+            released.set()
+            for connection in (first, second, third):
+                _await_end(connection)
+        assert slave.turned_away == 0
+
+
 def test_a_shell_that_is_stopped_before_it_serves_frees_the_port() -> None:
     slave = TcpSlave(LOOPBACK, Scripted(echo))
     slave._is_stopping = True

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from mbtool.core import Direction, parse_link
-from mbtool.devices import load_profile
+import pytest
+
+from mbtool.core import Direction, EventKind, WireEvent, parse_link
+from mbtool.devices import NamedTransaction, load_profile
 from mbtool.modbus import Answer, MbapSplitter, Outcome, RtuStreamSplitter, mbap_adu, rtu_adu
 from mbtool.modbus.adu import Adu
-from mbtool.modbus.spoiling import Spoiling
+from mbtool.modbus.spoiling import Ending, Spoiling
 from mbtool.slave import DeviceResponder, RegisterImage
 from mbtool.workflows.exchanges import MAX_WAITING, Exchanges
 
@@ -25,31 +27,59 @@ def _request(unit: int = 1) -> Adu:
     return adu
 
 
+def _transactions(exchanges: Exchanges) -> list[NamedTransaction]:
+    """The transactions of what has come, without the events."""
+    return [one for one in exchanges.records() if not isinstance(one, WireEvent)]
+
+
 def test_an_exchange_is_a_transaction_in_the_devices_words() -> None:
     exchanges = _tcp()
     exchanges.take(_request(), Answer(VALUE, delay_ns=5_000_000))
-    (transaction,) = exchanges.transactions()
+    (transaction,) = _transactions(exchanges)
     assert transaction.outcome is Outcome.OK
     assert (transaction.device, transaction.reference) == ("idec-ft1a-touch", "HR400001")
     assert (transaction.response_values, transaction.latency_ns) == ([0x1234], 5_000_000)
     assert transaction.response_raw == mbap_adu(7, 1, VALUE)
     assert exchanges.profile_for(transaction) is TOUCH
-    assert exchanges.transactions() == []
+    assert _transactions(exchanges) == []
 
 
 def test_silence_and_a_spoilt_answer_that_is_not_sent_are_no_answer() -> None:
     exchanges = _tcp()
     exchanges.take(_request(), None)
     exchanges.take(_request(), Answer(VALUE, spoiling=Spoiling(silent=True)))
-    assert [one.outcome for one in exchanges.transactions()] == [Outcome.NO_ANSWER] * 2
+    assert [one.outcome for one in _transactions(exchanges)] == [Outcome.NO_ANSWER] * 2
 
 
 def test_a_spoilt_answer_is_shown_as_it_left() -> None:
     exchanges = _tcp()
     exchanges.take(_request(), Answer(VALUE, spoiling=Spoiling(cut=1, pieces=2, gap_ns=3)))
-    (transaction,) = exchanges.transactions()
+    (transaction,) = _transactions(exchanges)
     assert transaction.response_raw == mbap_adu(7, 1, VALUE)[:-1]
     assert transaction.response_ns == 1_003
+
+
+@pytest.mark.parametrize(
+    ("spoiling", "says"),
+    [
+        (Spoiling(wrong_check=True), "a wrong checksum"),
+        (Spoiling(unit_by=1, id_by=1), "another unit, another transaction id"),
+        (Spoiling(cut=2, extra=b"abc"), "bytes missing at its end (2), more bytes behind it (3)"),
+        (Spoiling(pieces=3, gap_ns=1), "in 3 pieces"),
+        (Spoiling(ending=Ending.CLOSE), "connection closed"),
+        (Spoiling(silent=True, cut=1), "not sent"),
+        (Spoiling(silent=True, ending=Ending.RESET), "not sent, connection reset"),
+    ],
+)
+def test_behind_a_spoilt_answer_stands_what_was_done_to_it(spoiling: Spoiling, says: str) -> None:
+    exchanges = _tcp()
+    exchanges.take(_request(), Answer(VALUE, delay_ns=5, spoiling=spoiling))
+    exchanges.take(_request(), Answer(VALUE))
+    _, event, good = exchanges.records()
+    assert isinstance(event, WireEvent)
+    assert (event.kind, event.ts_ns) == (EventKind.SPOILT, 1_005)
+    assert event.message == f"the answer above, on purpose: {says}"
+    assert not isinstance(good, WireEvent)
 
 
 def test_unit_0_is_a_broadcast_on_a_line_only() -> None:
@@ -59,7 +89,7 @@ def test_unit_0_is_a_broadcast_on_a_line_only() -> None:
     serial.take(adu, None)
     tcp = _tcp()
     tcp.take(_request(unit=0), None)
-    outcomes = [each.transactions()[0].outcome for each in (serial, tcp)]
+    outcomes = [_transactions(each)[0].outcome for each in (serial, tcp)]
     assert outcomes == [Outcome.BROADCAST, Outcome.NO_ANSWER]
 
 
@@ -69,7 +99,7 @@ def test_what_nobody_takes_is_bounded_and_counted() -> None:
         exchanges.take(_request(), Answer(VALUE))
     assert exchanges.missed() == 3
     assert exchanges.missed() == 0
-    assert len(exchanges.transactions()) == MAX_WAITING
+    assert len(_transactions(exchanges)) == MAX_WAITING
 
 
 def test_outputs_are_told_when_they_change() -> None:
@@ -94,7 +124,7 @@ def test_of_several_devices_each_has_its_own_words_and_its_unit_at_its_outputs()
     exchanges.begin({1: touch.behaviour, 3: device.behaviour})
     exchanges.take(_request(), Answer(VALUE))
     exchanges.take(_request(unit=3), Answer(VALUE))
-    shown = [(one.device, one.reference) for one in exchanges.transactions()]
+    shown = [(one.device, one.reference) for one in _transactions(exchanges)]
     assert shown == [("idec-ft1a-touch", "HR400001"), ("fa3-th1m16y", "RWw0")]
     assert device.behaviour.rules is not None
     device.behaviour.rules.admit("127.0.0.1", 0)

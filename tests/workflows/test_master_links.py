@@ -142,6 +142,47 @@ def test_without_a_slave_requests_have_no_answer() -> None:
         for number in range(3):
             master.send(number, 1, READ)
             assert list(master.receive(1_000_000)) == []
+            assert master.lost() == [number]
+
+
+def test_what_was_asked_on_a_connection_that_closes_is_lost(listening: socket.socket) -> None:
+    with open_master(_link(listening), SECOND_NS) as master:
+        peer, _ = listening.accept()
+        with peer:
+            for number in (3, 4):
+                master.send(number, 1, READ)
+            assert master.lost() == []
+        until = time.monotonic() + PATIENCE_S
+        lost: list[int] = []
+        while not lost and time.monotonic() < until:
+            master.receive(SECOND_NS)
+            lost += master.lost()
+        assert lost == [3, 4]
+
+
+def test_a_refused_connection_is_told_once_and_when_it_is_back() -> None:
+    said: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = _link(server)
+        master = open_master(link, SECOND_NS, said.append)
+    with master:
+        until = time.monotonic() + PATIENCE_S
+        while not said and time.monotonic() < until:
+            master.send(1, 1, READ)
+            master.receive(1_000_000)
+        for number in range(3):
+            master.send(number, 1, READ)
+        assert said == [
+            f"mbtool: the connection was lost; {link}: cannot be reached: Connection refused; "
+            "does a slave listen there?"
+        ]
+        with socket.create_server((link.endpoint.host, link.endpoint.port)) as server:
+            server.settimeout(PATIENCE_S)
+            while len(said) < 2 and time.monotonic() < until:
+                master.send(9, 1, READ)
+            again, _ = server.accept()
+            again.close()
+        assert said[1:] == [f"mbtool: {link}: connected again"]
 
 
 def test_a_slave_that_is_not_there_is_said_to_be() -> None:

@@ -73,10 +73,10 @@ def test_wrong_answers_are_told_in_json_and_as_junit(capture: Path) -> None:
         }
     ]
     root = ElementTree.fromstring(junit(report))
-    assert (root.get("tests"), root.get("failures")) == ("2", "1")
+    assert (root.get("tests"), root.get("failures")) == ("2", "2")
     failures = {case.get("name"): case.findtext("failure") for case in root}
     assert failures == {
-        f"03 read holding {SAME}": None,
+        f"03 read holding {SAME}": "3 of 3 answers not as recorded",
         "value of holding 1": "recorded 22136, answered 1",
     }
 
@@ -84,7 +84,17 @@ def test_wrong_answers_are_told_in_json_and_as_junit(capture: Path) -> None:
 def test_an_exception_fails_its_request_in_junit(capture: Path) -> None:
     report = _report(_run(capture), lambda _, pdu: Answer(bytes([pdu[0] | 0x80, 2])))
     (case,) = ElementTree.fromstring(junit(report))
-    assert case.findtext("failure") == "recorded ok, answered exception 02 illegal data address"
+    assert (case.findtext("failure") or "").splitlines() == [
+        "3 of 3 answers not as recorded",
+        "recorded ok, answered exception 02 illegal data address",
+    ]
+
+
+def test_a_request_of_which_some_answers_differ_fails_in_junit(capture: Path) -> None:
+    answers = iter((VALUES, OTHER_VALUES, VALUES))
+    report = _report(_run(capture), lambda _, __: Answer(next(answers)))
+    failures = [case.findtext("failure") for case in ElementTree.fromstring(junit(report))]
+    assert failures == ["1 of 3 answers not as recorded", "recorded 22136, answered 1 (1 of 3)"]
 
 
 def test_silence_is_a_difference(capture: Path) -> None:
@@ -92,6 +102,24 @@ def test_silence_is_a_difference(capture: Path) -> None:
     assert [(one.a.text, one.b.text, one.b.count) for one in report.differences] == [
         ("ok", "no answer", 3)
     ]
+
+
+def test_a_slave_that_dies_is_not_waited_for(capture: Path) -> None:
+    remarks: list[str] = []
+    options = MasterOptions(reading=ReadingOptions(), rate=None, timeout_ns=600_000_000_000)
+    run = MasterRun(str(capture), options, remarks.append)
+    shell = open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda _, __: Answer(VALUES)))
+    told: list[tuple[bytes | None, bool]] = []
+
+    def on_answer(_: Step, answer: bytes | None, is_right: bool) -> None:
+        told.append((answer, is_right))
+        shell.__exit__(None, None, None)
+
+    report = run.play(parse_link(shell.__enter__().place), on_answer=on_answer)
+    assert told == [(VALUES, True), (None, False), (None, False)]
+    assert [one.b.text for one in report.differences] == ["no answer (2 of 3)"]
+    assert len(remarks) == 1
+    assert "the connection was lost; " in remarks[0]
 
 
 def test_registers_can_be_ignored_or_learned(capture: Path) -> None:

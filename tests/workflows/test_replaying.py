@@ -16,7 +16,7 @@ from mbtool.replay import Control, Match, OnMiss, Window
 from mbtool.slave import TcpSlave
 from mbtool.workflows.asking import TcpMaster
 from mbtool.workflows.reading import ReadingOptions
-from mbtool.workflows.replaying import PlayedSlave, SlaveOptions, SlaveRun
+from mbtool.workflows.replaying import MAX_LATENCY_NS, PlayedSlave, SlaveOptions, SlaveRun
 from mbtool.workflows.where import parse_where
 from tests.packets.building import MASTER, End, Talk, pcap
 from tests.workflows.evidence import (
@@ -195,6 +195,12 @@ def test_sampled_latencies_are_the_same_in_each_run(capture: Path) -> None:
 def test_a_latency_that_is_none_is_refused(capture: Path, latency: str) -> None:
     with pytest.raises(UsageError, match="write recorded, none, sampled, or a time such as 5ms"):
         _slave(capture, latency=latency)
+
+
+def test_a_latency_that_no_master_waits_for_is_refused(capture: Path) -> None:
+    assert _delay_ns(_slave(capture, latency="1000s")) == MAX_LATENCY_NS
+    with pytest.raises(UsageError, match=r"--latency 1000\.1s: .* write 1000s at most"):
+        _slave(capture, latency="1000.1s")
 
 
 def test_a_clock_that_is_as_fast_as_can_be_is_refused(capture: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from mbtool.core import InputError, SerialFormat, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED
-from mbtool.devices import load_profile
+from mbtool.devices import NamedTransaction, load_profile
 from mbtool.modbus import rtu_adu
 from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave
 from mbtool.workflows.asking import TcpMaster
@@ -115,7 +115,9 @@ def test_exchanges_are_told() -> None:
     assert isinstance(shell, TcpSlave)
     with shell, TcpMaster(shell.endpoint) as master:
         master.ask(7, READ)
-    assert [one.reference for one in exchanges.transactions()] == ["HR400001"]
+    (transaction,) = exchanges.records()
+    assert isinstance(transaction, NamedTransaction)
+    assert transaction.reference == "HR400001"
 
 
 def test_several_devices_share_a_link_and_others_units_get_silence(
