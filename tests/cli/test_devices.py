@@ -85,7 +85,7 @@ def test_match_takes_a_profile_of_the_users_own(mbtool: CommandLine, tmp_path: P
     capture = CAPTURES / "broadcast-write.mcap"
     assert mbtool("devices", "draft", capture, "--unit", 1, "-o", own).code == exit_codes.DONE
     told = mbtool("devices", "--match", capture, own)
-    assert told.lines[0].startswith("unit 1 at rs485: explained best by mine, though no refusal")
+    assert told.lines[0].startswith("unit 1 at rs485: a tie of mine, chino-lt830, ")
 
 
 def test_match_can_be_read_by_programs(mbtool: CommandLine) -> None:
