@@ -84,7 +84,10 @@ def report(measured: Sequence[Measurement]) -> str:
     lines.append(f"{'file to jsonl':<12}{measured[0].adus / whole:>11,.0f}{1:>8.0%}")
     seconds = {one.stage: one.seconds for one in measured}
     before = sum(seconds[stage] for stage in ("read", "reassemble", "decode"))
-    lines.append(f"naming takes {seconds['name'] / before:.0%} of the time that decoding takes")
+    of_whole, of_before = seconds["name"] / whole, seconds["name"] / before
+    lines.append(
+        f"naming takes {of_whole:.0%} of all that, {of_before:.0%} of what comes before it"
+    )
     return "\n".join(lines) + "\n"
 
 
