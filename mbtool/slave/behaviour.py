@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices import Access
+from mbtool.devices.blocks import can_be_read
 
 if TYPE_CHECKING:
     from mbtool.devices import Profile
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from mbtool.modbus.tables import Table
     from mbtool.slave.connection_rules import ConnectionRules
     from mbtool.slave.image import RegisterImage
+
+MAX_ALLOWED = 4096
 
 OwnFunction = Callable[[bytes, int], bytes | None]
 """Gets a request PDU and the time, gives the response PDU, or None for silence."""
@@ -68,6 +71,8 @@ class Behaviour:
         self.rules: ConnectionRules | None = None
         self.keep: Callable[[], None] | None = None
         """Stores what is `kept`; the device calls it when any of that has changed."""
+        self._allowed: dict[tuple[Table, int, int, bool], bool] = {}
+        """What `allows` has answered, at most MAX_ALLOWED."""
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
@@ -76,9 +81,18 @@ class Behaviour:
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
         """Whether a master may read, or write, all of a range. The answer never changes."""
-        return self.profile.allows(table, span, writing=writing) and (
-            writing or self.image.blocks.allows(table, span)
-        )
+        asked = table, span.start, span.stop, writing
+        known = self._allowed.get(asked)
+        if known is None:
+            if len(self._allowed) >= MAX_ALLOWED:
+                self._allowed.clear()
+            allows = (
+                self.profile.allows(table, span, writing=True)
+                if writing
+                else (can_be_read(self.profile, table, span))
+            )
+            known = self._allowed[asked] = allows
+        return known
 
     def refusal(
         self, function: int, reach: Reach, values: Sequence[int], now_ns: int

@@ -1,9 +1,8 @@
 """Registers that a device gives out in blocks, each from the block's first address alone."""
 
 # A profile's points say so with `block`. A block's registers are no part of the table: what a read
-# from its first address brings, and what stands at the addresses behind that one, are two things. A
-# read may begin at a block's first address and take any part of it; more than the block has, and
-# what lies behind its first address and is nothing else, is no address that can be read.
+# from its first address brings, and what stands at the addresses behind that one, are two things.
+# Which reads there may be is devices/blocks.py's matter.
 #
 # Bounds: a block ends where its last point does, so it has 65536 registers at most.
 
@@ -24,7 +23,6 @@ class Blocks:
 
     def __init__(self) -> None:
         self._blocks: dict[tuple[Table, int], list[int]] = {}
-        self._only_in_blocks: dict[Table, frozenset[int]] = {}
 
     @classmethod
     def of(cls, profile: Profile) -> Self:
@@ -32,13 +30,12 @@ class Blocks:
         blocks = cls()
         for table in Table:
             points = [point for point in profile.points if point.table is table]
-            inside = [point for point in points if point.block is not None]
-            alone = [p for p in points if p.block is None and p.allows(writing=False)]
-            for point in inside:
-                first = point.block or 0
+            for point in points:
+                if point.block is None:
+                    continue
+                first = point.block
                 held = blocks._blocks.setdefault((table, first), [])
                 held += [0] * (max(_held(point)) + 1 - first - len(held))
-            blocks._only_in_blocks[table] = _all_held(inside) - _all_held(alone)
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
@@ -53,26 +50,12 @@ class Blocks:
             raise ValueError(f"the block at {first} does not hold {list(values)} from {offset} on")
         block[offset : offset + len(values)] = values
 
-    def allows(self, table: Table, span: range) -> bool:
-        """Whether a range is the beginning of a block, or has nothing to do with any."""
-        if not self._blocks:
-            return True
-        block = self._blocks.get((table, span.start))
-        if block is not None:
-            return len(span) <= len(block)
-        return self._only_in_blocks.get(table, frozenset()).isdisjoint(span)
-
     def share(self, table: Table, with_table: Table) -> None:
         """Make the blocks of one table those of another."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block
-        self._only_in_blocks[table] = self._only_in_blocks.get(with_table, frozenset())
 
 
 def _held(point: Point) -> Iterable[int]:
     return (at for first in point.addresses for at in range(first, first + point.words))
-
-
-def _all_held(points: Iterable[Point]) -> frozenset[int]:
-    return frozenset(at for point in points for at in _held(point))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.devices import Access, Area, FunctionRule, Profile
+from mbtool.devices import Access, Area, FunctionRule, Profile, load_profile
+from mbtool.devices.blocks import can_be_read
 from mbtool.modbus import Table, Transport
-from mbtool.slave.behaviour import Behaviour
+from mbtool.slave.behaviour import MAX_ALLOWED, Behaviour
 from mbtool.slave.image import RegisterImage
 from mbtool.slave.responder import DeviceResponder
 
@@ -142,3 +143,15 @@ def test_a_behaviour_that_watches_learns_of_each_request_also_of_one_that_comes_
     behaviour = device.behaviour
     assert isinstance(behaviour, _Watchful)
     assert behaviour.came_to == [*["03020000"] * 3, "8302", "8304", "8304", "ab04"]
+
+
+def test_what_may_be_read_is_what_findings_allow_and_is_remembered_in_bounds() -> None:
+    profile = load_profile("wago-750")
+    behaviour = Behaviour(profile, RegisterImage.of(profile))
+    for first in range(MAX_ALLOWED + 10):
+        span = range(0x1000 + first, 0x1000 + first + 9)
+        for _ in range(2):
+            assert behaviour.allows(Table.HOLDING_REGISTERS, span) is can_be_read(
+                profile, Table.HOLDING_REGISTERS, span
+            )
+    assert len(behaviour._allowed) <= MAX_ALLOWED

@@ -20,17 +20,6 @@ def test_a_block_is_read_from_its_first_address_as_far_as_it_goes() -> None:
     assert blocks.get(HOLDING, range(0x2021, 0x2022)) == [0]
     assert blocks.get(HOLDING, range(0x2022, 0x202A)) == [0] * 8
     assert blocks.get(HOLDING, range(0x2010, 0x2011)) is None
-    assert blocks.allows(HOLDING, range(0x2020, 0x2030))
-    assert not blocks.allows(HOLDING, range(0x2020, 0x2031))
-
-
-def test_what_lies_behind_a_blocks_first_address_and_is_nothing_else_cannot_be_read() -> None:
-    blocks = Blocks.of(WAGO)
-    assert not blocks.allows(HOLDING, range(0x2024, 0x2025))
-    assert not blocks.allows(HOLDING, range(0x1028, 0x1030))
-    assert blocks.allows(HOLDING, range(0x102A, 0x102B))
-    assert blocks.allows(HOLDING, range(0x1030, 0x1034))
-    assert blocks.allows(INPUT, range(0x2024, 0x2025))
 
 
 def test_tables_that_are_one_have_the_same_blocks() -> None:
@@ -38,13 +27,10 @@ def test_tables_that_are_one_have_the_same_blocks() -> None:
     blocks.share(INPUT, HOLDING)
     blocks.set(HOLDING, 0x2020, 1, [7])
     assert blocks.get(INPUT, range(0x2020, 0x2022)) == [0, 7]
-    assert not blocks.allows(INPUT, range(0x2024, 0x2025))
 
 
-def test_a_device_without_blocks_allows_everything() -> None:
-    blocks = Blocks.of(load_profile("idec-ft1a-touch"))
-    assert blocks.get(HOLDING, range(4)) is None
-    assert blocks.allows(HOLDING, range(4))
+def test_a_device_without_blocks_has_none() -> None:
+    assert Blocks.of(load_profile("idec-ft1a-touch")).get(HOLDING, range(4)) is None
 
 
 @pytest.mark.parametrize(("offset", "values"), [(15, [1, 2]), (0, [65536]), (0, [-1])])
