@@ -23,8 +23,8 @@
 # All of it is called from the thread of the slave, with the time as an argument; `outputs` from
 # whichever thread shows them.
 #
-# Holds what `allows` has answered, for at most MAX_ALLOWED ranges: a profile's blocks take longer to
-# look through than all the rest of a request.
+# Holds what `allows` has answered, for at most MAX_ALLOWED ranges: a profile's blocks take longer
+# to look through than all the rest of a request.
 
 from __future__ import annotations
 
