@@ -144,6 +144,9 @@ READ_BITS = frozenset({0x01, 0x02})
 READ_REGISTERS = frozenset({0x03, 0x04, 0x17})
 """Functions whose responses have the registers that were asked for, and nothing else."""
 
+ECHOING = frozenset({0x05, 0x06, 0x08, 0x15, 0x16})
+"""Functions whose response may be the same as its request."""
+
 QUERY_DATA = 0
 """The sub-function of 08 that returns its data, however much that is (6.8.1)."""
 

@@ -14,13 +14,10 @@ import msgspec
 from msgspec.structs import replace
 
 from mbtool.core import Direction
-from mbtool.modbus.turns import Turn, likelihood
+from mbtool.modbus.turn import DOUBT, Turn, likelihood
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-
-DOUBT = 6.0
-"""Bits: what is so much dearer raises no doubt."""
 
 
 class Kind(Enum):

@@ -279,7 +279,7 @@ class RtuSplitter:
         start_ns = self._times[0] - self._character_ns
         alone = self._turns.judge(unit, pdu, start_ns, piece.roles)
         if alone.direction is piece.role:
-            return Judgement(piece.role, alone.by, min(alone.confidence, piece.confidence))
+            return Judgement(piece.role, alone.by, piece.confidence)
         # What comes behind it decided otherwise.
         return Judgement(piece.role, DirectionBy.IDLE, piece.confidence)
 

@@ -28,9 +28,10 @@ from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.oddities import is_counted
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.rows import DOUBT, Kind, Piece, Row, agreed_on, merged, with_doubts
+from mbtool.modbus.rows import Kind, Piece, Row, agreed_on, merged, with_doubts
 from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
-from mbtool.modbus.turns import ROLES, Turn, Turns
+from mbtool.modbus.turn import DOUBT, Turn
+from mbtool.modbus.turns import ROLES, Turns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,7 +109,10 @@ class Tiling:
     def pieces(self) -> list[Piece]:
         """The cheapest explanation, in order, without a hole."""
         skipped = int(self._window.is_behind_noise)
-        self._rows[0] = [Row(0.0, self._turns.turn, None, None, skipped, is_anchored=not skipped)]
+        first = Row(0.0, self._turns.turn, None, None, skipped, is_anchored=not skipped)
+        self._rows[0] = [first]
+        for bits, turn in self._turns.likely[1:]:
+            self._rows[0].append(Row(bits, turn, first, None, skipped, is_anchored=not skipped))
         for place in range(self._end):
             rows = self._rows[place]
             if rows:
@@ -189,7 +193,7 @@ class Tiling:
         unit, pdu = raw[0], raw[1:-2]
         start_ns = self._window.start_ns(place)
         cost = frame.cost + starts + self._tears(place, frame.size)
-        if frame.is_unbound and self._is_due(row, place):
+        if frame.is_unbound and (self._is_due(row, place) or turn.is_of_turn(unit, pdu[0])):
             cost += weights.UNKNOWN_DUE - weights.UNKNOWN
         follows = turn
         if not self._is_known:
@@ -232,7 +236,17 @@ class Tiling:
         if not self._window.silences[self._end]:  # A full window is decided but for its end.
             self._add(self._end, opened)
         elif cost < self._open_limit:
-            self._open_row, self._open_limit = opened, cost
+            self._keep_open(opened)
+
+    def _keep_open(self, row: Row) -> None:
+        """Keep the cheapest open row; another from its place that is nearly as cheap is a rival."""
+        best = self._open_row
+        if best is not None and best.piece == row.piece:
+            best, row = (row, best) if row.cost < best.cost else (best, row)
+            best.rivals = (*best.rivals, row)
+        elif best is None or row.cost < best.cost:
+            best = row
+        self._open_row, self._open_limit = best, best.cost + weights.OPEN_DOUBT
 
     def _lay_damaged(self, place: int, row: Row, turn: Turn, starts: float) -> None:
         for size, cost in self._damaged(place, turn):

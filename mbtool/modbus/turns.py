@@ -12,8 +12,9 @@
 # them. Then a silence does not tell which answer was late, but a longer one than is usual here says
 # that some answer was missing: an explanation in which none is pays for it (pause_cost).
 #
-# A `Turn` is a value, so that the search for frames (tiling.py) can suppose one. `Turns` keeps the
-# turn that has come about, and what the line has taught: bounded by MAX_KNOWN requests.
+# A `Turn` is a value (turn.py), so that the search for frames (tiling.py) can suppose one. `Turns`
+# keeps what the turn may be by now, since a frame in doubt leaves more than one, and what the line
+# has taught: bounded by MOST_TURNS turns and MAX_KNOWN requests.
 
 from __future__ import annotations
 
@@ -26,11 +27,20 @@ from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.expectation import Expectation
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_BITS
+from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, FUNCTIONS, READ_BITS
 from mbtool.modbus.habits import Habit, Latency
 from mbtool.modbus.oddities import is_odd_request, is_odd_response, is_padded
 from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.reach import keeps_limits
+from mbtool.modbus.turn import (
+    BEYOND_DOUBT,
+    Turn,
+    Waiting,
+    Weighed,
+    bits_of,
+    likeliest,
+    likelihood,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,52 +78,6 @@ _RESPONSE_BY_FORM = Judgement(Direction.RESPONSE, DirectionBy.FORM, 1.0)
 _ANSWER = Judgement(Direction.RESPONSE, DirectionBy.PENDING, 1.0)
 
 
-class Waiting(msgspec.Struct, frozen=True, gc=False):
-    """A request that has not been answered."""
-
-    unit: int
-    pdu: bytes
-    expected: Expectation
-    since_ns: int
-    """The time of its last byte."""
-    before_ns: int | None
-    """The silence before it, where something was heard before."""
-
-    def since(self, since_ns: int) -> Waiting:
-        """The same, as if it had been asked at another time."""
-        return Waiting(self.unit, self.pdu, self.expected, since_ns, self.before_ns)
-
-    def fits(self, unit: int, pdu: bytes) -> bool:
-        return unit == self.unit and self.expected.fits(pdu)
-
-    def is_named_by(self, unit: int, code: int) -> bool:
-        return unit == self.unit and self.expected.is_named_by(code)
-
-
-class Turn(msgspec.Struct, frozen=True, gc=False):
-    """Who may speak next."""
-
-    waiting: Waiting | None = None
-    owed: Waiting | None = None
-    """A request that the master gave up, or whose answer was damaged: it may still come."""
-    answered: Waiting | None = None
-    """The request that the last frame answered."""
-    lost: bool = False
-    """Whether damage came before, in which a request may have gone unheard."""
-    sure: bool = False
-    """Whether a frame was heard that is surely a request, or surely a response."""
-    last_ns: int | None = None
-    """The time of the last frame's last byte; None at the start of a capture."""
-    pause_ns: int = 0
-    """On a line whose frames are glued, the last silence heard, if no missing answer explains it:
-    it may have been anywhere among the frames glued behind it."""
-
-    def behind_damage(self) -> Turn:
-        """The turn after bytes that could not be read."""
-        owed = self.waiting or self.owed
-        return Turn(None, owed, self.answered, lost=True, sure=self.sure, last_ns=self.last_ns)
-
-
 class Turns:
     """Judges each frame of a line by the turn, and keeps the turn."""
 
@@ -121,7 +85,8 @@ class Turns:
         """`timed` says whether the bytes' times are known."""
         self.trusts_silences = timed
         """Whether silences here tell who speaks: not without times, nor where frames are glued."""
-        self.turn = Turn()
+        self.likely: list[Weighed] = [(0.0, Turn())]
+        """What the turn may be, the likeliest first."""
         self._known: dict[tuple[int, bytes], None] = {}
         self._asked: set[tuple[int, int]] = set()
         """Units with the functions that they were asked."""
@@ -130,9 +95,11 @@ class Turns:
         self._pauses = Latency()
         """The silences among glued frames in which no answer was missing."""
         self._again = Habit(weights.ASKED_AGAIN, weights.ASKED_AGAIN_LIMITS)
-        self._doubted: tuple[int, bytes] | None = None
-        """The last frame, if it was ambiguous: its echo is no surer than `_doubt`."""
-        self._doubt = 1.0
+
+    @property
+    def turn(self) -> Turn:
+        """The likeliest."""
+        return self.likely[0][1]
 
     def judge(
         self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()
@@ -141,24 +108,15 @@ class Turns:
 
         `roles` are those whose form it has, where that is known already.
         """
-        judgement = self.judge_under(self.turn, unit, pdu, at_ns, roles or roles_of(pdu))
-        if self._doubted == (unit, pdu) and judgement.by not in CERTAIN:
-            confidence = min(judgement.confidence, self._doubt)
-            return Judgement(judgement.direction, judgement.by, confidence)
-        return judgement
-
-    def judge_under(
-        self, turn: Turn, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction]
-    ) -> Judgement:
-        """Say what a frame would be if this were the turn."""
+        roles = roles or roles_of(pdu)
         if len(roles) == 1:
             if roles[0] is Direction.RESPONSE:
-                waiting = self._waiting(turn, at_ns)
+                waiting = self._waiting(self.turn, at_ns)
                 if waiting is not None and waiting.fits(unit, pdu):
                     return _ANSWER
                 return _RESPONSE_BY_FORM
             return _REQUEST_BY_FORM
-        request, response = (self._cost(turn, unit, pdu, role, at_ns) for role in ROLES)
+        request, response = (self._least_cost(unit, pdu, role, at_ns) for role in ROLES)
         if request[0] + request[1] <= response[0] + response[1]:
             best, other, direction, by = request, response, Direction.REQUEST, DirectionBy.IDLE
         else:
@@ -171,6 +129,17 @@ class Turns:
         """What it costs to take a frame for this, in bits."""
         by_turn, by_time = self._cost(turn, unit, pdu, role, at_ns)
         return by_turn + by_time
+
+    def _least_cost(
+        self, unit: int, pdu: bytes, role: Direction, at_ns: int
+    ) -> tuple[float, float]:
+        """What it costs under the turn that speaks most for it: by the turn, and by the silence."""
+        least = math.inf, 0.0
+        for bits, turn in self.likely:
+            by_turn, by_time = self._cost(turn, unit, pdu, role, at_ns)
+            if bits + by_turn + by_time < sum(least):
+                least = bits + by_turn, by_time
+        return least
 
     def expects(self, turn: Turn, unit: int, code: int, size: int, role: Direction) -> bool:
         """Whether a frame that begins so, of a PDU of this size (0: unknown), is due now."""
@@ -238,21 +207,49 @@ class Turns:
             waiting = turn.waiting
             if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
                 self._latency.learn(start_ns - waiting.since_ns)
-        is_doubtful = not is_sure and self._doubted != (unit, pdu)
-        self._doubted, self._doubt = ((unit, pdu) if is_doubtful else None), judgement.confidence
         if self.ends_pause(turn, role, start_ns, inside_ns):
             self._pauses.learn_warily(turn.pause_ns)
         by_form = judgement.by in CERTAIN
-        self.turn = self.follow(turn, unit, pdu, role, start_ns, end_ns, inside_ns, by_form)
+        spoken = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
+        if len(self.likely) == 1 and judgement.confidence >= BEYOND_DOUBT:
+            self.likely = [(0.0, self.follow(turn, *spoken))]
+            return
+        turns = self._turns_after(*spoken)
+        if not by_form:
+            other = ROLES[role is Direction.REQUEST]
+            dearer = bits_of(judgement.confidence)
+            rivals = self._turns_after(unit, pdu, other, start_ns, end_ns, inside_ns, by_form)
+            turns += [(bits + dearer, rival) for bits, rival in rivals]
+        self.likely = likeliest(turns)
+
+    def _turns_after(
+        self,
+        unit: int,
+        pdu: bytes,
+        role: Direction,
+        start_ns: int,
+        end_ns: int,
+        inside_ns: int,
+        sure: bool,
+    ) -> list[Weighed]:
+        """What the turn may be after a frame that is a request, or a response."""
+        after = [
+            (
+                bits + self.weigh(turn, unit, pdu, role, start_ns),
+                self.follow(turn, unit, pdu, role, start_ns, end_ns, inside_ns, sure),
+            )
+            for bits, turn in self.likely
+        ]
+        least = min(bits for bits, _ in after)
+        return [(bits - least, turn) for bits, turn in after]
 
     def begin_anew(self) -> None:
         """Forget whose turn it was: the clock was set back."""
-        self.turn = Turn()
-        self._doubted = None
+        self.likely = [(0.0, Turn())]
 
     def heard_damage(self) -> None:
         """Note bytes that could not be read."""
-        self.turn = self.turn.behind_damage()
+        self.likely = likeliest((bits, turn.behind_damage()) for bits, turn in self.likely)
 
     def follow(
         self,
@@ -279,7 +276,8 @@ class Turns:
         owed, answered = turn.owed, None
         if waiting is None or waiting.unit == unit:
             owed, answered, waiting = (owed if waiting else None), waiting or owed, None
-        return Turn(waiting, owed, answered, sure=sure, last_ns=end_ns, pause_ns=pause_ns)
+        answer = pdu if answered else b""
+        return Turn(waiting, owed, answered, answer, sure=sure, last_ns=end_ns, pause_ns=pause_ns)
 
     def _pause_ns(self, turn: Turn, role: Direction, start_ns: int, inside_ns: int) -> int:
         """The last silence after a frame, if it is not explained."""
@@ -298,11 +296,7 @@ class Turns:
         waiting = self._waiting(turn, at_ns)
         odd = weights.UNLIKELY_UNIT if unit > MAX_UNIT else 0.0
         if role is Direction.REQUEST:
-            cost, by_time = self._request_cost(waiting, turn.owed, unit, pdu, at_ns)
-            answered = turn.answered
-            is_told = self.trusts_silences and turn.owed is None
-            if not is_told and answered and (answered.unit, answered.pdu) == (unit, pdu):
-                cost += self._again.bits
+            cost, by_time = self._request_cost(turn, waiting, unit, pdu, at_ns)
             if self._is_just_asked_for(turn.waiting, unit, pdu):
                 cost += weights.FITS_AS_ANSWER
         else:
@@ -310,17 +304,27 @@ class Turns:
         return cost + odd, by_time if self.trusts_silences else 0.0
 
     def _request_cost(
-        self, waiting: Waiting | None, owed: Waiting | None, unit: int, pdu: bytes, at_ns: int
+        self, turn: Turn, waiting: Waiting | None, unit: int, pdu: bytes, at_ns: int
     ) -> tuple[float, float]:
         cost = weights.REQUEST
-        if (unit, pdu) not in self._known:
-            cost += weights.NEW_REQUEST
         if is_odd_request(pdu):
             cost += weights.ODD_REQUEST
+        same = waiting is not None and waiting.asks(unit, pdu)
+        answered = turn.answered
+        again = answered is not None and answered.asks(unit, pdu)
+        if again:
+            is_told = self.trusts_silences and turn.owed is None
+            cost += 0.0 if is_told else self._again.bits
+        elif answered is not None and answered.unit == unit and turn.answer == pdu:
+            cost += weights.REQUEST_LIKE_ANSWER
+        if not (same or again or (unit, pdu) in self._known):
+            cost += weights.NEW_REQUEST
+            if pdu[0] in FUNCTIONS and not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+                cost += weights.MALFORMED
         if waiting is None:
             return cost, 0.0
-        same = (waiting.unit, waiting.pdu) == (unit, pdu)
-        if same and owed is not None and (owed.unit, owed.pdu) == (unit, pdu):
+        owed = turn.owed
+        if same and owed is not None and owed.asks(unit, pdu):
             cost += weights.REPEATED_AGAIN
         else:
             cost += weights.REPEATED if same else weights.UNANSWERED
@@ -339,14 +343,18 @@ class Turns:
         if waiting is not None and waiting.is_named_by(unit, pdu[0]):
             return weights.WRONG_ANSWER + odd, 0.0
         owed = turn.owed
-        if owed is not None and pdu == owed.pdu and pdu[0] in READ_BITS:
+        if owed is not None and pdu == owed.pdu and pdu[0] in FUNCTIONS and pdu[0] not in ECHOING:
             owed = None  # The read that comes again: see _answer_cost.
         if owed is not None and at_ns - owed.since_ns <= TURN_NS and owed.fits(unit, pdu):
             is_elsewhere = waiting is not None and (waiting.unit, waiting.pdu) != (
                 owed.unit,
                 owed.pdu,
             )
-            return (weights.LATE_ELSEWHERE if is_elsewhere else weights.LATE_ANSWER), 0.0
+            late = weights.LATE_ELSEWHERE if is_elsewhere else weights.LATE_ANSWER
+            is_second = turn.answered is not None and turn.answered.pdu == owed.pdu
+            if is_second and not is_like(pdu, turn.answer, owed.pdu):
+                late += weights.UNLIKE_ANSWERS
+            return late, 0.0
         is_exception = pdu[0] & EXCEPTION_BIT
         if turn.lost and is_exception and (unit, pdu[0] ^ EXCEPTION_BIT) not in self._asked:
             odd += weights.UNASKED
@@ -363,7 +371,7 @@ class Turns:
         by_time = min(late, weights.MOST_FOR_LATENESS) if octaves > MARGIN_OCTAVES else 0.0
         if by_time and self._is_just_asked_for(waiting, waiting.unit, pdu):
             by_time = 0.0
-        if pdu[0] in READ_BITS and pdu == waiting.pdu:
+        if pdu == waiting.pdu and pdu[0] in FUNCTIONS and pdu[0] not in ECHOING:
             # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own answer.
             return weights.ECHO_OF_A_READ, by_time
         if pdu[0] in READ_BITS and not is_padded(waiting.pdu, pdu):
@@ -403,12 +411,12 @@ class Turns:
             del self._known[next(iter(self._known))]
 
 
-def likelihood(bits: float) -> float:
-    """How sure the better of two explanations is that differ by so many bits, 0.5 to 1."""
-    return 1 / (1 + math.exp2(-bits))
-
-
 def roles_of(pdu: bytes) -> tuple[Direction, ...]:
     """The directions whose form a whole PDU has; both where no table says."""
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES
+
+
+def is_like(answer: bytes, other: bytes, request: bytes) -> bool:
+    """Whether two PDUs can both be answers to a request."""
+    return len(answer) == len(other) and (answer == request) == (other == request)

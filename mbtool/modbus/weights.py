@@ -45,7 +45,13 @@ FITS_AS_ANSWER = 9.0
 """More for a request that is none by its form, or was never heard, and is just what the waiting one
 asks for: unit, function and byte count. It outweighs any lateness."""
 ECHO_OF_A_READ = 16.0
-"""A response of bits whose bytes are its very request: 24 bits would have to agree."""
+"""A response that is its very request, of a function that says nothing of the kind: as with a read
+of bits, where 24 would have to agree."""
+REQUEST_LIKE_ANSWER = 12.0
+"""More for a request that is what was just answered to another: the answer has come twice."""
+UNLIKE_ANSWERS = 6.0
+"""More for a late answer that has not the length of the one that came in time, or is an echo where
+that was none."""
 ECHO_OF_UNKNOWN = 4.0
 """A response that repeats its request, of a function that no table says to do so."""
 MALFORMED = 6.0
@@ -131,5 +137,7 @@ ADHERES = 1.5
 
 MARGIN = 12.0
 """Explanations that are so much worse than another are given up."""
+OPEN_DOUBT = 3.0
+"""One that waits for more and is so much dearer than another raises no doubt."""
 OPEN_MARGIN = 24.0
 """The same beside one that waits for more: what is so much dearer need not be known meanwhile."""

@@ -35,7 +35,8 @@ from mbtool.modbus.adu import Adu
 from mbtool.modbus.ascii import AsciiSplitter
 from mbtool.modbus.rtu import RtuSplitter
 from mbtool.modbus.spoiling import wire_pieces
-from mbtool.modbus.turns import Turn, Turns
+from mbtool.modbus.turn import Turn
+from mbtool.modbus.turns import Turns
 from mbtool.slave.clock import steady_clock
 from mbtool.slave.shell import OnExchange, Shell
 

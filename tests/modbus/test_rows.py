@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mbtool.core import Direction
-from mbtool.modbus.rows import DOUBT, Kind, Piece, Row, agreed_on, merged, with_doubts
-from mbtool.modbus.turns import Turn
+from mbtool.modbus.rows import Kind, Piece, Row, agreed_on, merged, with_doubts
+from mbtool.modbus.turn import DOUBT, Turn
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 EMPTY = Row(0.0, Turn(), None, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus import DirectionBy
+from mbtool.modbus import DirectionBy, weights
 from mbtool.modbus.habits import Latency
 from mbtool.modbus.turns import (
     MAX_KNOWN,
@@ -13,7 +13,6 @@ from mbtool.modbus.turns import (
     TURN_NS,
     Judgement,
     Turns,
-    likelihood,
     roles_of,
 )
 
@@ -270,12 +269,12 @@ def test_silences_are_not_kept_where_they_are_trusted() -> None:
     assert Spoken().learn_latency().turns.turn.pause_ns == 0
 
 
-def test_echo_of_an_ambiguous_frame_is_no_surer() -> None:
+def test_echo_of_an_ambiguous_frame_is_ambiguous() -> None:
     spoken = Spoken()
     spoken.hear(1, WRITE)
     doubtful = spoken.hear(1, WRITE, 300 * MS)
     assert doubtful.confidence < SURE
-    assert spoken.hear(1, WRITE, 3 * MS).confidence <= doubtful.confidence
+    assert spoken.hear(1, WRITE, 3 * MS).confidence < SURE
     spoken.hear(1, READ)
     assert spoken.hear(1, ANSWER).confidence == 1
 
@@ -423,15 +422,9 @@ def test_turn_can_be_supposed_without_being_taken() -> None:
     asked = turns.follow(before, 1, READ, REQUEST, 0, 1)
     assert asked.waiting is not None
     assert asked.waiting.fits(1, ANSWER)
-    assert turns.judge_under(asked, 1, ANSWER, 2, (RESPONSE,)).by is DirectionBy.PENDING
+    assert turns.weigh(asked, 1, ANSWER, RESPONSE, 2) == weights.ANSWER
     assert turns.follow(asked, 1, ANSWER, RESPONSE, 2, 3).waiting is None
     assert turns.turn is before
-
-
-def test_likelihood_of_the_better_of_two() -> None:
-    assert likelihood(0) == 0.5
-    assert likelihood(1) == pytest.approx(2 / 3)
-    assert likelihood(10) > 0.999
 
 
 def test_roles_are_those_whose_form_fits() -> None:

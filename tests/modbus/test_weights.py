@@ -6,8 +6,8 @@ import ast
 from pathlib import Path
 
 from mbtool.modbus import weights
-from mbtool.modbus.rows import DOUBT
-from mbtool.modbus.turns import SURE, likelihood
+from mbtool.modbus.turn import DOUBT, likelihood
+from mbtool.modbus.turns import SURE
 
 TOLD_BY_ANOTHER = {
     "SKIP_LIMITS",
