@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,20 +21,18 @@ from mbtool.cli.options import (
     T35Option,
     WhereOption,
 )
+from mbtool.cli.progress import with_progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.workflows.decoding import Record
     from mbtool.workflows.model_hints import ModelHints
     from mbtool.workflows.reading import Reading
 
 STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
 """How often --follow looks whether the log has grown."""
-_SHOW_EVERY = 500
-"""How many records go by between two looks at the progress."""
 
 
 def decode(
@@ -116,7 +113,7 @@ def decode(
             records = interrupt.breakable(reading.records())
         # A pipe may bring a live capture: each line is wanted at once, by a program, too.
         is_watched = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
-        for record in records if follow or out.on_terminal else _with_progress(reading, records):
+        for record in records if follow or out.on_terminal else with_progress(reading, records):
             hints.note(record)
             out.add(record)
             if is_watched:
@@ -151,19 +148,3 @@ def _is_piped() -> bool:
         return not stat.S_ISREG(os.fstat(0).st_mode)
     except OSError:  # It is closed, which opening it tells.
         return False
-
-
-def _with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
-    """The same records, with a progress bar where standard error is a terminal."""
-    if not sys.stderr.isatty():
-        yield from records
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("decoding", total=1.0)
-        for number, record in enumerate(records):
-            if number % _SHOW_EVERY == 0:
-                progress.update(task, completed=reading.fraction)
-            yield record

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from mbtool.cli.command import Command
 from mbtool.cli.devices_own import draft, export, import_, new, schema
 from mbtool.cli.options import LineOption, PortOption, RtuPortOption
 
@@ -49,11 +50,11 @@ devices = typer.Typer(
     help="List device profiles, show one in full, or make your own.\n\n"
     "NAME is a profile's name, or the path of a TOML file.",
 )
-devices.command("new")(new)
-devices.command("import")(import_)
-devices.command("draft")(draft)
-devices.command("export")(export)
-devices.command("schema")(schema)
+devices.command("new", cls=Command)(new)
+devices.command("import", cls=Command)(import_)
+devices.command("draft", cls=Command)(draft)
+devices.command("export", cls=Command)(export)
+devices.command("schema", cls=Command)(schema)
 
 
 @devices.callback(invoke_without_command=True)
@@ -94,7 +95,7 @@ def _devices(
         context.obj = lambda names: _match(matched, names, options, format_)
 
 
-@devices.command(_SHOW, hidden=True)
+@devices.command(_SHOW, cls=Command, hidden=True)
 def _show(
     context: typer.Context, names: Annotated[list[str], typer.Argument(metavar="NAME")]
 ) -> None:

@@ -21,6 +21,7 @@ from typer.main import get_command
 from mbtool import __version__
 from mbtool.cli import exit_codes
 from mbtool.cli.check import check
+from mbtool.cli.command import Command
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
@@ -52,7 +53,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (sniff, decode, check, replay, diff, slave, links, line, demo):
-    app.command()(command)
+    app.command(cls=Command)(command)
 app.add_typer(devices, name="devices")
 
 

@@ -8,6 +8,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.keys import keyboard
+from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import interruptible, say
 from mbtool.sources.priority import run_promptly
 from mbtool.workflows.bus_playing import BusRun, line_link
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:
     """Send, and tell how true the times were."""
     link = line_link(on)
-    run = BusRun(file, options, link, say)
+    run = BusRun(file, options, link, say, with_progress)
     say(_what_is_played(file, run, link, options))
     if options.rate is not None:
         run_promptly()

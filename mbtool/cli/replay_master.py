@@ -12,6 +12,7 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import keyboard
+from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import interruptible, say
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.sources.priority import run_promptly
@@ -37,7 +38,7 @@ def play_as_master(
     for written in (report_file, learn):
         if written is not None:
             _demand_writable(written)
-    run = MasterRun(file, options, say)
+    run = MasterRun(file, options, say, with_progress)
     say(_what_is_played(file, run, to, options))
     if options.rate is not None:
         run_promptly()

@@ -8,6 +8,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.keys import keyboard
+from mbtool.cli.progress import with_progress
 from mbtool.cli.serve import serve
 from mbtool.cli.talk import say
 from mbtool.slave import slave_link
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remote: bool) -> None:
     """Answer until Ctrl-C."""
     slave_link(on)  # A link that is none is told before a long recording is read.
-    run = SlaveRun(file, options, say)
+    run = SlaveRun(file, options, say, with_progress)
     played = run.on(on, allow_remote=allow_remote)
     with keyboard() as desk:
 

@@ -21,7 +21,6 @@ import functools
 import json
 import re
 import reprlib
-import tomllib
 import typing
 from enum import StrEnum
 from pathlib import Path
@@ -32,6 +31,7 @@ import msgspec
 from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import docstrings
+from mbtool.devices.toml_file import TomlError, read_toml
 from mbtool.devices.validation import validate
 
 MAX_FILE_BYTES = 1 << 20
@@ -41,17 +41,6 @@ _MAX_EXAMPLES = 8
 _BUILT_IN = Path(__file__).parent / "profiles"
 
 _T = TypeVar("_T", bound=msgspec.Struct)
-
-_TOML_ADVICE = (
-    ("Invalid value", "; a value is a number, a text in quotes, true, false, a list or a table"),
-    ("Expected newline", "; a line has one key and its value"),
-    ("Cannot overwrite a value", "; the key of this line stands further up already"),
-    ("Cannot declare", "; a table is begun once, and [[...]] adds one to a list"),
-    ("Illegal character", "; a text ends in the line where it begins: is a quote missing?"),
-    ("Invalid statement", "; write key = value, or [table]"),
-    ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
-)
-"""What to add to a message of the TOML parser, by how it begins."""
 
 
 def builtin_profiles() -> list[str]:
@@ -153,28 +142,11 @@ def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"profile {str(path)!r} cannot be read: {reason}") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise ProfileError(str(path), "size", f"more than {MAX_FILE_BYTES} bytes are no profile")
-    try:
-        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors begin with a byte order mark.
-    except UnicodeDecodeError as error:
-        raise ProfileError(
-            str(path), f"byte {error.start}", "not UTF-8, so not TOML; save it as UTF-8"
-        ) from error
-    except RecursionError as error:
-        raise ProfileError(str(path), "TOML", "nested too deep") from error
-    except ValueError as error:
-        problem, at, place = str(error).rpartition(" (at ")
-        problem = problem if at else str(error)
-        advice = next((hint for known, hint in _TOML_ADVICE if problem.startswith(known)), "")
-        raise ProfileError(
-            str(path), place.rstrip(")") if at else "TOML", f"not TOML: {problem}{advice}"
-        ) from error
+        return read_toml(path, MAX_FILE_BYTES, "profile")
+    except TomlError as error:
+        if not error.place:
+            raise InputError(f"profile {str(path)!r} {error.problem}") from error
+        raise ProfileError(str(path), error.place, error.problem) from error
 
 
 def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

@@ -64,6 +64,14 @@ class Access(StrEnum):
         return self is not (Access.READ if writing else Access.WRITE)
 
 
+class BehaviourName(StrEnum):
+    """What a family of devices does beyond its data, as the embedded slave and `check` know it."""
+
+    FA3 = "fa3"
+    LT830 = "lt830"
+    WAGO = "wago"
+
+
 class _Part(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
@@ -359,9 +367,8 @@ class Profile(_Part, frozen=True, kw_only=True):
     """The silences that its manual asks for."""
     points: list[Point] = []
     """The values that its manual names."""
-    behaviour: str | None = None
-    """The name of what data cannot say, as the embedded slave knows it: fa3, lt830,
-    wago."""
+    behaviour: BehaviourName | None = None
+    """The name of what data cannot say: fa3, lt830 or wago."""
     finding_prefix: str | None = None
     """What the codes of broken rules begin with; absent: the name in capitals."""
     model_code: Word | None = None

@@ -1,13 +1,12 @@
 """Finds a device's behaviour by the name that its profile has for it."""
 
-# A further device's class goes into BEHAVIOURS, by the `behaviour` of its profile and, where models
-# of one family differ, the model code.
+# A further family's name goes into BehaviourName, and its class into BEHAVIOURS by that name and,
+# where models of one family differ, the model code.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import ProfileError
 from mbtool.slave.behaviour import Behaviour
 from mbtool.slave.fa3 import Fa3, Fa3DigitalOutput
 from mbtool.slave.fa3_analog import Fa3AnalogInput, Fa3AnalogOutput
@@ -33,14 +32,8 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
 
 
 def behaviour_of(profile: Profile, image: RegisterImage) -> Behaviour:
-    """A device's behaviour. Raises ProfileError for one that does not exist."""
     if profile.behaviour is None:
         return Behaviour(profile, image)
     model = f"{profile.behaviour}/{profile.model_code or 0:04X}"
-    make = BEHAVIOURS.get(model) or BEHAVIOURS.get(profile.behaviour)
-    if make is None:
-        known = ", ".join(sorted({name.partition("/")[0] for name in BEHAVIOURS}))
-        raise ProfileError(
-            profile.name, "behaviour", f"{profile.behaviour!r} does not exist; there is {known}"
-        )
+    make = BEHAVIOURS.get(model) or BEHAVIOURS[profile.behaviour]
     return make(profile, image)

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbtool.core import UsageError
 from mbtool.devices import parse_span
+from mbtool.devices.toml_file import read_toml
 from mbtool.slave.faults import Fault, FaultKind, Match
-from mbtool.slave.toml_file import read_toml
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

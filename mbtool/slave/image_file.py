@@ -27,10 +27,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbtool.core import UsageError
+from mbtool.devices.toml_file import read_toml
 from mbtool.modbus.tables import Table
 from mbtool.slave.signals import Ramp, Signal, Sine, Walk
 from mbtool.slave.spots import Spot, Spots
-from mbtool.slave.toml_file import read_toml
 
 if TYPE_CHECKING:
     from mbtool.devices import Profile

@@ -57,7 +57,6 @@ class DeviceResponder:
     """One device. Its image may be read and written from outside between two requests."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
-        """Raises ProfileError where the profile names a behaviour that does not exist."""
         self._profile = profile
         self.behaviour = behaviour_of(profile, image)
         self.image = image

@@ -91,12 +91,14 @@ class SarifDocument:
         return f"\n],{_json(rest)[1:-1]}}}]}}\n"
 
     def _rule(self, finding: Finding) -> dict[str, Any]:
-        told = _told(finding.code)
-        text = told.get("meaning", finding.code)
+        rule = rule_of(finding.code)
+        about = {"shortDescription": {"text": finding.code}}
+        if rule is not None:
+            help_ = f"{rule.meaning} Source: {rule.source}. {DOCUMENTATION}, section {rule.code}"
+            about = {"shortDescription": {"text": rule.meaning}, "help": {"text": help_}}
         return {
             "id": finding.code,
-            "shortDescription": {"text": text},
-            "help": {"text": f"{text} Source: {told.get('source', 'unknown')}. {DOCUMENTATION}"},
+            **about,
             "defaultConfiguration": {"level": finding.severity.value},
         }
 

@@ -15,9 +15,11 @@ from mbtool.replay import BusPlayer, PlayClock, Steering, Window
 from mbtool.slave import open_port, port_in_use
 from mbtool.workflows.bus_recording import read_pieces
 from mbtool.workflows.reading import ReadingOptions
+from mbtool.workflows.recorded import unwatched
 
 if TYPE_CHECKING:
     from mbtool.replay import Desk
+    from mbtool.workflows.recorded import Watch
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
@@ -68,12 +70,13 @@ class BusRun:
         options: BusOptions,
         link: SerialLink,
         on_remark: Callable[[str], None] = lambda _: None,
+        watch: Watch = unwatched,
     ) -> None:
         """Read the recording. Raises InputError where there is nothing to play, UsageError."""
         self._options = options
         self._link = link
         self.pieces = read_pieces(
-            path, options.reading, options.wanted, options.window, link, on_remark
+            path, options.reading, options.wanted, options.window, link, on_remark, watch
         )
 
     @property

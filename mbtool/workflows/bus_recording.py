@@ -32,13 +32,14 @@ from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.replay import Piece, Window
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.log_links import SPEC
-from mbtool.workflows.recorded import read_recorded, where_none
+from mbtool.workflows.recorded import read_recorded, unwatched, where_none
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.devices import NamedTransaction
     from mbtool.workflows.reading import ReadingOptions
+    from mbtool.workflows.recorded import Watch
 
 MAX_PIECE = 256
 """No piece is longer, so that a port takes it at once."""
@@ -59,6 +60,7 @@ def read_pieces(
     window: Window,
     link: SerialLink,
     on_remark: Callable[[str], None],
+    watch: Watch = unwatched,
 ) -> list[Piece]:
     """What a link is to carry, in order of time, from the window's beginning on.
 
@@ -68,7 +70,7 @@ def read_pieces(
     def on_cut(error: CutError | DamageError) -> None:
         on_remark(f"mbtool: {error}; playing what is there")
 
-    transactions = read_recorded(path, options, wanted, on_cut, on_remark).transactions
+    transactions = read_recorded(path, options, wanted, on_cut, on_remark, watch).transactions
     lines = {one.link for one in transactions if one.transport.is_serial}
     _demand_one_line(path, lines, transactions)
     if lines:

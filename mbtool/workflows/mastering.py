@@ -28,11 +28,12 @@ from mbtool.replay import (
 from mbtool.views.junit import Case, junit_xml
 from mbtool.workflows.master_links import open_master
 from mbtool.workflows.reading import ReadingOptions
-from mbtool.workflows.recorded import read_recorded, where_none, within
+from mbtool.workflows.recorded import read_recorded, unwatched, where_none, within
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.devices import Profile
+    from mbtool.workflows.recorded import Watch
 
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
@@ -86,6 +87,7 @@ class MasterRun:
         path: str,
         options: MasterOptions,
         on_remark: Callable[[str], None] = lambda _: None,
+        watch: Watch = unwatched,
     ) -> None:
         """Read the recording. Of a file that is cut or damaged what is there is played.
 
@@ -98,7 +100,7 @@ class MasterRun:
         def on_cut(error: CutError | DamageError) -> None:
             on_remark(f"mbtool: {error}; playing what is there")
 
-        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark)
+        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
         profiles = recorded.assignments.profiles
         self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
         self.script = Script.of(within(recorded.transactions, options.window))

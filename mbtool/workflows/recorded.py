@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import CutError, DamageError, UsageError, WireEvent
@@ -12,9 +13,15 @@ from mbtool.replay.damaged import DAMAGED_KINDS
 from mbtool.workflows.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.devices import Assignments, NamedTransaction
+    from mbtool.workflows.decoding import Record
+
+Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
+"""Passes records on, and may show how far their reading has come."""
+
+
+def unwatched(_: Reading, records: Iterator[Record]) -> Iterator[Record]:
+    return records
 
 
 class Recorded(NamedTuple):
@@ -32,6 +39,7 @@ def read_recorded(
     wanted: Callable[[NamedTransaction], bool],
     on_cut: Callable[[CutError | DamageError], None],
     on_remark: Callable[[str], None] = lambda _: None,
+    watch: Watch = unwatched,
 ) -> Recorded:
     """The transactions of a capture or a log, in the order in which they ended.
 
@@ -43,7 +51,7 @@ def read_recorded(
     damage: list[WireEvent] = []
     reading = Reading([path], options)
     try:
-        for record in reading.records():
+        for record in watch(reading, reading.records()):
             if isinstance(record, WireEvent):
                 if record.kind in DAMAGED_KINDS:
                     damage.append(record)

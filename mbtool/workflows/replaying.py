@@ -30,7 +30,7 @@ from mbtool.replay import (
 from mbtool.slave import DeviceResponder, RegisterImage, open_shell, slave_link
 from mbtool.workflows.faulty import faulty
 from mbtool.workflows.reading import ReadingOptions
-from mbtool.workflows.recorded import read_recorded, where_none
+from mbtool.workflows.recorded import read_recorded, unwatched, where_none
 
 if TYPE_CHECKING:
     from mbtool.core import CutError, DamageError, LinkSpec, TcpLink
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mbtool.modbus import Answer, Responder, Table
     from mbtool.replay import Control, Progress
     from mbtool.slave import Shell
-    from mbtool.workflows.recorded import Recorded
+    from mbtool.workflows.recorded import Recorded, Watch
 
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
@@ -71,7 +71,11 @@ class SlaveRun:
     """A recording that was read, ready to answer on a link."""
 
     def __init__(
-        self, path: str, options: SlaveOptions, on_remark: Callable[[str], None] = lambda _: None
+        self,
+        path: str,
+        options: SlaveOptions,
+        on_remark: Callable[[str], None] = lambda _: None,
+        watch: Watch = unwatched,
     ) -> None:
         """Read the recording. Of a file that is cut or damaged what is there is played.
 
@@ -88,7 +92,7 @@ class SlaveRun:
         def on_cut(error: CutError | DamageError) -> None:
             on_remark(f"mbtool: {error}; playing what is there")
 
-        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark)
+        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events)
         # What else was read is let go: it is several times as much.

@@ -21,6 +21,7 @@ from mbtool.devices import (
     Timing,
     WordOrder,
 )
+from mbtool.devices.model import BehaviourName
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
@@ -64,7 +65,7 @@ def profiles(draw: st.DrawFn) -> Profile:
             t1_5=draw(SHORT_SILENCES), t3_5=draw(SILENCES), request_interval=draw(SILENCES)
         ),
         points=[point for area in areas for point in draw(_points(area))],
-        behaviour=draw(st.none() | TEXT),
+        behaviour=draw(st.none() | st.sampled_from(BehaviourName)),
         finding_prefix=draw(st.none() | PREFIXES),
         model_code=draw(st.none() | st.integers(0, 0xFFFF)),
         last_unit=draw(st.none() | st.integers(1, 255)),

@@ -89,6 +89,7 @@ def test_file_that_extends_another_needs_no_more() -> None:
         ({"name": 5}, "$.name: 5 is not of type 'string'"),
         ({"transports": []}, "$.transports: [] should be non-empty"),
         ({"transports": ["usb"]}, "$.transports[0]: 'usb' is not one of"),
+        ({"behaviour": "fa4"}, "$.behaviour: 'fa4' is not one of ['fa3', 'lt830', 'wago']"),
         ({"functions": {"3": {}}}, "$.functions: '3' does not match"),
         ({"functions": {"00": {}}}, "$.functions: '00' does not match"),
         ({"functions": {"83": {}}}, "$.functions: '83' does not match"),

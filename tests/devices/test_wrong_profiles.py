@@ -96,6 +96,8 @@ WRONG = [
     ("[functions]", "[exceptions]\ndocumented = [1, 2, 3, 'x']\n\n[functions]",
      "exceptions.documented[3]: expected a whole number, not 'x'"),
     ('["rtu"]', '"usb"', "transports: expected a list, for example ['rtu'], not 'usb'"),
+    ('source = "its manual"', 'source = "its manual"\nbehaviour = "fa4"',
+     "behaviour: expected one of fa3, lt830, wago, not 'fa4'"),
     ("address = 3", "address = 3\nminimum = 'x'",
      "points \"Speed\".minimum: expected a number, not 'x'"),
     # A key that is unknown, missing or there twice.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 HOLDING = Table.HOLDING_REGISTERS
 
 
-def _profile(*areas: tuple[int, int, Access], behaviour: str | None = None) -> Profile:
+def _profile(*areas: tuple[int, int, Access]) -> Profile:
     return Profile(
         name="own",
         title="Own",
@@ -33,7 +33,6 @@ def _profile(*areas: tuple[int, int, Access], behaviour: str | None = None) -> P
             for first, last, access in areas
         ],
         functions={code: FunctionRule() for code in ("03", "06", "10", "16")},
-        behaviour=behaviour,
     )
 
 
@@ -80,8 +79,8 @@ class _Moody(Behaviour):
 def test_a_behaviour_refuses_after_all_other_checks_and_shows_what_it_likes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mbtool.slave.behaviours.BEHAVIOURS", {"moody": _Moody})
-    profile = _profile((0, 9, Access.READ_WRITE), behaviour="moody")
+    monkeypatch.setattr("mbtool.slave.responder.behaviour_of", _Moody)
+    profile = _profile((0, 9, Access.READ_WRITE))
     device = DeviceResponder(profile, RegisterImage())
     assert _ask(device, "06 0001 0007") == "86 04"
     assert device.image.get(HOLDING, 1) == [0]
@@ -103,8 +102,8 @@ class _Apart(Behaviour):
 def test_a_behaviour_says_where_writes_go_and_what_a_mask_leaves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mbtool.slave.behaviours.BEHAVIOURS", {"apart": _Apart})
-    profile = _profile((0, 31, Access.READ_WRITE), behaviour="apart")
+    monkeypatch.setattr("mbtool.slave.responder.behaviour_of", _Apart)
+    profile = _profile((0, 31, Access.READ_WRITE))
     device = DeviceResponder(profile, RegisterImage())
     assert _ask(device, "06 0001 1234") == "06 00 01 12 34"
     assert _ask(device, "16 0001 FF00 0055") == "16 00 01 ff 00 00 55"
@@ -131,8 +130,8 @@ class _Watchful(Behaviour):
 def test_a_behaviour_that_watches_learns_of_each_request_also_of_one_that_comes_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mbtool.slave.behaviours.BEHAVIOURS", {"watchful": _Watchful})
-    profile = _profile((0, 9, Access.READ_WRITE), behaviour="watchful")
+    monkeypatch.setattr("mbtool.slave.responder.behaviour_of", _Watchful)
+    profile = _profile((0, 9, Access.READ_WRITE))
     device = DeviceResponder(profile, RegisterImage())
     for now_ns in (1, 2, 3):
         assert _ask(device, "03 0000 0001", now_ns) == "03 02 00 00"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from mbtool.core import ProfileError
 from mbtool.devices import load_profile
+from mbtool.devices.model import BehaviourName
 from mbtool.slave.behaviour import Behaviour
-from mbtool.slave.behaviours import behaviour_of
+from mbtool.slave.behaviours import BEHAVIOURS, behaviour_of
 from mbtool.slave.fa3 import Fa3, Fa3DigitalOutput
 from mbtool.slave.fa3_analog import Fa3AnalogInput, Fa3AnalogOutput
 from mbtool.slave.image import RegisterImage
@@ -34,7 +34,7 @@ def test_a_model_that_has_none_of_its_own_gets_its_familys() -> None:
     assert type(behaviour_of(own, RegisterImage())) is Fa3
 
 
-def test_a_behaviour_that_does_not_exist_is_named() -> None:
-    profile = msgspec.structs.replace(load_profile("fa3-at1m8x"), behaviour="fa4")
-    with pytest.raises(ProfileError, match="fa3-at1m8x: behaviour: 'fa4' does not exist; there is"):
-        behaviour_of(profile, RegisterImage())
+def test_every_name_that_a_profile_can_give_has_its_behaviour() -> None:
+    assert {name.partition("/")[0] for name in BEHAVIOURS} == {*BehaviourName}
+    for name in BehaviourName:
+        assert name in BEHAVIOURS, "of a model that has none of its own"

@@ -95,7 +95,7 @@ def test_names_file_key_and_value_of_a_mistake(tmp_path: Path, text: str, says: 
         (b"HR400001 4660", "not TOML"),
         (b"HR400001 = 1\nHR400001 = 2", "not TOML"),
         (b"\xff\xfe", "not TOML"),
-        (b"x = " + b"[" * 100_000, "not TOML"),
+        (b"x = " + b"[" * 100_000, "nested too deep"),
         (b"#" * (MAX_FILE_BYTES + 1), "more than 4194304 bytes"),
     ],
 )

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
 
 from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.rules import RULES
 from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
 
 NOON_NS = 1_767_268_800_123_456_789
@@ -151,6 +154,41 @@ def test_sarif_is_a_run_of_the_schema() -> None:
     assert location["physicalLocation"]["artifactLocation"]["uri"] == "plant.pcap"
     (logical,) = location["logicalLocations"]
     assert logical["fullyQualifiedName"] == "10.0.0.2/unit 1/HR400001..400110"
+
+
+def test_a_rule_of_sarif_says_why_it_is_one_and_who_says_so() -> None:
+    (run,) = written(SarifDocument("1.2"), FULL, BARE)["runs"]
+    quantity, bytes_ = (rule["help"]["text"] for rule in run["tool"]["driver"]["rules"])
+    assert quantity == (
+        "The quantity is 0 or more than the device's manual allows for the function. "
+        "Source: manual of the device, as its profile has it. docs/findings.md, section Q"
+    )
+    assert bytes_ == (
+        "Bytes on the line are no frame. "
+        "Source: Serial Line 2.5.1.1. docs/findings.md, section RTU-202"
+    )
+
+
+def test_every_rule_has_its_help_and_its_section_in_the_page() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "findings.md").read_text()
+    codes = [f"OWN-{code}3" if rule.is_of_devices else code for code, rule in RULES.items()]
+    (run,) = written(SarifDocument("1"), *(replace(BARE, code=code) for code in codes))["runs"]
+    rules = run["tool"]["driver"]["rules"]
+    assert [rule["id"] for rule in rules] == codes
+    for rule, (code, row) in zip(rules, RULES.items(), strict=True):
+        assert row.meaning in rule["help"]["text"]
+        assert row.source in rule["help"]["text"]
+        assert rule["help"]["text"].endswith(f" section {code}")
+        assert f"\n### {code}\n" in page
+
+
+def test_a_rule_of_another_edition_has_its_code_only() -> None:
+    odd = Finding(code="MB-999", message="x", ts_ns=0, link="x")
+    document = written(SarifDocument("1"), odd)
+    jsonschema.validate(document, SARIF)
+    (rule,) = document["runs"][0]["tool"]["driver"]["rules"]
+    assert (rule["id"], rule["shortDescription"]["text"]) == ("MB-999", "MB-999")
+    assert "help" not in rule
 
 
 @pytest.mark.parametrize("document", [JsonDocument, SarifDocument])

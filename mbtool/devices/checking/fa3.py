@@ -26,6 +26,7 @@ from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
 from mbtool.devices.checking.kept import Kept
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.findings import has_other_data
+from mbtool.devices.model import BehaviourName
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
     from mbtool.devices.named import NamedTransaction
 
-_BEHAVIOUR = "fa3"
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
 DEAF_NS = 2_000_000_000
@@ -166,4 +166,4 @@ def _handshake(
 
 def is_fa3(profile: Profile) -> bool:
     """Whether a profile is of this family, or of a user's that builds on it."""
-    return profile.behaviour == _BEHAVIOUR
+    return profile.behaviour is BehaviourName.FA3

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.kept import Kept
 from mbtool.devices.checking.transactions import asked_for
+from mbtool.devices.model import BehaviourName
 from mbtool.devices.named import NamedTransaction
 from mbtool.modbus.functions import ExceptionCode
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.model import Profile
-
-_BEHAVIOUR = "wago"
 
 
 @dataclass(slots=True)
@@ -57,4 +56,4 @@ class WagoRules:
 
 def is_wago(profile: Profile) -> bool:
     """Whether a profile is of this family, or of a user's that builds on it."""
-    return profile.behaviour == _BEHAVIOUR
+    return profile.behaviour is BehaviourName.WAGO

@@ -1,0 +1,67 @@
+"""Reads a TOML file of a user's: a profile, values to start with, a list of faults."""
+
+# Here, and not in core, because core does no I/O. Who calls says how much may be read; no more than
+# that is held.
+
+from __future__ import annotations
+
+import tomllib
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_ADVICE = (
+    ("Invalid value", "; a value is a number, a text in quotes, true, false, a list or a table"),
+    ("Expected newline", "; a line has one key and its value"),
+    ("Cannot overwrite a value", "; the key of this line stands further up already"),
+    ("Cannot declare", "; a table is begun once, and [[...]] adds one to a list"),
+    ("Illegal character", "; a text ends in the line where it begins: is a quote missing?"),
+    ("Invalid statement", "; write key = value, or [table]"),
+    ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
+)
+"""What to add to a message of the parser, by how it begins."""
+
+
+class TomlError(InputError):
+    """A file that cannot be read, or is no TOML."""
+
+    def __init__(self, file: str, place: str, problem: str) -> None:
+        super().__init__(": ".join(part for part in (file, place, problem) if part))
+        self.place = place
+        """Where in the file; empty for one that cannot be read at all."""
+        self.problem = problem
+
+
+def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str, Any]:
+    """The keys of a file, in their order.
+
+    Raises TomlError for one that cannot be read, is longer than `max_bytes` and so no `what`, or is
+    no TOML; `hint` ends what is said of a line that the parser does not take.
+    """
+    file = str(path)
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(max_bytes + 1)
+    except OSError as error:
+        raise TomlError(file, "", f"cannot be read: {error.strerror or error}") from error
+    if len(data) > max_bytes:
+        raise TomlError(file, "size", f"more than {max_bytes} bytes are no {what}")
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors begin with a byte order mark.
+    except UnicodeDecodeError as error:
+        problem = "not UTF-8, so not TOML; save it as UTF-8"
+        raise TomlError(file, f"byte {error.start}", problem) from error
+    except RecursionError as error:
+        raise TomlError(file, "TOML", "nested too deep") from error
+    except ValueError as error:
+        problem, at, place = str(error).rpartition(" (at ")
+        problem = problem if at else str(error)
+        advice = next((words for known, words in _ADVICE if problem.startswith(known)), "")
+        raise TomlError(
+            file,
+            place.rstrip(")") if at else "TOML",
+            f"not TOML: {problem}{advice}{hint and f'; {hint}'}",
+        ) from error

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.cli.devices import devices
+from mbtool.cli.main import app
+
+if TYPE_CHECKING:
+    from tests.cli.program import CommandLine
+
+EVERY = [
+    *((command.callback.__name__,) for command in app.registered_commands if command.callback),
+    *(("devices", command.name) for command in devices.registered_commands if not command.hidden),
+]
+
+
+@pytest.mark.parametrize("command", EVERY, ids=" ".join)
+def test_help_writes_arguments_as_its_usage_line_does(
+    mbtool: CommandLine, command: tuple[str, ...]
+) -> None:
+    help_ = mbtool(*command, "--help").out
+    usage, *_ = help_.splitlines()
+    _, _, part = help_.partition("\nArguments:\n")
+    listed = re.findall(r"^  (\S+)", part.partition("\nOptions:\n")[0], re.MULTILINE)
+    assert usage == f"Usage: {' '.join(('mbtool', *command, '[OPTIONS]', *listed))}"
+    assert not re.search(r"<(?:str|list|path)", help_, re.IGNORECASE)
+
+
+@pytest.mark.parametrize(
+    ("command", "argument"),
+    [
+        ("decode", "FILE..."),
+        ("check", "FILE..."),
+        ("sniff", "LINK..."),
+        ("line", "[PATH]..."),
+        ("replay", "FILE"),
+    ],
+)
+def test_what_takes_several_says_so(mbtool: CommandLine, command: str, argument: str) -> None:
+    help_ = mbtool(command, "--help").out
+    assert f"\nArguments:\n  {argument}  " in help_
+
+
+def test_help_without_arguments_has_no_part_for_them(mbtool: CommandLine) -> None:
+    help_ = mbtool("links", "--help").out
+    assert help_.startswith("Usage: mbtool links [OPTIONS]\n")
+    assert ("Arguments:" in help_, "Options:" in help_) == (False, True)

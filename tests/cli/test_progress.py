@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from io import StringIO
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from mbtool.cli import exit_codes
+from mbtool.cli.progress import with_progress
+from tests.packets.building import pcap
+from tests.workflows.evidence import captured
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from tests.cli.program import CommandLine
+
+MANY = 5000
+
+
+class Screen(StringIO):
+    """A standard error that is a terminal, or none."""
+
+    def __init__(self, *, is_terminal: bool) -> None:
+        super().__init__()
+        self._is_terminal = is_terminal
+
+    def isatty(self) -> bool:
+        return self._is_terminal
+
+
+class Halfway:
+    """A reading that has come to its half."""
+
+    fraction = 0.5
+
+
+def _passed(monkeypatch: pytest.MonkeyPatch, screen: Screen, *times_s: float) -> list[int]:
+    """What comes of MANY records, where the clock is looked at at these times, then at the last."""
+    left = list(times_s)
+    clock = SimpleNamespace(monotonic=lambda: left.pop(0) if len(left) > 1 else left[0])
+    monkeypatch.setattr("mbtool.cli.progress.time", clock)
+    monkeypatch.setattr("sys.stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    records: Any = iter(range(MANY))
+    reading: Any = Halfway()
+    return [*with_progress(reading, records)]  # type: ignore[list-item]
+
+
+def test_after_a_second_a_terminal_shows_how_far_reading_has_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    screen = Screen(is_terminal=True)
+    assert _passed(monkeypatch, screen, 10.0, 10.5, 11.0) == [*range(MANY)]
+    assert "reading" in screen.getvalue()
+    assert " 50%" in screen.getvalue()
+
+
+def test_what_is_read_within_a_second_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Screen(is_terminal=True)
+    assert _passed(monkeypatch, screen, 10.0, 10.9) == [*range(MANY)]
+    assert screen.getvalue() == ""
+
+
+def test_a_file_or_a_pipe_is_shown_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Screen(is_terminal=False)
+    assert _passed(monkeypatch, screen, 10.0, 99.0) == [*range(MANY)]
+    assert screen.getvalue() == ""
+
+
+@pytest.mark.parametrize(("side", "where"), [("slave", "on"), ("master", "to"), ("bus", "on")])
+def test_a_recording_that_is_to_be_played_is_read_with_it(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, side: str, where: str
+) -> None:
+    passed: list[object] = []
+
+    def note(_: object, records: Iterator[object]) -> Iterator[object]:
+        for record in records:
+            passed.append(record)
+            yield record
+
+    monkeypatch.setattr(f"mbtool.cli.replay_{side}.with_progress", note)
+    path = tmp_path / "plant.pcap"
+    path.write_bytes(pcap(captured(3)))
+    # The port is not there; by then the recording was read.
+    told = mbtool("replay", path, f"--as-{side}", f"--{where}", "rtu:/dev/absent@9600-8E1")
+    assert told.code == exit_codes.UNREADABLE
+    assert "/dev/absent" in told.err
+    assert len(passed) >= 3
