@@ -33,6 +33,7 @@ from mbtool.modbus.adu import (
     Verdict,
 )
 from mbtool.modbus.framing import crc
+from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.habits import STEADY, Habit, Habits
 from mbtool.modbus.rows import Kind, Piece
 from mbtool.modbus.rtu_structure import MIN_FRAME, frame_size, why_skipped
@@ -52,6 +53,9 @@ _RARELY = 2**-0.8
 """Where no more of the frames are glued, the silences between them tell who speaks."""
 _ALMOST_CERTAIN = 0.98
 _NEARLY_CERTAIN = 0.95
+_REQUEST_ALONE = [Direction.REQUEST]
+_OUT_OF_THE_QUESTION = 10.0
+"""By how many bits a frame is dearer that need not be looked at beside another."""
 _LIKELY = weights.REQUEST + weights.NEW_REQUEST
 """What a frame may cost to be taken without a search."""
 
@@ -74,6 +78,8 @@ class RtuSplitter:
         self._character_ns = line.character_ns
         self._t1_5_ns = line.t1_5_ns
         self._t3_5_ns = line.t3_5_ns
+        self._silent_ns = line.character_ns + line.t3_5_ns
+        """From the end of a byte to the end of one behind a silence."""
         self._timed = timed
         self._speaker = speaker
         self._roles = ROLES if speaker is None else (speaker,)
@@ -90,6 +96,8 @@ class RtuSplitter:
         """How many of the bytes held were already decided to be the beginning of a frame."""
         self._tears = 0
         """The silences since something was last given out."""
+        self._torn_at: list[int] = []
+        """Where in what is held they stand."""
         self._awaited = MIN_FRAME
         """How many bytes there have to be before the front can tell more."""
         self._sizes: list[tuple[Direction, int]] = []
@@ -110,7 +118,14 @@ class RtuSplitter:
         if not data:
             return events
         step_ns = self._character_ns
+        times = self._times
         first_ns = ts_ns - (len(data) - 1) * step_ns
+        if times and len(times) + len(data) < self._awaited:  # As with most bytes of most frames.
+            between_ns = first_ns - times[-1]
+            if 0 <= between_ns < self._silent_ns:
+                self._data += data
+                times += range(first_ns, ts_ns + 1, step_ns) if len(data) > 1 else (ts_ns,)
+                return events
         if self._given is not None and ts_ns < self._given[0]:
             events += self._begin_anew()
         elif self._data:
@@ -119,6 +134,8 @@ class RtuSplitter:
                 events += self._begin_anew()
             elif silence_ns >= self._t3_5_ns:
                 self._hear_silence(events, silence_ns >= HOLD_NS)
+                if self._data:
+                    self._torn_at.append(len(self._data))
         while data:
             room = WINDOW - len(self._data)
             piece, data = data[:room], data[room:]
@@ -166,9 +183,27 @@ class RtuSplitter:
 
     def _end_burst(self, events: list[Adu | Skipped], may_go_on: bool) -> None:
         self._take_front(events, True)
-        if self._data:
+        if self._data and not (may_go_on and self._is_due()):
             self._search(events, may_go_on=may_go_on)
         self._decided = len(self._data)
+
+    def _is_due(self) -> bool:
+        """Whether all that is held is the beginning of a frame that is due: more is to come."""
+        if self._speaker is not None:
+            return False
+        head = self._data
+        sizes = self._sizes or (self._measure() if len(head) >= MIN_FRAME else [])
+        if not self._turns.awaits(head, dict(sizes)):
+            return False
+        if any(size <= len(head) and crc(head[:size]) == 0 for _, size in sizes):
+            return False
+        return not any(self._is_frame_at(place) for place in self._torn_at)
+
+    def _is_frame_at(self, place: int) -> bool:
+        """Whether a whole frame of known form begins at a place."""
+        head = self._data[place : place + MAX_RTU_ADU]
+        sizes = [frame_size(head, role) or len(head) + 1 for role in self._roles]
+        return any(size <= len(head) and crc(head[:size]) == 0 for size in sizes)
 
     def _take_front(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Give out the frames at the front that are beyond doubt."""
@@ -187,7 +222,8 @@ class RtuSplitter:
         for role, size in sizes:
             if size <= have and crc(head[:size]) == 0:
                 if found not in (0, size):
-                    return None
+                    found, roles = self._likelier(head, (found, roles[0]), (size, role))
+                    break
                 found = size
                 roles.append(role)
         if not found:
@@ -197,11 +233,31 @@ class RtuSplitter:
             return found, Judgement(self._speaker, DirectionBy.PORT, 1.0)
         turns = self._turns
         judgement = turns.judge(unit, pdu, start_ns, roles)
-        if turns.weigh(turns.turn, unit, pdu, judgement.direction, start_ns) > _LIKELY:
+        cost = turns.weigh(turns.turn, unit, pdu, judgement.direction, start_ns)
+        if cost > _LIKELY and not (roles == _REQUEST_ALONE and self._is_usual(unit, pdu)):
             return None
         if len(roles) > 1 and not self._is_told(judgement, head, found):
             return None
         return found, judgement
+
+    def _is_usual(self, unit: int, pdu: bytes) -> bool:
+        """Whether the front is a request of this line and cannot be the response that is due."""
+        waiting = self._turns.turn.waiting
+        is_due = waiting is not None and waiting.is_named_by(unit, pdu[0])
+        return self._turns.was_asked(unit, pdu) and not is_due and not self._is_behind_noise
+
+    def _likelier(self, head: bytes, *frames: tuple[int, Direction]) -> tuple[int, list[Direction]]:
+        """The longer of two frames that begin alike, if the other is out of the question; or 0.
+
+        Each frame that ends in 00 has a correct CRC without it, too.
+        """
+        turns, start_ns = self._turns, self._times[0] - self._character_ns
+        shorter, longer = (
+            turns.weigh(turns.turn, head[0], head[1 : size - 2], role, start_ns)
+            for size, role in sorted(frames)
+        )
+        size, role = max(frames)
+        return (size, [role]) if longer + _OUT_OF_THE_QUESTION <= shorter else (0, [])
 
     def _measure(self) -> list[tuple[Direction, int]]:
         """How long the front is as a frame of each role; empty where one has no known length."""
@@ -209,6 +265,8 @@ class RtuSplitter:
         sizes, longest = [], 0
         for role in self._roles:
             size = frame_size(head, role)
+            if size == 0 and role is Direction.REQUEST and head[1] & EXCEPTION_BIT:
+                continue  # An exception, and no request of a function that nobody has.
             if not size:
                 self._awaited = len(head) + 1 if size is None else WINDOW
                 return []
@@ -264,7 +322,7 @@ class RtuSplitter:
 
     def _silences(self, keep: int) -> list[bool]:
         """Whether a silence stands before each byte, and behind the last."""
-        least_ns = self._t3_5_ns + self._character_ns
+        least_ns = self._silent_ns
         times = self._times
         given = self._given
         first = given is None or times[0] - given[0] >= least_ns
@@ -387,3 +445,5 @@ class RtuSplitter:
         self._awaited = MIN_FRAME
         self._sizes = []
         self._tears = 0
+        if self._torn_at:
+            self._torn_at = [place - size for place in self._torn_at if place > size]

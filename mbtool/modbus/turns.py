@@ -27,6 +27,7 @@ from mbtool.core import Direction
 from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.expectation import Expectation
+from mbtool.modbus.framing import RTU_EXTRA_BYTES
 from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, FUNCTIONS, READ_BITS
 from mbtool.modbus.habits import Habit, Latency
 from mbtool.modbus.oddities import is_odd_request, is_odd_response, is_padded
@@ -43,7 +44,7 @@ from mbtool.modbus.turn import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 TURN_NS = 1_000_000_000
 """How long a request waits for its answer before the turn goes back to the master.
@@ -90,6 +91,7 @@ class Turns:
         self._known: dict[tuple[int, bytes], None] = {}
         self._asked: set[tuple[int, int]] = set()
         """Units with the functions that they were asked."""
+        self._units: set[int] = set()
         self._timed = timed
         self._latency = Latency()
         self._pauses = Latency()
@@ -158,6 +160,23 @@ class Turns:
             waiting.expected.code,
             waiting.expected.size,
         ) == (unit, code, size)
+
+    def awaits(self, head: bytes, sizes: Mapping[Direction, int]) -> bool:
+        """Whether a frame that has begun so, and is to be so long as each, is what is due now.
+
+        Where `sizes` has nothing, its bytes do not say yet.
+        """
+        if len(self.likely) > 1:
+            return False
+        turn, have = self.turn, len(head)
+        role = Direction.REQUEST if turn.waiting is None else Direction.RESPONSE
+        if have == 1:
+            unit = head[0]
+            return unit in self._units if turn.waiting is None else unit == turn.waiting.unit
+        size = sizes.get(role, 0)
+        if 0 < size <= have or (not size and have > RTU_EXTRA_BYTES):
+            return False
+        return self.expects(turn, head[0], head[1], size and size - RTU_EXTRA_BYTES, role)
 
     def was_asked(self, unit: int, pdu: bytes) -> bool:
         """Whether a request was heard before."""
@@ -405,6 +424,7 @@ class Turns:
 
     def _remember(self, unit: int, pdu: bytes) -> None:
         self._asked.add((unit, pdu[0]))
+        self._units.add(unit)
         self._known.pop((unit, pdu), None)
         self._known[unit, pdu] = None
         if len(self._known) > MAX_KNOWN:

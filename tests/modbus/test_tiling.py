@@ -357,7 +357,8 @@ def test_same_frame_three_times_between_others_is_a_repeated_request_without_tim
 
 def test_same_frame_four_times_between_others_is_ambiguous_where_it_may_be_either() -> None:
     """Asked twice and answered twice, or asked three times; the last is an answer either way."""
-    events = heard(glued(*NEIGHBOURS * 20, *(WRITE,) * 4, *NEIGHBOURS), timed=False)
+    polls = (*NEIGHBOURS, frame(8, "02 0000 0008"), frame(8, "02 01 55")) * 10
+    events = heard(glued(*polls, *(WRITE,) * 4, *NEIGHBOURS), timed=False)
     assert told(events)[40:44:3] == [(WRITE, REQUEST), (WRITE, RESPONSE)]
     assert 42 in ambiguous(events)
     assert 43 not in ambiguous(events)
