@@ -3,8 +3,7 @@
 # Three questions, from the cheapest to the dearest. Most bytes of a working line are decided by the
 # first, so that the search runs only where there is something to search.
 #
-# 1. Is the frame at the front beyond doubt (_front)? Its length follows from its function, its CRC
-#    is right in one reading only, and the turn expects it. It needs the byte behind it, or silence.
+# 1. Is the frame at the front beyond doubt, or surely a mere beginning (front.py)?
 # 2. At a silence of t3.5, what do the bytes held mean (tiling.py)? All is given out but a frame
 #    that has only begun: an adapter may have torn it. That is held for HOLD_NS at most, and for
 #    MAX_TEARS silences.
@@ -32,11 +31,10 @@ from mbtool.modbus.adu import (
     Transport,
     Verdict,
 )
-from mbtool.modbus.framing import crc
-from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.front import Front
 from mbtool.modbus.habits import STEADY, Habit, Habits
 from mbtool.modbus.rows import Kind, Piece
-from mbtool.modbus.rtu_structure import MIN_FRAME, frame_size, why_skipped
+from mbtool.modbus.rtu_structure import MIN_FRAME, why_skipped
 from mbtool.modbus.tiling import LONG_SKIP, NOISE, Tiling, Window
 from mbtool.modbus.turns import ROLES, SURE, Judgement, Turns
 
@@ -51,13 +49,6 @@ MAX_TEARS = 16
 
 _RARELY = 2**-0.8
 """Where no more of the frames are glued, the silences between them tell who speaks."""
-_ALMOST_CERTAIN = 0.98
-_NEARLY_CERTAIN = 0.95
-_REQUEST_ALONE = [Direction.REQUEST]
-_OUT_OF_THE_QUESTION = 10.0
-"""By how many bits a frame is dearer that need not be looked at beside another."""
-_LIKELY = weights.REQUEST + weights.NEW_REQUEST
-"""What a frame may cost to be taken without a search."""
 
 
 class RtuSplitter:
@@ -84,6 +75,7 @@ class RtuSplitter:
         self._speaker = speaker
         self._roles = ROLES if speaker is None else (speaker,)
         self._turns = turns or Turns(timed=timed)
+        self._front = Front(self._turns, speaker, WINDOW)
         self._habits = Habits(
             skip=Habit(weights.SKIP, weights.SKIP_LIMITS),
             noise=Habit(weights.NOISE, weights.NOISE_LIMITS, slowest=STEADY),
@@ -98,10 +90,6 @@ class RtuSplitter:
         """The silences since something was last given out."""
         self._torn_at: list[int] = []
         """Where in what is held they stand."""
-        self._awaited = MIN_FRAME
-        """How many bytes there have to be before the front can tell more."""
-        self._sizes: list[tuple[Direction, int]] = []
-        """How long the front is as a frame of each role, once its bytes say so."""
         self._was_noise = False
         """Whether the bytes skipped last were all such as a line makes that turns around."""
         self._given: tuple[int, Verdict] | None = None
@@ -115,17 +103,19 @@ class RtuSplitter:
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one read; `ts_ns` is the time of the last one."""
         events: list[Adu | Skipped] = []
-        if not data:
+        size, step_ns, times = len(data), self._character_ns, self._times
+        if not size:
             return events
-        step_ns = self._character_ns
-        times = self._times
-        first_ns = ts_ns - (len(data) - 1) * step_ns
-        if times and len(times) + len(data) < self._awaited:  # As with most bytes of most frames.
-            between_ns = first_ns - times[-1]
-            if 0 <= between_ns < self._silent_ns:
-                self._data += data
-                times += range(first_ns, ts_ns + 1, step_ns) if len(data) > 1 else (ts_ns,)
-                return events
+        first_ns = ts_ns - (size - 1) * step_ns
+        # As with most bytes of most frames: nothing can be told yet.
+        if (
+            times
+            and 0 <= first_ns - times[-1] < self._silent_ns
+            and len(times) + size < self._front.awaited
+        ):
+            self._data += data
+            times += (ts_ns,) if size == 1 else range(first_ns, ts_ns + 1, step_ns)
+            return events
         if self._given is not None and ts_ns < self._given[0]:
             events += self._begin_anew()
         elif self._data:
@@ -143,7 +133,7 @@ class RtuSplitter:
             after_ns = first_ns + len(piece) * step_ns
             self._times += range(first_ns, after_ns, step_ns)
             first_ns = after_ns
-            if len(self._data) >= self._awaited:
+            if len(self._data) >= self._front.awaited:
                 self._take_front(events)
             if len(self._data) == WINDOW:
                 self._search(events, may_go_on=True, keep=MAX_RTU_ADU)
@@ -183,114 +173,20 @@ class RtuSplitter:
 
     def _end_burst(self, events: list[Adu | Skipped], may_go_on: bool) -> None:
         self._take_front(events, True)
-        if self._data and not (may_go_on and self._is_due()):
+        if self._data and not (may_go_on and self._front.is_begun(self._data, self._torn_at)):
             self._search(events, may_go_on=may_go_on)
         self._decided = len(self._data)
 
-    def _is_due(self) -> bool:
-        """Whether all that is held is the beginning of a frame that is due: more is to come."""
-        if self._speaker is not None:
-            return False
-        head = self._data
-        sizes = self._sizes or (self._measure() if len(head) >= MIN_FRAME else [])
-        if not self._turns.awaits(head, dict(sizes)):
-            return False
-        if any(size <= len(head) and crc(head[:size]) == 0 for _, size in sizes):
-            return False
-        return not any(self._is_frame_at(place) for place in self._torn_at)
-
-    def _is_frame_at(self, place: int) -> bool:
-        """Whether a whole frame of known form begins at a place."""
-        head = self._data[place : place + MAX_RTU_ADU]
-        sizes = [frame_size(head, role) or len(head) + 1 for role in self._roles]
-        return any(size <= len(head) and crc(head[:size]) == 0 for size in sizes)
-
     def _take_front(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Give out the frames at the front that are beyond doubt."""
-        while len(self._data) >= MIN_FRAME and (frame := self._front(burst_over)):
-            size, judgement = frame
-            self._give(size, judgement, events)
-
-    def _front(self, burst_over: bool) -> tuple[int, Judgement] | None:
-        """The frame at the front and what it is, if that is beyond doubt."""
-        sizes = self._sizes or self._measure()
-        have = len(self._data)
-        if not sizes or (have < self._awaited and not burst_over):
-            return None
-        head = self._data[:MAX_RTU_ADU]
-        found, roles = 0, []
-        for role, size in sizes:
-            if size <= have and crc(head[:size]) == 0:
-                if found not in (0, size):
-                    found, roles = self._likelier(head, (found, roles[0]), (size, role))
-                    break
-                found = size
-                roles.append(role)
-        if not found:
-            return None
-        unit, pdu, start_ns = head[0], head[1 : found - 2], self._times[0] - self._character_ns
-        if self._speaker is not None:
-            return found, Judgement(self._speaker, DirectionBy.PORT, 1.0)
-        turns = self._turns
-        judgement = turns.judge(unit, pdu, start_ns, roles)
-        cost = turns.weigh(turns.turn, unit, pdu, judgement.direction, start_ns)
-        if cost > _LIKELY and not (roles == _REQUEST_ALONE and self._is_usual(unit, pdu)):
-            return None
-        if len(roles) > 1 and not self._is_told(judgement, head, found):
-            return None
-        return found, judgement
-
-    def _is_usual(self, unit: int, pdu: bytes) -> bool:
-        """Whether the front is a request of this line and cannot be the response that is due."""
-        waiting = self._turns.turn.waiting
-        is_due = waiting is not None and waiting.is_named_by(unit, pdu[0])
-        return self._turns.was_asked(unit, pdu) and not is_due and not self._is_behind_noise
-
-    def _likelier(self, head: bytes, *frames: tuple[int, Direction]) -> tuple[int, list[Direction]]:
-        """The longer of two frames that begin alike, if the other is out of the question; or 0.
-
-        Each frame that ends in 00 has a correct CRC without it, too.
-        """
-        turns, start_ns = self._turns, self._times[0] - self._character_ns
-        shorter, longer = (
-            turns.weigh(turns.turn, head[0], head[1 : size - 2], role, start_ns)
-            for size, role in sorted(frames)
-        )
-        size, role = max(frames)
-        return (size, [role]) if longer + _OUT_OF_THE_QUESTION <= shorter else (0, [])
-
-    def _measure(self) -> list[tuple[Direction, int]]:
-        """How long the front is as a frame of each role; empty where one has no known length."""
-        head = self._data[:MAX_RTU_ADU]
-        sizes, longest = [], 0
-        for role in self._roles:
-            size = frame_size(head, role)
-            if size == 0 and role is Direction.REQUEST and head[1] & EXCEPTION_BIT:
-                continue  # An exception, and no request of a function that nobody has.
-            if not size:
-                self._awaited = len(head) + 1 if size is None else WINDOW
-                return []
-            if size <= MAX_RTU_ADU:
-                sizes.append((role, size))
-                longest = size if size > longest else longest
-        self._awaited = longest + 1 if sizes else WINDOW
-        self._sizes = sizes
-        return sizes
-
-    def _is_told(self, judgement: Judgement, head: bytes, size: int) -> bool:
-        """Whether the direction of a frame that has the form of both is beyond doubt."""
-        if self._turns.trusts_silences:
-            return judgement.confidence >= SURE
-        if judgement.direction is Direction.REQUEST:
-            return judgement.confidence >= _ALMOST_CERTAIN
-        # Without silences the same frame twice may be a request and its echo, or one that was
-        # repeated. What comes behind them tells, and how long the line was silent in all.
-        behind = head[size : 2 * size]
-        return (
-            judgement.confidence >= _NEARLY_CERTAIN
-            and not head.startswith(behind)
-            and not self._turns.pause_cost(self._turns.turn)
-        )
+        while len(self._data) >= MIN_FRAME and (
+            frame := self._front.frame(
+                self._data,
+                self._times[0] - self._character_ns,
+                burst_over,
+            )
+        ):
+            self._give(*frame, events)
 
     def _search(self, events: list[Adu | Skipped], *, may_go_on: bool, keep: int = 0) -> None:
         """Explain all that is held, and give it out but for a frame that has only begun.
@@ -442,8 +338,7 @@ class RtuSplitter:
         del self._times[:size]
         if self._decided:
             self._decided = max(self._decided - size, 0)
-        self._awaited = MIN_FRAME
-        self._sizes = []
+        self._front.begin(behind_noise=leaves is Verdict.NOISE_BEFORE)
         self._tears = 0
         if self._torn_at:
             self._torn_at = [place - size for place in self._torn_at if place > size]

@@ -168,8 +168,8 @@ class Tiling:
             if row in anchored:
                 for frame in unknown:
                     self._lay_frame(place, row, turn, frame, starts)
-            if not frames and (silent or not row.skipped):
-                self._lay_damaged(place, row, turn, starts)
+            if silent or not row.skipped:
+                self._lay_damaged(place, row, turn, starts, is_frame=bool(frames))
             self._lay_open(place, row, turn, starts, is_unknown=bool(unknown))
             self._lay_skip(place, row, bool(frames), bool(unknown))
 
@@ -248,12 +248,14 @@ class Tiling:
             best = row
         self._open_row, self._open_limit = best, best.cost + weights.OPEN_DOUBT
 
-    def _lay_damaged(self, place: int, row: Row, turn: Turn, starts: float) -> None:
-        for size, cost in self._damaged(place, turn):
-            cost += starts + size * weights.SKIP_MORE
+    def _lay_damaged(
+        self, place: int, row: Row, turn: Turn, starts: float, *, is_frame: bool
+    ) -> None:
+        for size, cost in self._usual(place) if is_frame else self._damaged(place, turn):
             piece = Piece(Kind.DAMAGED, place, size)
             lost = turn if self._is_known else turn.behind_damage()
-            self._add(place + size, Row(row.cost + cost, lost, row, piece, runs=row.runs))
+            total = row.cost + starts + cost
+            self._add(place + size, Row(total, lost, row, piece, runs=row.runs))
 
     def _lay_skip(self, place: int, row: Row, is_frame: bool, is_unknown: bool) -> None:
         is_noise = self._data[place] in NOISE and (row.is_anchored or row.is_noise)
@@ -347,6 +349,8 @@ class Tiling:
             if size == burst:
                 continue
             cost = self._swallowed(place, size, known=False)
+            if not cost and any(map(self._frames, range(place + 1, place + size - MIN_FRAME + 1))):
+                cost = weights.UNKNOWN_COINCIDENCE
             is_burst = size < burst and not any(head[size:burst])  # But for the 00 behind it.
             cost += weights.UNKNOWN_BETWEEN_SILENCES if is_burst else weights.UNKNOWN
             is_unbound = not is_burst
@@ -384,6 +388,7 @@ class Tiling:
             expected, cost = self._expected(head, size, role, turn)
             if not expected:
                 cost += weights.UNEXPECTED
+            cost += size * weights.SKIP_MORE
             if size <= len(head) and crc(head[:size]) != 0:
                 yield size, weights.DAMAGED + cost + self._inside(place, size, known=expected)
             if expected:
@@ -392,9 +397,38 @@ class Tiling:
                         more = weights.DAMAGED_SIZE + self._inside(place, size - lost, known=True)
                         yield size - lost, weights.DAMAGED + cost + more
         burst = self._burst(place) if self._window.silences[place] else 0
-        if burst > 2 * MIN_FRAME and self._habits.glue.bits > weights.NEVER:
+        if (
+            burst > 2 * MIN_FRAME
+            and self._habits.glue.bits > weights.NEVER
+            and not self._is_frame_in_noise(place, burst)
+        ):
             # Damaged where it begins. What it holds is no frame either, as none is glued here.
-            yield burst, weights.DAMAGED + weights.DAMAGED_SIZE + weights.UNEXPECTED
+            cost = self._habits.skip.bits + weights.DAMAGED_SIZE + weights.UNEXPECTED
+            yield burst, cost + min(burst * weights.SKIP_MORE, weights.MOST_FOR_LENGTH)
+
+    def _usual(self, place: int) -> Iterator[tuple[int, float]]:
+        """The size of a request heard before that was damaged in what a shorter frame has not.
+
+        One whose CRC ends in 00 may be a whole response without it.
+        """
+        head = self._data[place : place + MAX_RTU_ADU]
+        size = frame_size(head, Direction.REQUEST) if Direction.REQUEST in self._roles else 0
+        if not size or not self._turns.was_asked(head[0], head[1 : size - 2]):
+            return
+        cost = weights.DAMAGED + weights.FORESEEN + size * weights.SKIP_MORE
+        if size <= len(head) and crc(head[:size]) != 0:
+            yield size, cost + self._tears(place, size)
+        elif crc(head[: size - 1]) == 0:
+            yield size - 1, cost + weights.DAMAGED_SIZE + self._tears(place, size - 1)
+
+    def _is_frame_in_noise(self, place: int, size: int) -> bool:
+        """Whether a burst is a frame with stray bytes at its ends, a few of them."""
+        burst = self._data[place : place + size]
+        befores = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[:at])]
+        behinds = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[size - at :])]
+        return any(
+            crc(burst[before : size - behind]) == 0 for before in befores for behind in behinds
+        )
 
     def _expected(self, head: bytes, size: int, role: Direction, turn: Turn) -> tuple[bool, float]:
         """Whether a frame that begins so is due, and what speaks for it beside that."""

@@ -83,6 +83,8 @@ NOISE_AT_ONCE = 4.0
 """As often as one run after another can make it seem, before it is learned."""
 SKIP_MORE = 0.25
 """Each further such byte, and each of a damaged frame."""
+MOST_FOR_LENGTH = 12.0
+"""All of them in one that silences bound, where frames are never glued: it is as long as it is."""
 COINCIDENCE = 16.0
 """A correct CRC that is not taken for a frame."""
 UNKNOWN_COINCIDENCE = 8.0
