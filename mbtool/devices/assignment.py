@@ -119,7 +119,7 @@ class Assignments:
         """Raises UsageError where one WHO has two profiles."""
         # Most specific first, so that the first that fits is the answer.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
-        self._remembered: dict[tuple[str | None, int, bool], Profile | None] = {}
+        self._remembered: dict[tuple[str | None, int, Transport], Profile | None] = {}
         # Made once, since a namer knows a profile by its identity.
         self._in_ascii = {
             each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
@@ -157,8 +157,7 @@ class Assignments:
 
         On an ASCII line it is the profile in that mode.
         """
-        in_ascii = transaction.transport is Transport.ASCII
-        key = (transaction.destination, transaction.unit, in_ascii)
+        key = (transaction.destination, transaction.unit, transaction.transport)
         try:
             return self._remembered[key]
         except KeyError:
@@ -166,7 +165,7 @@ class Assignments:
         if len(self._remembered) >= _MAX_REMEMBERED:
             self._remembered.clear()
         profile = self._find(transaction.destination, transaction.unit)
-        if profile is not None and in_ascii:
+        if profile is not None and transaction.transport is Transport.ASCII:
             profile = self._in_ascii[profile.name]
         self._remembered[key] = profile
         return profile

@@ -61,19 +61,24 @@ def is_quantity_wrong(
     return quantity is not None and not 1 <= quantity <= known.limit
 
 
-def form_codes(transaction: Transaction) -> Iterator[str]:
+def form_codes(transaction: Transaction) -> list[str]:
     """Codes for the form of both PDUs. Never raises, whatever the bytes."""
     if transaction.verdicts and not _MALFORMED.isdisjoint(transaction.verdicts):
-        if Verdict.MALFORMED_REQUEST in transaction.verdicts:
-            yield request_form(transaction)[0]
-        if Verdict.MALFORMED_RESPONSE in transaction.verdicts:
-            broken = answer_form(transaction)
-            if broken is not None:
-                yield broken[0]
-    elif transaction.function in _HAS_PADDING:
-        padding = padding_of(transaction)
-        if padding is not None:
-            yield "MB-105" if transaction.function == _WRITE_BITS else "MB-204"
+        return _malformed_codes(transaction)
+    if transaction.function in _HAS_PADDING and padding_of(transaction) is not None:
+        return ["MB-105" if transaction.function == _WRITE_BITS else "MB-204"]
+    return []
+
+
+def _malformed_codes(transaction: Transaction) -> list[str]:
+    codes = []
+    if Verdict.MALFORMED_REQUEST in transaction.verdicts:
+        codes.append(request_form(transaction)[0])
+    if Verdict.MALFORMED_RESPONSE in transaction.verdicts:
+        broken = answer_form(transaction)
+        if broken is not None:
+            codes.append(broken[0])
+    return codes
 
 
 def request_form(transaction: Transaction) -> tuple[str, str]:

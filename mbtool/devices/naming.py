@@ -33,7 +33,7 @@ from mbtool.devices.identity import answer_word, identity_points
 from mbtool.devices.model import AnswerWord, Point, PointType, Profile
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
-from mbtool.devices.values import Place, places_of
+from mbtool.devices.values import Place, places_of, values_of
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
@@ -41,14 +41,13 @@ from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus.transaction import Transaction
 
 _MAX_REMEMBERED = 4096
 
 _MASK_WRITE = 0x16
 _READ_WRITE = 0x17
+_UNSOLICITED = Outcome.UNSOLICITED  # Python 3.11 takes long to find a member of an enumeration.
 
 
 class Namer:
@@ -62,16 +61,25 @@ class Namer:
     def name(self, transaction: Transaction) -> NamedTransaction:
         """The same transaction with device, reference, points and findings.
 
-        Never raises, also for values that no wire carries.
+        Those of one that is named already are replaced. Never raises, also for values that no wire
+        carries.
         """
         profile = self._assignments.profile_for(transaction)
+        return self._vocabulary(profile).name(transaction)
+
+    def rename(self, named: NamedTransaction) -> NamedTransaction:
+        """The same where the user assigned a profile; elsewhere as it is."""
+        profile = self._assignments.profile_for(named)
+        return named if profile is None else self._vocabulary(profile).name(named)
+
+    def _vocabulary(self, profile: Profile | None) -> _Vocabulary:
         if profile is None:
-            return self._neutral.name(transaction)
+            return self._neutral
         # By identity: it is quick, and the assignments keep every profile alive.
         vocabulary = self._vocabularies.get(id(profile))
         if vocabulary is None:
             vocabulary = self._vocabularies[id(profile)] = _Vocabulary(profile)
-        return vocabulary.name(transaction)
+        return vocabulary
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +100,11 @@ class _Vocabulary:
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
+        self._device = profile.name if profile is not None else None
         self._places: dict[tuple[Table, bool], list[Place]] = {}
         """By table, and whether it is written."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
-        self._remembered: dict[tuple[int, ...], _Meaning] = {}
+        self._remembered: dict[tuple[int | None, ...], _Meaning] = {}
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
         if profile is not None:
@@ -104,14 +113,19 @@ class _Vocabulary:
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._meaning(transaction)
         points = _points(meaning, transaction)
-        fields = msgspec.structs.asdict(transaction)
-        if transaction.exception is not None and self.profile is not None:
-            fields["exception_name"] = self.profile.exception_name(transaction.exception)
+        function_name, exception_name = transaction.function_name, transaction.exception_name
         if meaning.function_name is not None:
-            fields["function_name"] = meaning.function_name
-        return NamedTransaction(
-            **fields,
-            device=self.profile.name if self.profile is not None else None,
+            function_name = meaning.function_name
+        if transaction.exception is not None and self.profile is not None:
+            exception_name = self.profile.exception_name(transaction.exception)
+        named = transaction
+        if not isinstance(named, NamedTransaction):
+            named = NamedTransaction(**msgspec.structs.asdict(transaction))
+        return msgspec.structs.replace(
+            named,
+            function_name=function_name,
+            exception_name=exception_name,
+            device=self._device,
             reference=meaning.reference,
             points=points,
             findings=self._findings(meaning, transaction, points),
@@ -123,7 +137,7 @@ class _Vocabulary:
         if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
             return []  # Its bytes may be another frame's, which would say something else.
         # What nobody asked for was not asked for wrongly.
-        asked = transaction.outcome is not Outcome.UNSOLICITED
+        asked = transaction.outcome is not _UNSOLICITED
         findings = [*meaning.findings] if asked else []
         findings += form_codes(transaction)
         profile = self.profile
@@ -152,13 +166,13 @@ class _Vocabulary:
                 self._addresses[table, writing] = [place.address for place in places]
 
     def _meaning(self, transaction: Transaction) -> _Meaning:
-        # -1 stands for what a transaction does not have; no field on a wire is negative.
+        function = transaction.function
         key = (
-            transaction.function,
-            -1 if transaction.address is None else transaction.address,
-            -1 if transaction.quantity is None else transaction.quantity,
-            -1 if transaction.write_address is None else transaction.write_address,
-            len(transaction.request_values or ()) if transaction.function == _READ_WRITE else 0,
+            function,
+            transaction.address,
+            transaction.quantity,
+            transaction.write_address,
+            len(transaction.request_values or ()) if function == _READ_WRITE else 0,
         )
         meaning = self._remembered.get(key)
         if meaning is None:
@@ -256,11 +270,11 @@ def _answer_place(answer: AnswerWord, function: int) -> Place:
 def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     points: list[PointValue] = []
     if meaning.written and transaction.request_values:
-        points += _values(meaning.written, transaction.request_values)
+        points += values_of(meaning.written, transaction.request_values)
         if transaction.function == _READ_WRITE:
             points = [msgspec.structs.replace(point, written=True) for point in points]
     if meaning.read and transaction.response_values:
-        points += _values(meaning.read, transaction.response_values)
+        points += values_of(meaning.read, transaction.response_values)
     if meaning.answer is not None:
         word = answer_word(transaction)
         if word is not None:
@@ -268,12 +282,3 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     if transaction.function in (REPORT_SERVER_ID, ENCAPSULATED):
         points += identity_points(transaction)
     return points
-
-
-def _values(places: Sequence[tuple[int, Place]], values: Sequence[int]) -> list[PointValue]:
-    # A response may bring less than was asked for.
-    return [
-        place.value_in(values, index)
-        for index, place in places
-        if index + place.words <= len(values)
-    ]

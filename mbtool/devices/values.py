@@ -21,7 +21,7 @@ from mbtool.devices.named import PointValue
 from mbtool.devices.references import write_reference
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from mbtool.devices.model import Profile
     from mbtool.modbus.tables import Table
@@ -46,16 +46,19 @@ _DIGITS = 15
 class Place:
     """One named place of a device: one of the `count` that a point stands for."""
 
-    # Most values are seen again and again, so each place remembers the last ones it has put into
-    # words: at most _MAX_REMEMBERED. Measured values change with every poll, and most of those are
-    # plain numbers of one register, which `_plain` makes the shortest way for.
+    # A plain number is said about as soon as it is looked up: of such a place only the last value
+    # is kept, which a machine at rest repeats with every poll. What takes longer to say is seen
+    # again and again, too: each place remembers the last of it, at most _MAX_REMEMBERED.
 
     __slots__ = (
         "_is_plain",
+        "_last",
+        "_last_word",
         "_point",
         "_ratio",
         "_remembered",
         "_signed",
+        "_suffix",
         "_unit",
         "address",
         "block",
@@ -67,10 +70,14 @@ class Place:
     def __init__(self, point: Point, address: int, reference: str) -> None:
         self._point = point
         self._remembered: dict[int | tuple[int, ...], PointValue] = {}
-        self._is_plain = _is_plain(point)
-        self._ratio = _ratio(point)
+        self._last: PointValue | None = None
+        self._last_word = 0
+        is_number = _is_number_of_one_register(point)
+        self._ratio = _ratio(point) if is_number else None
+        self._is_plain = is_number and self._ratio is None
         self._signed = point.type is PointType.INT16
-        self._unit = f" {point.unit}" if point.unit else ""
+        self._unit = point.unit
+        self._suffix = f" {point.unit}" if point.unit else ""
         self.address = address
         self.words = point.words
         self.block = point.block
@@ -80,16 +87,15 @@ class Place:
 
     def value(self, raw: Sequence[int]) -> PointValue:
         """Put the registers or the bit of this place into words."""
-        return self.value_in(raw, 0)
+        return values_of([(0, self)], raw)[0]
 
-    def value_in(self, values: Sequence[int], index: int) -> PointValue:
-        """The same, where they begin at an index among others."""
+    def _value_in(self, values: Sequence[int], index: int) -> PointValue:
         key = values[index] if self.words == 1 else tuple(values[index : index + self.words])
         known = self._remembered.get(key)
         if known is not None:
             return known
-        if self._is_plain and isinstance(key, int):
-            value = self._plain(key)
+        if self._ratio is not None and isinstance(key, int):
+            value = self._scaled(key, self._ratio)
         else:
             value = self._in_words((key,) if isinstance(key, int) else key)
         if len(self._remembered) >= _MAX_REMEMBERED:
@@ -97,20 +103,18 @@ class Place:
         self._remembered[key] = value
         return value
 
-    def _plain(self, word: int) -> PointValue:
+    def _scaled(self, word: int, ratio: tuple[int, int, int]) -> PointValue:
         """A number of one register without texts: what `_in_words` would say of it, sooner."""
-        number: float = word - 0x10000 if self._signed and word & 0x8000 else word
-        if self._ratio is not None:
-            times, plus, by = self._ratio
-            # The quotient of two integers is rounded once, as it is from a decimal number.
-            number = (number * times + plus) / by
-        text = f"{number}" if self._ratio is None else f"{number:.{_DIGITS}g}"
+        times, plus, by = ratio
+        number = word - 0x10000 if self._signed and word & 0x8000 else word
+        # The quotient of two integers is rounded once, as it is from a decimal number.
+        scaled = (number * times + plus) / by
         return PointValue(
             name=self.name,
             reference=self.reference,
-            value=number,
-            text=f"{text}{self._unit}",
-            unit=self._point.unit,
+            value=scaled,
+            text=f"{scaled:.{_DIGITS}g}{self._suffix}",
+            unit=self._unit,
         )
 
     def _in_words(self, raw: tuple[int, ...]) -> PointValue:
@@ -120,8 +124,38 @@ class Place:
             reference=self.reference,
             value=_scaled(self._point, number),
             text=_text(self._point, raw, number),
-            unit=self._point.unit,
+            unit=self._unit,
         )
+
+
+def values_of(places: Iterable[tuple[int, Place]], values: Sequence[int]) -> list[PointValue]:
+    """Put registers or bits into words; each place comes with the index of its first one.
+
+    A response may bring less than was asked for: a place that is not all there says nothing.
+    """
+    count = len(values)
+    said = []
+    for index, place in places:
+        if index + place.words > count:
+            continue
+        if not place._is_plain:
+            said.append(place._value_in(values, index))
+            continue
+        # Most values that change with every poll are plain numbers, so theirs is the shortest way.
+        word = values[index]
+        last = place._last
+        if last is None or word != place._last_word:
+            number = word - 0x10000 if place._signed and word & 0x8000 else word
+            place._last_word = word
+            last = place._last = PointValue(
+                name=place.name,
+                reference=place.reference,
+                value=number,
+                text=f"{number}{place._suffix}",
+                unit=place._unit,
+            )
+        said.append(last)
+    return said
 
 
 def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[Place]:
@@ -171,7 +205,7 @@ def registers_of(point: Point, value: float | str) -> list[int]:
     return _registers(point, _number_bytes(point, number, value))
 
 
-def _is_plain(point: Point) -> bool:
+def _is_number_of_one_register(point: Point) -> bool:
     return (
         point.type in (PointType.UINT16, PointType.INT16)
         and point.byte_order is ByteOrder.HIGH_FIRST

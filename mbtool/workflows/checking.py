@@ -20,7 +20,7 @@ from mbtool.devices.checking.rules import RULES
 from mbtool.devices.checking.surroundings import Surroundings
 from mbtool.devices.findings import finding_prefix
 from mbtool.workflows.model_hints import ModelHints
-from mbtool.workflows.reading import Reading, bare
+from mbtool.workflows.reading import Reading
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -151,7 +151,7 @@ class Checking:
             self.transactions += 1
             self._hints.note(record)
             if self._namer is not None:
-                record = self._namer.name(bare(record))
+                record = self._namer.name(record)
         yield from self._wanted(self._checker.feed(record))
 
     def _format_of(self, link: str) -> SerialFormat | None:

@@ -33,7 +33,6 @@ from mbtool.core import (
 )
 from mbtool.devices import Assignments, Namer, profile_from_json
 from mbtool.logs import LogReader, follow
-from mbtool.modbus import Transaction
 from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
@@ -53,7 +52,7 @@ from mbtool.workflows.parts import Part, Seam
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.devices import Profile
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.decoding import Evidence, Record
 
@@ -419,22 +418,16 @@ def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> It
     namer = Namer(options.assignments)
     for item in follow(path, wait):
         if not isinstance(item, Chunk | Packet):
-            yield _named_anew(item, namer, options.assignments)
+            yield _named_anew(item, namer)
 
 
 def _renamed(log: LogReader, assignments: Assignments) -> Iterator[Record]:
     namer = Namer(assignments)
     for item in log.items():
         if not isinstance(item, Chunk | Packet):
-            yield _named_anew(item, namer, assignments)
+            yield _named_anew(item, namer)
 
 
-def _named_anew(item: Record, namer: Namer, assignments: Assignments) -> Record:
+def _named_anew(item: Record, namer: Namer) -> Record:
     """A transaction in the words of the profile that the user gives, where he gives one."""
-    if isinstance(item, WireEvent) or assignments.profile_for(item) is None:
-        return item
-    return namer.name(bare(item))
-
-
-def bare(named: NamedTransaction) -> Transaction:
-    return Transaction(**{name: getattr(named, name) for name in Transaction.__struct_fields__})
+    return item if isinstance(item, WireEvent) else namer.rename(item)

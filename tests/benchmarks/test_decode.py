@@ -19,6 +19,8 @@ def test_every_stage_gives_all_transactions() -> None:
         "name": 50,
         "jsonl": 50,
         "table": 50 + heading_and_day,
+        "log": 50,
+        "anew": 50,
     }
 
 
@@ -32,7 +34,10 @@ def test_the_report_has_a_line_for_each_stage() -> None:
         "name",
         "jsonl",
         "table",
+        "log",
+        "anew",
         "file",
+        "naming",
         "naming",
     ]
 

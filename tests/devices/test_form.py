@@ -76,7 +76,7 @@ def test_form_is_held_against_the_standard(
     request_: str, answer: str, codes: list[str], on_a_line: bool
 ) -> None:
     one = transaction(request_, answer, on_a_line=on_a_line)
-    assert list(form_codes(one)) == codes
+    assert form_codes(one) == codes
     assert one.findings == codes
 
 

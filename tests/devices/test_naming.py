@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbtool.devices import (
@@ -18,10 +18,10 @@ from mbtool.devices import (
 )
 from mbtool.devices.assignment import Assignment, Who
 from mbtool.devices.naming import _MAX_REMEMBERED
-from mbtool.modbus.adu import Transport
+from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.framing import mbap_adu
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 from tests.devices.transactions import transaction
 
 
@@ -259,6 +259,7 @@ _WORDS = st.none() | st.lists(st.integers(-1, 0x10000), max_size=9)
 _NUMBERS = st.none() | st.integers(0, 0xFFFF) | st.integers(0xF0, 0x110)
 
 
+@settings(deadline=None)
 @given(
     device=st.sampled_from(["fa3-at1m8x", "fa3-th1m16xc", "idec-ft1a-touch"]),
     function=st.integers(0, 0x7F),
@@ -278,6 +279,45 @@ _NUMBERS = st.none() | st.integers(0, 0xFFFF) | st.integers(0xF0, 0x110)
 def test_never_raises(device: str, function: int, fields: dict[str, Any]) -> None:
     named = _namer(device).name(transaction(function, **fields))
     assert named.device == device
+
+
+_POLLS = st.builds(
+    transaction,
+    st.sampled_from([1, 2, 3, 4, 5, 6, 0x0F, 0x10, 0x16, 0x17, 0x42]),
+    st.none() | st.sampled_from([0, 1, 2, 0x10, 0xF2, 0x102, 0xFFFF]),
+    quantity=st.none() | st.integers(0, 9),
+    write_address=st.none() | st.integers(0x100, 0x103),
+    request_values=_WORDS,
+    response_values=_WORDS,
+    exception=st.none() | st.integers(1, 12),
+    outcome=st.sampled_from(list(Outcome)),
+    verdicts=st.lists(st.sampled_from(list(Verdict)), max_size=2),
+    transport=st.sampled_from(list(Transport)),
+)
+
+
+@settings(deadline=None)
+@given(
+    device=st.sampled_from(["fa3-at1m8x", "idec-ft1a-touch", "chino-lt830"]),
+    polls=st.lists(_POLLS, max_size=8),
+)
+def test_what_was_named_before_changes_nothing(device: str, polls: list[Transaction]) -> None:
+    namer = _namer(device)
+    for poll in polls:
+        assert namer.name(poll) == _namer(device).name(poll)
+
+
+@given(_POLLS)
+def test_a_transaction_that_is_named_is_named_anew(poll: Transaction) -> None:
+    logged = Namer().name(poll)
+    assert AT1M8X.rename(logged) == AT1M8X.name(logged) == AT1M8X.name(poll)
+    assert Namer().name(AT1M8X.name(logged)).points == logged.points
+
+
+def test_what_nobody_assigned_keeps_its_names() -> None:
+    logged = AT1M8X.name(transaction(4, 1, quantity=1, response_values=[7]))
+    assert Namer().rename(logged) is logged
+    assert Namer().name(logged).device is None
 
 
 def test_memory_is_bounded() -> None:

@@ -21,7 +21,7 @@ from mbtool.devices import (
     load_profile,
     registers_of,
 )
-from mbtool.devices.values import _MAX_REMEMBERED, places_of
+from mbtool.devices.values import _MAX_REMEMBERED, places_of, values_of
 from mbtool.modbus.tables import Table
 
 WORDS = st.integers(0, 0xFFFF)
@@ -320,11 +320,29 @@ def test_any_registers_have_a_text(
     assert _value(type_, *raw[:size], **fields).text
 
 
-def test_memory_is_bounded() -> None:
-    place = Place(Point(name="p", table=Table.HOLDING_REGISTERS, address=0), 0, "R0")
+@pytest.mark.parametrize(
+    ("scale", "most"), [(1.0, 0), (0.1, _MAX_REMEMBERED)], ids=["plain", "scaled"]
+)
+def test_memory_is_bounded(scale: float, most: int) -> None:
+    place = Place(_point(PointType.UINT16, scale=scale), 0, "R0")
     for word in range(3 * _MAX_REMEMBERED):
-        assert place.value([word]).value == word
-    assert len(place._remembered) <= _MAX_REMEMBERED
+        assert place.value([word]).value == pytest.approx(word * scale)
+    assert len(place._remembered) <= most
+
+
+@given(
+    st.sampled_from(list(PointType)),
+    st.lists(st.lists(st.integers(-1, 3) | WORDS, min_size=4, max_size=4), max_size=12),
+    st.sampled_from([0.1, 1.0]),
+)
+def test_what_was_said_before_changes_nothing(
+    type_: PointType, readings: list[list[int]], scale: float
+) -> None:
+    size = type_.words or 4
+    point = _point(type_, scale=scale, length=size)
+    place = Place(point, 0, "R0")
+    for raw in readings:
+        assert place.value(raw[:size]) == Place(point, 0, "R0").value(raw[:size])
 
 
 @given(
@@ -342,10 +360,17 @@ def test_the_short_way_for_plain_numbers_says_the_same(
     assert Place(plain, 0, "R0").value([word]) == Place(other, 0, "R0").value([word])
 
 
-@given(st.lists(WORDS, min_size=5, max_size=5), st.integers(0, 3))
-def test_a_value_among_others_is_that_value(words: list[int], index: int) -> None:
-    place = Place(_point(PointType.UINT32), 0, "R0")
-    assert place.value_in(words, index) == place.value(words[index : index + 2])
+@given(st.lists(WORDS, max_size=5), st.integers(0, 3), st.integers(0, 3))
+def test_each_place_among_others_says_its_own_value_if_it_is_all_there(
+    words: list[int], first: int, second: int
+) -> None:
+    long = Place(_point(PointType.UINT32), 0, "R0")
+    short = Place(_point(PointType.INT16), 0, "R1")
+    said = values_of([(first, long), (second, short)], words)
+    assert said == [
+        *([long.value(words[first : first + 2])] if first + 2 <= len(words) else []),
+        *([short.value([words[second]])] if second < len(words) else []),
+    ]
 
 
 def test_value_a_little_below_zero_is_not_minus_zero() -> None:

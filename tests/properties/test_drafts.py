@@ -18,7 +18,7 @@ from mbtool.devices import (
 from mbtool.devices.drafting.draft import draft_profile
 from mbtool.devices.matching import match
 from mbtool.modbus import Outcome
-from mbtool.workflows.reading import Reading, ReadingOptions, bare
+from mbtool.workflows.reading import Reading, ReadingOptions
 from mbtool.workflows.surveying import Survey
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def test_every_slave_gives_a_draft_that_loads_and_allows_what_it_did(
             own_records = [one for one in found if (one.destination, one.unit) == where]
             refused = {one.function for one in own_records if one.exception is not None}
             for one in own_records:
-                findings = namer.name(bare(one)).findings
+                findings = namer.name(one).findings
                 own = [code for code in findings if code.startswith("DRAFT-")]
                 # What it refused, once or always, is no part of its draft.
                 was_done = one.outcome is Outcome.OK or one.function not in refused
