@@ -31,11 +31,12 @@ from mbtool.modbus.adu import (
     Transport,
     Verdict,
 )
+from mbtool.modbus.candidates import LONG_SKIP, NOISE, Window
 from mbtool.modbus.front import Front
 from mbtool.modbus.habits import STEADY, Habit, Habits
 from mbtool.modbus.rows import Kind, Piece
 from mbtool.modbus.rtu_structure import MIN_FRAME, why_skipped
-from mbtool.modbus.tiling import LONG_SKIP, NOISE, Tiling, Window
+from mbtool.modbus.tiling import Tiling
 from mbtool.modbus.turns import ROLES, SURE, Judgement, Turns
 
 if TYPE_CHECKING:

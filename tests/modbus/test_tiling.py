@@ -15,9 +15,10 @@ import pytest
 from mbtool.core import Direction, SerialFormat
 from mbtool.modbus import Adu, RtuSplitter, Skipped, Verdict, crc, rtu_adu, weights
 from mbtool.modbus.adu import MAX_RTU_ADU
+from mbtool.modbus.candidates import Window
 from mbtool.modbus.habits import Habit, Habits
 from mbtool.modbus.rows import Kind, Piece
-from mbtool.modbus.tiling import Tiling, Window
+from mbtool.modbus.tiling import Tiling
 from mbtool.modbus.turns import ROLES, SURE, Turns
 from tests.feeding import Line, feed_all
 from tests.modbus.reading import adus
