@@ -19,6 +19,7 @@ from mbtool.modbus.framing import RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.oddities import is_counted
 from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.repair import mended
 from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ LONG_SKIP = 4
 """Skipped bytes after which the turn is in doubt: a damaged frame may be among them."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
+_SAYS_SIZE = 3
+"""How many bytes of a frame say how long it is: function and byte count, behind the unit."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Sub-function 0 of 08 may be longer than usual, and nothing tells how long (V1.1b3, 6.8.1)."""
 
@@ -59,12 +62,24 @@ class Window:
 
 
 class Frame(msgspec.Struct, gc=False):
+    """One with a correct CRC."""
+
     size: int
     role: Direction
     roles: tuple[Direction, ...]
     cost: float
     is_unbound: bool = False
     """Whether its CRC alone tells where it ends."""
+
+
+class Damaged(msgspec.Struct, gc=False):
+    """A frame that may have been damaged."""
+
+    size: int
+    cost: float
+    role: Direction = Direction.UNKNOWN
+    mended: bytes = b""
+    """The frame as it was sent, if one wrong bit explains it."""
 
 
 class Candidates:
@@ -95,7 +110,7 @@ class Candidates:
         times = self._window.times[place : place + size]
         return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
-    def _inside(self, place: int, size: int, *, known: bool) -> float:
+    def inside(self, place: int, size: int, *, known: bool = True) -> float:
         """What it costs that silences stand inside a piece, and that frames begin there."""
         return self.tears(place, size) + self._swallowed(place, size, known=known)
 
@@ -184,8 +199,8 @@ class Candidates:
                 return size
         return 0
 
-    def damaged(self, place: int, turn: Turn) -> Iterator[tuple[int, float]]:
-        """Sizes of frames that may have been damaged, with what that costs."""
+    def damaged(self, place: int, turn: Turn) -> Iterator[Damaged]:
+        """Frames that may have been damaged, where none with a correct CRC begins."""
         head = self._data[place : place + MAX_RTU_ADU]
         if len(head) < MIN_FRAME:
             return
@@ -193,17 +208,21 @@ class Candidates:
             size = frame_size(head, role)
             if not size or size > MAX_RTU_ADU:
                 continue
+            whole = mended(head[:size]) if size <= len(head) else None
+            if whole is not None and frame_size(whole, role) == size:
+                yield self._mended(place, whole, role)
             expected, cost = self._expected(head, size, role, turn)
             if not expected:
                 cost += weights.UNEXPECTED
-            cost += size * weights.SKIP_MORE
+            cost += weights.DAMAGED + size * weights.SKIP_MORE
             if size <= len(head) and crc(head[:size]) != 0:
-                yield size, weights.DAMAGED + cost + self._inside(place, size, known=expected)
+                yield Damaged(size, cost + self.inside(place, size, known=expected))
             if expected:
                 for lost in LOST_BYTES:
                     if MIN_FRAME <= size - lost <= len(head):
-                        more = weights.DAMAGED_SIZE + self._inside(place, size - lost, known=True)
-                        yield size - lost, weights.DAMAGED + cost + more
+                        more = weights.DAMAGED_SIZE + self.inside(place, size - lost, known=True)
+                        yield Damaged(size - lost, cost + more)
+        yield from self._mended_heads(place)
         burst = self._burst(place) if self._window.silences[place] else 0
         if (
             burst > 2 * MIN_FRAME
@@ -212,10 +231,29 @@ class Candidates:
         ):
             # Damaged where it begins. What it holds is no frame either, as none is glued here.
             cost = self._habits.skip.bits + weights.DAMAGED_SIZE + weights.UNEXPECTED
-            yield burst, cost + min(burst * weights.SKIP_MORE, weights.MOST_FOR_LENGTH)
+            cost += min(burst * weights.SKIP_MORE, weights.MOST_FOR_LENGTH)
+            yield Damaged(burst, cost)
 
-    def usual(self, place: int) -> Iterator[tuple[int, float]]:
-        """The size of a request heard before that was damaged in what a shorter frame has not.
+    def _mended_heads(self, place: int) -> Iterator[Damaged]:
+        """Frames whose size is not what it seems, since the wrong bit is in what says it."""
+        head = self._data[place : place + MAX_RTU_ADU]
+        for at in range(1, _SAYS_SIZE):
+            for bit in range(8):
+                whole = head[:at] + bytes([head[at] ^ 1 << bit]) + head[at + 1 :]
+                for role in self._roles:
+                    size = frame_size(whole, role)
+                    if not size or size > len(head) or size == frame_size(head, role):
+                        continue
+                    if crc(whole[:size]) == 0:
+                        yield self._mended(place, whole[:size], role)
+
+    def _mended(self, place: int, whole: bytes, role: Direction) -> Damaged:
+        size = len(whole)
+        cost = weights.ONE_BIT + self._habits.flip.bits + size * weights.ONE_BIT_MORE
+        return Damaged(size, cost + self.inside(place, size), role, whole)
+
+    def usual(self, place: int) -> Iterator[Damaged]:
+        """A request heard before that was damaged in what a shorter frame has not.
 
         One whose CRC ends in 00 may be a whole response without it.
         """
@@ -225,9 +263,10 @@ class Candidates:
             return
         cost = weights.DAMAGED + weights.FORESEEN + size * weights.SKIP_MORE
         if size <= len(head) and crc(head[:size]) != 0:
-            yield size, cost + self.tears(place, size)
-        elif crc(head[: size - 1]) == 0:
-            yield size - 1, cost + weights.DAMAGED_SIZE + self.tears(place, size - 1)
+            yield Damaged(size, cost + self.tears(place, size))
+        if crc(head[: size - 1]) == 0:
+            cost += weights.DAMAGED_SIZE
+            yield Damaged(size - 1, cost + self.tears(place, size - 1))
 
     def _is_frame_in_noise(self, place: int, size: int) -> bool:
         """Whether a burst is a frame with stray bytes at its ends, a few of them."""

@@ -50,6 +50,8 @@ class Habits:
     noise: Habit
     glue: Habit
     tear: Habit
+    flip: Habit
+    """Of a damaged frame, that one bit is wrong and nothing is missing."""
 
 
 class Latency:

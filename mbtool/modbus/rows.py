@@ -38,6 +38,8 @@ class Piece(msgspec.Struct, frozen=True, gc=False):
     role: Direction = Direction.UNKNOWN
     roles: tuple[Direction, ...] = ()
     """Those whose form a frame has."""
+    mended: bytes = b""
+    """A damaged frame as it was sent, where one wrong bit explains it."""
     confidence: float = 1.0
     """How sure it is that no other row of pieces explains these bytes."""
 
@@ -81,6 +83,11 @@ def with_doubts(ends: list[Row]) -> Iterator[Piece]:
         if piece is not None:
             doubt = doubts.get(piece.place) if piece.kind is Kind.FRAME else None
             yield piece if doubt is None else replace(piece, confidence=doubt)
+
+
+def doubted(piece: Piece) -> Piece:
+    """The same, as likely as not."""
+    return replace(piece, confidence=min(piece.confidence, 0.5))
 
 
 def _back(end: Row) -> Iterator[Row]:

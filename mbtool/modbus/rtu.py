@@ -82,6 +82,7 @@ class RtuSplitter:
             noise=Habit(weights.NOISE, weights.NOISE_LIMITS, slowest=STEADY),
             glue=Habit(weights.GLUED if timed else 0.0, weights.GLUED_LIMITS),
             tear=Habit(weights.TORN, weights.TORN_LIMITS),
+            flip=Habit(weights.FLIPPED, weights.FLIPPED_LIMITS),
         )
         self._data = b""
         self._times: list[int] = []
@@ -213,9 +214,14 @@ class RtuSplitter:
             if piece.kind is Kind.FRAME:
                 self._give(size, self._judged(piece), events)
             else:
+                start_ns, end_ns = self._times[0] - self._character_ns, self._times[size - 1]
                 self._skip(size, events)
                 if piece.kind is Kind.DAMAGED or size >= LONG_SKIP:
-                    self._turns.heard_damage()
+                    self._habits.flip.learn(bool(piece.mended))
+                    if piece.mended:
+                        self._turns.heard_damaged(piece.mended, piece.role, start_ns, end_ns)
+                    else:
+                        self._turns.heard_damage()
 
     def _silences(self, keep: int) -> list[bool]:
         """Whether a silence stands before each byte, and behind the last."""

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from mbtool.modbus import weights
 from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.modbus.candidates import LONG_SKIP, NOISE, Candidates, Frame, Window
-from mbtool.modbus.rows import Kind, Piece, Row, agreed_on, merged, with_doubts
+from mbtool.modbus.rows import Kind, Piece, Row, agreed_on, doubted, merged, with_doubts
 from mbtool.modbus.rtu_structure import MIN_FRAME
 from mbtool.modbus.turn import DOUBT, Turn
 from mbtool.modbus.turns import ROLES, Turns
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from mbtool.modbus.habits import Habits
 
 BEAM = 4
+LEAST_HEAD = 3
+"""Bytes of a frame before its registers."""
+MOST_HELD = 2
+"""Frames that registers hold, one behind the other: a request and its response."""
 
 
 class Tiling:
@@ -78,8 +82,30 @@ class Tiling:
         ends.sort(key=lambda row: row.cost)
         opened = self._open_row
         if opened is not None and (not ends or opened.cost <= ends[0].cost):
-            return list(merged(agreed_on(ends, opened, self._end)))
-        return list(merged(with_doubts(ends)))
+            pieces = agreed_on(ends, opened, self._end)
+        else:
+            pieces = list(with_doubts(ends))
+        return self._with_enclosed(list(merged(pieces)))
+
+    def _with_enclosed(self, pieces: list[Piece]) -> list[Piece]:
+        """Frames right between bytes that belong to none may be registers of a damaged frame."""
+        head, inner = -1, 0
+        for index, piece in enumerate(pieces):
+            if piece.kind is Kind.FRAME:
+                inner += 1
+                continue
+            is_short = piece.place + piece.size - pieces[head].place <= MAX_RTU_ADU
+            if head >= 0 and 0 < inner <= MOST_HELD and is_short and self._may_hold(piece, 0):
+                pieces[head + 1 : index] = map(doubted, pieces[head + 1 : index])
+            head, inner = (index if self._may_hold(piece, piece.size) else -1), 0
+        return pieces
+
+    def _may_hold(self, piece: Piece, side: int) -> bool:
+        """Whether skipped bytes may be of one frame with what stands at a side of them."""
+        raw = self._data[piece.place : piece.place + piece.size]
+        is_noise = len(raw) < LEAST_HEAD or NOISE.issuperset(raw)
+        is_beside = not self._window.silences[piece.place + side]
+        return piece.kind is Kind.SKIPPED and not is_noise and is_beside
 
     def _add(self, place: int, row: Row) -> None:
         """Keep a row, if none that leads to the same turn is cheaper."""
@@ -140,13 +166,12 @@ class Tiling:
     def _lay_frame(self, place: int, row: Row, turn: Turn, frame: Frame, starts: float) -> None:
         raw = self._data[place : place + frame.size]
         unit, pdu = raw[0], raw[1:-2]
-        start_ns = self._window.start_ns(place)
+        start_ns, end_ns = self._bounds_ns(place, frame.size)
         cost = frame.cost + starts + self._candidates.tears(place, frame.size)
         if frame.is_unbound and (self._is_due(row, place) or turn.is_of_turn(unit, pdu[0])):
             cost += weights.UNKNOWN_DUE - weights.UNKNOWN
         follows = turn
         if not self._is_known:
-            end_ns = self._window.times[place + frame.size - 1]
             cost += self._turns.weigh(turn, unit, pdu, frame.role, start_ns)
             inside_ns = self._candidates.longest_ns(place, frame.size)
             if self._turns.ends_pause(turn, frame.role, start_ns, inside_ns):
@@ -157,6 +182,10 @@ class Tiling:
         self._add(
             place + frame.size, Row(total, follows, row, piece, runs=row.runs, is_anchored=True)
         )
+
+    def _bounds_ns(self, place: int, size: int) -> tuple[int, int]:
+        """When a piece began and ended."""
+        return self._window.start_ns(place), self._window.times[place + size - 1]
 
     def _lay_open(
         self, place: int, row: Row, turn: Turn, starts: float, *, is_unknown: bool
@@ -178,7 +207,7 @@ class Tiling:
             cost += weights.WAIT
             if cost >= self._open_limit:
                 return
-            cost += self._candidates._inside(place, size, known=expected)
+            cost += self._candidates.inside(place, size, known=expected)
         else:
             cost += self._candidates.tears(place, size) + size * weights.SKIP_MORE
         opened = Row(cost, turn, row, Piece(Kind.OPEN, place, size))
@@ -200,13 +229,20 @@ class Tiling:
     def _lay_damaged(
         self, place: int, row: Row, turn: Turn, starts: float, *, is_frame: bool
     ) -> None:
-        for size, cost in (
-            self._candidates.usual(place) if is_frame else self._candidates.damaged(place, turn)
-        ):
-            piece = Piece(Kind.DAMAGED, place, size)
-            lost = turn if self._is_known else turn.behind_damage()
+        candidates = self._candidates
+        for one in candidates.usual(place) if is_frame else candidates.damaged(place, turn):
+            size, cost, follows = one.size, one.cost, turn
+            if not self._is_known:
+                if one.mended:
+                    unit, pdu = one.mended[0], one.mended[1:-2]
+                    start_ns, end_ns = self._bounds_ns(place, size)
+                    cost += self._turns.weigh(turn, unit, pdu, one.role, start_ns)
+                    follows = self._turns.follow(turn, unit, pdu, one.role, start_ns, end_ns)
+                else:
+                    follows = turn.behind_damage()
+            piece = Piece(Kind.DAMAGED, place, size, one.role, mended=one.mended)
             total = row.cost + starts + cost
-            self._add(place + size, Row(total, lost, row, piece, runs=row.runs))
+            self._add(place + size, Row(total, follows, row, piece, runs=row.runs))
 
     def _lay_skip(self, place: int, row: Row, is_frame: bool, is_unknown: bool) -> None:
         is_noise = self._data[place] in NOISE and (row.is_anchored or row.is_noise)

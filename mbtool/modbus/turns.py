@@ -270,6 +270,14 @@ class Turns:
         """Note bytes that could not be read."""
         self.likely = likeliest((bits, turn.behind_damage()) for bits, turn in self.likely)
 
+    def heard_damaged(self, frame: bytes, role: Direction, start_ns: int, end_ns: int) -> None:
+        """Note a damaged frame by what it was when it was sent. Nothing is learned from it."""
+        unit, pdu = frame[0], frame[1:-2]
+        self.likely = likeliest(
+            (bits, self.follow(turn, unit, pdu, role, start_ns, end_ns))
+            for bits, turn in self.likely
+        )
+
     def follow(
         self,
         turn: Turn,

@@ -93,6 +93,13 @@ DAMAGED = 10.0
 """A frame of the right size with a wrong CRC."""
 DAMAGED_SIZE = 3.0
 """More where it has lost bytes, or its size is that of its burst."""
+ONE_BIT = 2.0
+"""A frame of the right size in which one wrong bit explains the CRC: one in 400 others would do."""
+ONE_BIT_MORE = 0.1
+"""Each of its bytes: the more they are, the likelier is one that would do."""
+FLIPPED = 2.0
+"""More where damage on this line is seldom such. Learned, from 0.2 to 8."""
+FLIPPED_LIMITS = (0.2, 8.0)
 FORESEEN = -6.0
 """Less for a damaged or incomplete frame of which more than two bytes are as foreseen: a request
 that was heard before up to its CRC, a response with the byte count that was asked for, and as

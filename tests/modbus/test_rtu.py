@@ -813,3 +813,51 @@ def test_exception_response_is_found() -> None:
     events = heard(line().send(READ_HOLDING_REQUEST).frame(refused))
     assert raws(events) == [READ_HOLDING_REQUEST, refused]
     assert adus(events)[1].direction_by is DirectionBy.PENDING
+
+
+# Damage whose sense is known.
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("at", range(1, 8))
+def test_echo_of_a_write_with_one_wrong_bit_is_a_sure_response(at: int, timed: bool) -> None:
+    """What the damaged frame was follows from its CRC, and so what the next one is."""
+    damaged = bytearray(WRITE)
+    damaged[at] ^= 0x10
+    sent = (
+        polled().frame(bytes(damaged), 30 * MS).frame(WRITE, 5 * MS).frame(OTHER_REQUEST, 30 * MS)
+    )
+    events = heard(sent, timed=timed)
+    assert bytes(damaged) in raws(events)
+    *_, echo, other = adus(events)
+    assert (echo.raw, echo.direction, other.raw) == (WRITE, RESPONSE, OTHER_REQUEST)
+    assert echo.confidence >= SURE
+
+
+@pytest.mark.parametrize("damage", [b"\x04", b""], ids=["wrong", "lost"])
+def test_request_whose_last_byte_is_damaged_is_not_the_shorter_response_in_it(
+    damage: bytes,
+) -> None:
+    """A CRC that ends in 00 is right without it, too."""
+    pdus = (bytes((0x01, 2, 7, 0, quantity)) for quantity in range(1, 256))
+    request = next(raw for raw in (rtu_adu(0x11, pdu) for pdu in pdus) if raw[-1] == 0)
+    bits = int.from_bytes(request[4:6])
+    response = rtu_adu(0x11, bytes((0x01, -(-bits // 8))) + bytes(-(-bits // 8)))
+    sent = polled().frame(request, 30 * MS).frame(response, 5 * MS)
+    damaged = request[:-1] + damage
+    sent.frame(damaged, 30 * MS).frame(response, 5 * MS).frame(OTHER_REQUEST, 30 * MS)
+    events = heard(sent)
+    assert raws(events)[-3:] == [damaged, response, OTHER_REQUEST]
+    assert isinstance(events[-3], Skipped)
+
+
+def test_frames_in_the_registers_of_a_damaged_frame_are_in_doubt() -> None:
+    """Without silences two frames between what is none may be real, or held by a long one."""
+    held = b"".join(OTHERS)
+    long = bytearray(rtu_adu(0x11, b"\x03\x1a" + bytes(range(5)) + held + bytes(range(6))))
+    long[0:3] = b"\x55\x44\x99"
+    events = heard(burst(*READS, *OTHERS, bytes(long), *READS), timed=False)
+    inner = [adu for adu in adus(events)[4:] if adu.raw in OTHERS]
+    assert all(adu.confidence < SURE for adu in inner)
+    assert raws(events)[-2:] == [*READS]
+    assert sure(events)[-2:] == [True, True]

@@ -569,6 +569,7 @@ class Searched:
             noise=Habit(weights.NOISE, weights.NOISE_LIMITS),
             glue=Habit(weights.GLUED, weights.GLUED_LIMITS),
             tear=Habit(weights.TORN, weights.TORN_LIMITS),
+            flip=Habit(weights.FLIPPED, weights.FLIPPED_LIMITS),
         )
         pieces = Tiling(window, self.turns, habits, self.roles).pieces()
         ends = [0]

@@ -10,6 +10,7 @@ from mbtool.modbus.turn import DOUBT, likelihood
 from mbtool.modbus.turns import SURE
 
 TOLD_BY_ANOTHER = {
+    "FLIPPED_LIMITS",
     "SKIP_LIMITS",
     "NOISE_LIMITS",
     "GLUED_LIMITS",
