@@ -95,6 +95,7 @@ class Candidates:
         self._habits = habits
         self._roles = roles
         self._found: dict[int, list[Frame]] = {}
+        self._heads: dict[int, list[Damaged]] = {}
         self._torn = [0] * (self._end + 2)
         for place in range(1, self._end + 1):
             self._torn[place + 1] = self._torn[place] + window.silences[place]
@@ -234,18 +235,19 @@ class Candidates:
             cost += min(burst * weights.SKIP_MORE, weights.MOST_FOR_LENGTH)
             yield Damaged(burst, cost)
 
-    def _mended_heads(self, place: int) -> Iterator[Damaged]:
+    def _mended_heads(self, place: int) -> list[Damaged]:
         """Frames whose size is not what it seems, since the wrong bit is in what says it."""
-        head = self._data[place : place + MAX_RTU_ADU]
-        for at in range(1, _SAYS_SIZE):
-            for bit in range(8):
-                whole = head[:at] + bytes([head[at] ^ 1 << bit]) + head[at + 1 :]
-                for role in self._roles:
-                    size = frame_size(whole, role)
-                    if not size or size > len(head) or size == frame_size(head, role):
-                        continue
-                    if crc(whole[:size]) == 0:
-                        yield self._mended(place, whole[:size], role)
+        found = self._heads.get(place)
+        if found is None:
+            head = self._data[place : place + MAX_RTU_ADU]
+            found = self._heads[place] = [
+                self._mended(place, whole[:size], role)
+                for role in self._roles
+                for whole in _with_other_head(head)
+                if (size := frame_size(whole, role)) and MIN_FRAME <= size <= len(head)
+                if size != frame_size(head, role) and crc(whole[:size]) == 0
+            ]
+        return found
 
     def _mended(self, place: int, whole: bytes, role: Direction) -> Damaged:
         size = len(whole)
@@ -319,3 +321,10 @@ class Candidates:
             if least[1] is None or cost < least[1]:
                 least = expected, cost
         return least
+
+
+def _with_other_head(head: bytes) -> Iterator[bytes]:
+    """The same with one bit changed of those that say how long a frame is."""
+    for at in range(1, _SAYS_SIZE):
+        for bit in range(8):
+            yield head[:at] + bytes([head[at] ^ 1 << bit]) + head[at + 1 :]

@@ -17,6 +17,15 @@ if TYPE_CHECKING:
 MIN_FRAME = 4
 """Unit, function code and CRC."""
 
+_FIXED = {
+    direction: tuple(length + RTU_EXTRA_BYTES if length else 0 for length in lengths)
+    for direction, lengths in (
+        (direction, [layout.length(b"") for layout in layouts])
+        for direction, layouts in LAYOUTS.items()
+    )
+}
+"""The sizes that a function alone says, which most requests have; 0 for others."""
+
 
 def frame_size(head: bytes, direction: Direction) -> int | None:
     """How long a frame is by its structure, from its first bytes.
@@ -25,6 +34,9 @@ def frame_size(head: bytes, direction: Direction) -> int | None:
     """
     if len(head) < 2:
         return None
+    fixed = _FIXED[direction][head[1]]
+    if fixed:
+        return fixed
     length = LAYOUTS[direction][head[1]].length(head, 1)
     return length + RTU_EXTRA_BYTES if length else length
 
