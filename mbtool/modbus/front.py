@@ -147,9 +147,8 @@ class Front:
             return judgement.confidence >= _ALMOST_CERTAIN
         # Without silences the same frame twice may be a request and its echo, or one that was
         # repeated. What comes behind them tells, and how long the line was silent in all.
-        behind = head[size : 2 * size]
         return (
             judgement.confidence >= _NEARLY_CERTAIN
-            and not head.startswith(behind)
+            and not head.startswith(head[size : size + 2])
             and not self._turns.pause_cost(self._turns.turn)
         )
