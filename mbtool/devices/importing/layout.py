@@ -34,6 +34,8 @@ _READ_FUNCTIONS = {
 }
 _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
 
+REGISTER_BITS = range(16)
+
 Notation = tuple[str, int, Radix, int, str]
 """Prefix, base, radix, width and suffix of an area."""
 
@@ -213,8 +215,9 @@ def _flags(
     names: dict[int, str] = {}
     for row in rows:
         bit = row.item.written.bit or 0
-        if bit > 15 or bit in names:
-            problem = "a register has bits 0 to 15" if bit > 15 else f"bit {bit} has a row already"
+        is_none = bit not in REGISTER_BITS
+        if is_none or bit in names:
+            problem = "a register has bits 0 to 15" if is_none else f"bit {bit} has a row already"
             complaints.add(row.item.row, column, f"{row.item.written.number}.{bit}", f": {problem}")
         names.setdefault(bit, row.item.name)
     first = whole.placed if whole is not None else rows[0]
@@ -224,7 +227,7 @@ def _flags(
         table=first.table,
         address=first.address,
         type=PointType.FLAGS,
-        bits={bit: name for bit, name in sorted(names.items()) if bit <= 15},
+        bits={bit: name for bit, name in sorted(names.items()) if bit in REGISTER_BITS},
         note=whole.point.note if whole is not None else None,
     )
     written = any(row.access is not Access.READ for row in (*rows, first))

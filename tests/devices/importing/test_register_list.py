@@ -299,6 +299,10 @@ def test_what_cannot_be_together_is_told_too() -> None:
     ]
 
 
+def test_no_register_has_a_bit_below_0() -> None:
+    assert complaints("address,bit\n0,-1\n")[0].endswith(": a register has bits 0 to 15")
+
+
 def test_number_and_row_must_agree_on_the_table() -> None:
     assert complaints("address,name,table\n4x0001,a,coil\n") == [
         "map.csv: row 2, column \"address\": '4x1' is in holding_registers by its number, "
