@@ -42,7 +42,8 @@ class Bus:
 
     def feed(self, data: bytes, ts_ns: int) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one."""
-        return self._join(self._splitter.feed(data, ts_ns))
+        events = self._splitter.feed(data, ts_ns)
+        return self._join(events) if events else []  # Most bytes end nothing.
 
     def advance(self, now_ns: int) -> list[Decoded]:
         """Learn that the line was silent from the last byte until now."""
@@ -55,7 +56,7 @@ class Bus:
         return [*self._join(self._splitter.close()), *self._pairing.close()]
 
     def _join(self, events: list[Adu | Skipped]) -> list[Decoded]:
-        return _join(events, self._pairing, self._ends, None) if events else []
+        return _join(events, self._pairing, self._ends, None)
 
 
 class Conversation:
