@@ -37,8 +37,6 @@ LONG_SKIP = 4
 """Skipped bytes after which the turn is in doubt: a damaged frame may be among them."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
-_SAYS_SIZE = 3
-"""How many bytes of a frame say how long it is: function and byte count, behind the unit."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Sub-function 0 of 08 may be longer than usual, and nothing tells how long (V1.1b3, 6.8.1)."""
 
@@ -95,7 +93,7 @@ class Candidates:
         self._habits = habits
         self._roles = roles
         self._found: dict[int, list[Frame]] = {}
-        self._heads: dict[int, list[Damaged]] = {}
+        self._damaged: dict[int, list[Damaged]] = {}
         self._torn = [0] * (self._end + 2)
         for place in range(1, self._end + 1):
             self._torn[place + 1] = self._torn[place] + window.silences[place]
@@ -209,9 +207,6 @@ class Candidates:
             size = frame_size(head, role)
             if not size or size > MAX_RTU_ADU:
                 continue
-            whole = mended(head[:size]) if size <= len(head) else None
-            if whole is not None and frame_size(whole, role) == size:
-                yield self._mended(place, whole, role)
             expected, cost = self._expected(head, size, role, turn)
             if not expected:
                 cost += weights.UNEXPECTED
@@ -223,31 +218,53 @@ class Candidates:
                     if MIN_FRAME <= size - lost <= len(head):
                         more = weights.DAMAGED_SIZE + self.inside(place, size - lost, known=True)
                         yield Damaged(size - lost, cost + more)
-        yield from self._mended_heads(place)
-        burst = self._burst(place) if self._window.silences[place] else 0
-        if (
-            burst > 2 * MIN_FRAME
-            and self._habits.glue.bits > weights.NEVER
-            and not self._is_frame_in_noise(place, burst)
-        ):
-            # Damaged where it begins. What it holds is no frame either, as none is glued here.
-            cost = self._habits.skip.bits + weights.DAMAGED_SIZE + weights.UNEXPECTED
-            cost += min(burst * weights.SKIP_MORE, weights.MOST_FOR_LENGTH)
-            yield Damaged(burst, cost)
+        yield from self._hurt(place)
 
-    def _mended_heads(self, place: int) -> list[Damaged]:
-        """Frames whose size is not what it seems, since the wrong bit is in what says it."""
-        found = self._heads.get(place)
+    def _hurt(self, place: int) -> list[Damaged]:
+        """Those of the damaged frames that no turn makes likelier."""
+        found = self._damaged.get(place)
         if found is None:
             head = self._data[place : place + MAX_RTU_ADU]
-            found = self._heads[place] = [
-                self._mended(place, whole[:size], role)
-                for role in self._roles
-                for whole in _with_other_head(head)
-                if (size := frame_size(whole, role)) and MIN_FRAME <= size <= len(head)
-                if size != frame_size(head, role) and crc(whole[:size]) == 0
-            ]
+            found = [*self._mended_tails(place, head), *self._mended_heads(place, head)]
+            burst = self._burst(place) if self._window.silences[place] else 0
+            if (
+                burst > 2 * MIN_FRAME
+                and self._habits.glue.bits > weights.NEVER
+                and not self._is_frame_in_noise(place, burst)
+            ):
+                # Damaged where it begins. What it holds is no frame, as none is glued here.
+                cost = self._habits.skip.bits + weights.DAMAGED_SIZE + weights.UNEXPECTED
+                cost += min(burst * weights.SKIP_MORE, weights.MOST_FOR_LENGTH)
+                found.append(Damaged(burst, cost))
+            self._damaged[place] = found
         return found
+
+    def _mended_tails(self, place: int, head: bytes) -> Iterator[Damaged]:
+        """Frames whose size is what it seems, and in which one bit is wrong."""
+        for role in self._roles:
+            size = frame_size(head, role)
+            if size and size <= len(head):
+                whole = mended(head[:size])
+                if whole is not None and frame_size(whole, role) == size:
+                    yield self._mended(place, whole, role)
+
+    def _mended_heads(self, place: int, head: bytes) -> Iterator[Damaged]:
+        """Frames whose size is not what it seems, since the wrong bit is in what says it.
+
+        Of functions that their unit was asked for: any other would be looked for everywhere.
+        """
+        unit, code = head[0], head[1]
+        for at in (1, 2):
+            for bit in range(8):
+                if not self._turns.was_ever_asked(unit, code ^ 1 << bit if at == 1 else code):
+                    continue
+                whole = head[:at] + bytes([head[at] ^ 1 << bit]) + head[at + 1 :]
+                for role in self._roles:
+                    size = frame_size(whole, role)
+                    if not size or not MIN_FRAME <= size <= len(head):
+                        continue
+                    if size != frame_size(head, role) and crc(whole[:size]) == 0:
+                        yield self._mended(place, whole[:size], role)
 
     def _mended(self, place: int, whole: bytes, role: Direction) -> Damaged:
         size = len(whole)
@@ -266,7 +283,7 @@ class Candidates:
         cost = weights.DAMAGED + weights.FORESEEN + size * weights.SKIP_MORE
         if size <= len(head) and crc(head[:size]) != 0:
             yield Damaged(size, cost + self.tears(place, size))
-        if crc(head[: size - 1]) == 0:
+        if size - 1 <= len(head) and crc(head[: size - 1]) == 0:
             cost += weights.DAMAGED_SIZE
             yield Damaged(size - 1, cost + self.tears(place, size - 1))
 
@@ -321,10 +338,3 @@ class Candidates:
             if least[1] is None or cost < least[1]:
                 least = expected, cost
         return least
-
-
-def _with_other_head(head: bytes) -> Iterator[bytes]:
-    """The same with one bit changed of those that say how long a frame is."""
-    for at in range(1, _SAYS_SIZE):
-        for bit in range(8):
-            yield head[:at] + bytes([head[at] ^ 1 << bit]) + head[at + 1 :]

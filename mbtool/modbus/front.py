@@ -131,12 +131,15 @@ class Front:
             for size, role in sorted(frames)
         )
         size, role = max(frames)
-        return (size, [role]) if longer + _OUT_OF_THE_QUESTION <= shorter else (0, [])
+        is_told = len(turns.likely) == 1 and longer + _OUT_OF_THE_QUESTION <= shorter
+        return (size, [role]) if is_told else (0, [])
 
     def _is_usual(self, unit: int, pdu: bytes) -> bool:
         """Whether a frame is a request of this line and cannot begin the response that is due."""
-        waiting = self._turns.turn.waiting
-        is_due = waiting is not None and waiting.is_named_by(unit, pdu[0])
+        is_due = any(
+            turn.waiting is not None and turn.waiting.is_named_by(unit, pdu[0])
+            for _, turn in self._turns.likely
+        )
         return self._turns.was_asked(unit, pdu) and not is_due and not self._is_behind_noise
 
     def _is_told(self, judgement: Judgement, head: bytes, size: int) -> bool:

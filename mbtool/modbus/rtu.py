@@ -162,6 +162,7 @@ class RtuSplitter:
         """The clock was set back: what was held comes out, and no time before counts any more."""
         events = self.close()
         self._given = None
+        self._front.begin(behind_noise=False)
         self._turns.begin_anew()
         return events
 
@@ -217,11 +218,17 @@ class RtuSplitter:
                 start_ns, end_ns = self._times[0] - self._character_ns, self._times[size - 1]
                 self._skip(size, events)
                 if piece.kind is Kind.DAMAGED or size >= LONG_SKIP:
-                    self._habits.flip.learn(bool(piece.mended))
-                    if piece.mended:
-                        self._turns.heard_damaged(piece.mended, piece.role, start_ns, end_ns)
-                    else:
-                        self._turns.heard_damage()
+                    self._hear_damage(piece, start_ns, end_ns)
+
+    def _hear_damage(self, piece: Piece, start_ns: int, end_ns: int) -> None:
+        """Note what damage tells of the line, and of whose turn it is."""
+        self._habits.flip.learn(bool(piece.mended))
+        if self._speaker is not None:
+            return
+        if piece.mended:
+            self._turns.heard_damaged(piece.mended, piece.role, start_ns, end_ns)
+        else:
+            self._turns.heard_damage()
 
     def _silences(self, keep: int) -> list[bool]:
         """Whether a silence stands before each byte, and behind the last."""

@@ -231,18 +231,21 @@ class Tiling:
     ) -> None:
         candidates = self._candidates
         for one in candidates.usual(place) if is_frame else candidates.damaged(place, turn):
-            size, cost, follows = one.size, one.cost, turn
-            if not self._is_known:
-                if one.mended:
-                    unit, pdu = one.mended[0], one.mended[1:-2]
-                    start_ns, end_ns = self._bounds_ns(place, size)
-                    cost += self._turns.weigh(turn, unit, pdu, one.role, start_ns)
-                    follows = self._turns.follow(turn, unit, pdu, one.role, start_ns, end_ns)
-                else:
-                    follows = turn.behind_damage()
+            size = one.size
             piece = Piece(Kind.DAMAGED, place, size, one.role, mended=one.mended)
-            total = row.cost + starts + cost
-            self._add(place + size, Row(total, follows, row, piece, runs=row.runs))
+            cost = row.cost + starts + one.cost
+            if self._is_known:
+                self._add(place + size, Row(cost, turn, row, piece, runs=row.runs))
+                continue
+            if one.mended:
+                unit, pdu = one.mended[0], one.mended[1:-2]
+                start_ns, end_ns = self._bounds_ns(place, size)
+                cost += self._turns.weigh(turn, unit, pdu, one.role, start_ns)
+                follows = self._turns.follow(turn, unit, pdu, one.role, start_ns, end_ns)
+                self._add(place + size, Row(cost, follows, row, piece, runs=row.runs))
+                cost += weights.UNHEARD
+            lost = turn.behind_damage()
+            self._add(place + size, Row(cost, lost, row, piece, runs=row.runs))
 
     def _lay_skip(self, place: int, row: Row, is_frame: bool, is_unknown: bool) -> None:
         is_noise = self._data[place] in NOISE and (row.is_anchored or row.is_noise)

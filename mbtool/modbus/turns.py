@@ -182,6 +182,10 @@ class Turns:
         """Whether a request was heard before."""
         return (unit, pdu) in self._known
 
+    def was_ever_asked(self, unit: int, code: int) -> bool:
+        """Whether a unit was asked for a function; `code` may be an exception's."""
+        return (unit, code & ~EXCEPTION_BIT) in self._asked
+
     def pause_cost(self, turn: Turn, *, is_last: bool = False) -> float:
         """What it costs that in the last silence no answer was missing.
 
@@ -217,11 +221,10 @@ class Turns:
         `inside_ns` is the longest silence in it.
         """
         role, turn, is_sure = judgement.direction, self.turn, judgement.confidence >= SURE
-        if role is Direction.REQUEST:
+        if role is Direction.REQUEST and is_sure:
             self._remember(unit, pdu)
-            answered = turn.answered
-            if answered is not None and is_sure:
-                self._again.learn(answered.unit == unit and answered.pdu == pdu)
+            if turn.answered is not None:
+                self._again.learn(turn.answered.asks(unit, pdu))
         elif self.trusts_silences and is_sure:
             waiting = turn.waiting
             if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
@@ -234,8 +237,8 @@ class Turns:
             self.likely = [(0.0, self.follow(turn, *spoken))]
             return
         turns = self._turns_after(*spoken)
-        if not by_form:
-            other = ROLES[role is Direction.REQUEST]
+        other = ROLES[role is Direction.REQUEST]
+        if not by_form and other in roles_of(pdu):
             dearer = bits_of(judgement.confidence)
             rivals = self._turns_after(unit, pdu, other, start_ns, end_ns, inside_ns, by_form)
             turns += [(bits + dearer, rival) for bits, rival in rivals]
@@ -271,12 +274,13 @@ class Turns:
         self.likely = likeliest((bits, turn.behind_damage()) for bits, turn in self.likely)
 
     def heard_damaged(self, frame: bytes, role: Direction, start_ns: int, end_ns: int) -> None:
-        """Note a damaged frame by what it was when it was sent. Nothing is learned from it."""
-        unit, pdu = frame[0], frame[1:-2]
-        self.likely = likeliest(
-            (bits, self.follow(turn, unit, pdu, role, start_ns, end_ns))
-            for bits, turn in self.likely
-        )
+        """Note a damaged frame by what it was when it was sent. Nothing is learned from it.
+
+        Whom it was for may have heard the damage, too: then it came to nothing.
+        """
+        after = self._turns_after(frame[0], frame[1:-2], role, start_ns, end_ns, 0, sure=False)
+        unheard = [(bits + weights.UNHEARD, turn.behind_damage()) for bits, turn in self.likely]
+        self.likely = likeliest([*after, *unheard])
 
     def follow(
         self,
@@ -346,7 +350,8 @@ class Turns:
             cost += weights.REQUEST_LIKE_ANSWER
         if not (same or again or (unit, pdu) in self._known):
             cost += weights.NEW_REQUEST
-            if pdu[0] in FUNCTIONS and not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+            request = parse_pdu(pdu, Direction.REQUEST)
+            if pdu[0] in FUNCTIONS and request.problem is None and not keeps_limits(request):
                 cost += weights.MALFORMED
         if waiting is None:
             return cost, 0.0

@@ -100,6 +100,8 @@ ONE_BIT_MORE = 0.1
 FLIPPED = 2.0
 """More where damage on this line is seldom such. Learned, from 0.2 to 8."""
 FLIPPED_LIMITS = (0.2, 8.0)
+UNHEARD = 1.0
+"""More for one that whom it was for has not understood either: damage is on the wire, or here."""
 FORESEEN = -6.0
 """Less for a damaged or incomplete frame of which more than two bytes are as foreseen: a request
 that was heard before up to its CRC, a response with the byte count that was asked for, and as

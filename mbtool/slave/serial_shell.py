@@ -36,17 +36,19 @@ from mbtool.modbus.ascii import AsciiSplitter
 from mbtool.modbus.rtu import RtuSplitter
 from mbtool.modbus.spoiling import wire_pieces
 from mbtool.modbus.turn import Turn
-from mbtool.modbus.turns import Turns
+from mbtool.modbus.turns import Judgement, Turns, roles_of
 from mbtool.slave.clock import steady_clock
 from mbtool.slave.shell import OnExchange, Shell
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mbtool.modbus.answer import Responder
 
 MAX_WAITING = 16
 WRITE_TIMEOUT_S = 1.0
+_NEVER = 32.0
+"""Bits: more than a request costs that says what none does."""
 
 
 class SerialSlave(Shell):
@@ -118,8 +120,21 @@ class SerialSlave(Shell):
 class _NobodysTurn(Turns):
     """No request waits for an answer that the line would bring: what can be a request is one."""
 
+    def judge(
+        self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()
+    ) -> Judgement:
+        return super().judge(unit, pdu, at_ns, _one_role(roles or roles_of(pdu)))
+
+    def weigh(self, turn: Turn, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
+        is_none = role not in _one_role(roles_of(pdu))
+        return super().weigh(turn, unit, pdu, role, at_ns) + (_NEVER if is_none else 0.0)
+
     def follow(self, *_: object, **__: object) -> Turn:
         return Turn()
+
+
+def _one_role(roles: Sequence[Direction]) -> Sequence[Direction]:
+    return [Direction.REQUEST] if Direction.REQUEST in roles else roles
 
 
 def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:

@@ -824,10 +824,9 @@ def test_echo_of_a_write_with_one_wrong_bit_is_a_sure_response(at: int, timed: b
     """What the damaged frame was follows from its CRC, and so what the next one is."""
     damaged = bytearray(WRITE)
     damaged[at] ^= 0x10
-    sent = (
-        polled().frame(bytes(damaged), 30 * MS).frame(WRITE, 5 * MS).frame(OTHER_REQUEST, 30 * MS)
-    )
-    events = heard(sent, timed=timed)
+    sent = polled().frame(WRITE, 30 * MS).frame(WRITE, 5 * MS).frame(OTHER_REQUEST, 30 * MS)
+    sent.frame(OTHER_RESPONSE, 5 * MS).frame(bytes(damaged), 30 * MS).frame(WRITE, 5 * MS)
+    events = heard(sent.frame(OTHER_REQUEST, 30 * MS), timed=timed)
     assert bytes(damaged) in raws(events)
     *_, echo, other = adus(events)
     assert (echo.raw, echo.direction, other.raw) == (WRITE, RESPONSE, OTHER_REQUEST)
@@ -861,3 +860,38 @@ def test_frames_in_the_registers_of_a_damaged_frame_are_in_doubt() -> None:
     assert all(adu.confidence < SURE for adu in inner)
     assert raws(events)[-2:] == [*READS]
     assert sure(events)[-2:] == [True, True]
+
+
+@pytest.mark.parametrize("after_ns", [200 * MS, 500 * MS, 1000 * MS])
+@pytest.mark.parametrize("pairs", [1, 8])
+def test_write_that_is_repeated_behind_a_damaged_one_does_not_turn_the_line_round(
+    pairs: int, after_ns: int
+) -> None:
+    """One wrong bit on the wire: the slave has not understood it either, and does not answer."""
+    damaged = bytearray(WRITE)
+    damaged[3] ^= 0x40
+    sent = line()
+    for _ in range(pairs):
+        sent.frame(WRITE, 20 * MS).frame(WRITE, 5 * MS)
+    sent.frame(bytes(damaged), 20 * MS).frame(WRITE, after_ns).frame(WRITE, 5 * MS)
+    for _ in range(20):
+        sent.frame(WRITE, 20 * MS).frame(WRITE, 5 * MS)
+    events = heard(sent)
+    truth = [REQUEST, RESPONSE] * (pairs + 21)
+    for adu, is_sure, direction in zip(adus(events), sure(events), truth, strict=True):
+        assert adu.direction is direction or not is_sure
+
+
+def test_answer_and_stray_bytes_that_make_a_request_are_read_when_they_come_again() -> None:
+    """What was remembered as a request may be held only in part later."""
+    answer = bytes.fromhex("01 02 01 05 61 8B")
+    assert adus(heard(line().send(answer + b"\x00\x00").frame(answer, 100 * MS)))
+
+
+def test_write_of_no_coil_value_is_a_request_all_the_same() -> None:
+    """A tester asks for what no master does; the refusal shows what it was."""
+    for pdu in ("05 0000 1234", "08 0002 0001"):
+        request = rtu_adu(5, bytes.fromhex(pdu))
+        refusal = rtu_adu(5, bytes((int(pdu[:2], 16) | 0x80, 3)))
+        sent = polled().frame(request, 30 * MS).frame(refusal, 5 * MS)
+        assert directions(heard(sent))[-2:] == [REQUEST, RESPONSE], pdu

@@ -82,6 +82,17 @@ def test_equal_writes_in_a_row_are_each_a_request(line: VirtualLine, master: ser
     assert scripted.asked == [(1, WRITE)] * 4
 
 
+@pytest.mark.parametrize("asked", ["05 0000 1234", "08 0002 0001", "08 000A 0001", "01 0300 FFFF"])
+def test_a_request_that_no_master_makes_is_one_though_it_has_the_form_of_an_answer(
+    line: VirtualLine, master: serial.Serial, asked: str
+) -> None:
+    scripted = _only_unit_1()
+    with SerialSlave(_link(line), scripted):
+        for _ in range(2):
+            _ask(master, bytes.fromhex(asked))
+    assert scripted.asked == [(1, bytes.fromhex(asked))] * 2
+
+
 def test_a_repeated_request_is_heard_where_the_first_got_no_answer(
     line: VirtualLine, master: serial.Serial
 ) -> None:
