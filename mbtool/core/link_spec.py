@@ -241,7 +241,13 @@ def _parse_serial(
             f"link {text!r}: a line has one tap, or two different ones, the first on the master's "
             f"side, for example {scheme}:/dev/ttyUSB0,/dev/ttyUSB1@19200-8E1"
         )
-    if settings.lower() == AUTO and at:
+    first, comma, _ = settings.partition(",")
+    if first.lower() == AUTO and at:
+        if comma and example is None:
+            raise UsageError(
+                f"link {text!r}: {AUTO} takes no silences; give them with --t1-5 and --t3-5, "
+                f"for example {text.removesuffix(settings)}{AUTO} --t3-5 5ms"
+            )
         return AutoLink((port, *others), only_ascii=scheme == "ascii")
     is_ascii = scheme == "ascii"
     format_ = SerialFormat.parse(settings) if at else SerialFormat.usual(is_ascii=is_ascii)

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -54,6 +55,8 @@ class Window:
     """Whether what was given out last belongs to no frame."""
     may_go_on: bool
     """Whether a frame whose end is not here may still be completed."""
+    is_pressing: bool = False
+    """Whether what stands before such a frame is to be told, though its end might tell better."""
 
     def start_ns(self, place: int) -> int:
         return self.times[place] - self.character_ns
@@ -119,12 +122,20 @@ class Candidates:
         Registers may hold what looks like a frame, but not behind a silence, and hardly twice
         where the piece is not `known` by more than its length.
         """
-        silences = self._window.silences
         inner = range(place + 1, place + size - MIN_FRAME + 1)
-        begins = sum(silences[at] and bool(self.frames(at)) for at in inner)
+        begins = sum(map(self._begins, inner))
         if not known:
             begins = max(begins, sum(bool(self.frames(at)) for at in inner) - 1)
         return weights.COINCIDENCE * begins
+
+    def _begins(self, place: int) -> bool:
+        """Whether a frame begins behind a silence: of known form, or up to the next silence."""
+        if not self._window.silences[place]:
+            return False
+        if self.frames(place):
+            return True
+        burst = self._burst(place)
+        return burst >= MIN_FRAME and crc(self._data[place : place + burst]) == 0
 
     def frames(self, place: int) -> list[Frame]:
         """Frames of known form with a correct CRC."""
@@ -253,18 +264,17 @@ class Candidates:
 
         Of functions that their unit was asked for: any other would be looked for everywhere.
         """
-        unit, code = head[0], head[1]
-        for at in (1, 2):
-            for bit in range(8):
-                if not self._turns.was_ever_asked(unit, code ^ 1 << bit if at == 1 else code):
+        for at, bit in product((1, 2), range(8)):
+            start = head[:at] + bytes([head[at] ^ 1 << bit])
+            if not self._turns.was_ever_asked(start[:2]):
+                continue
+            whole = start + head[at + 1 :]
+            for role in self._roles:
+                size = frame_size(whole, role)
+                if not size or not MIN_FRAME <= size <= len(head):
                     continue
-                whole = head[:at] + bytes([head[at] ^ 1 << bit]) + head[at + 1 :]
-                for role in self._roles:
-                    size = frame_size(whole, role)
-                    if not size or not MIN_FRAME <= size <= len(head):
-                        continue
-                    if size != frame_size(head, role) and crc(whole[:size]) == 0:
-                        yield self._mended(place, whole[:size], role)
+                if size != frame_size(head, role) and crc(whole[:size]) == 0:
+                    yield self._mended(place, whole[:size], role)
 
     def _mended(self, place: int, whole: bytes, role: Direction) -> Damaged:
         size = len(whole)
@@ -305,7 +315,7 @@ class Candidates:
                 return True, weights.FORESEEN
             if is_counted(head[1:]):
                 return True, 0.0
-        elif self._turns.foresees(turn, unit, head[1], pdu_size):
+        elif turn.foresees(unit, head[1], pdu_size):
             return True, weights.FORESEEN
         return self._turns.expects(turn, unit, head[1], pdu_size, role), 0.0
 

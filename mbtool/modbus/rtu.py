@@ -170,14 +170,21 @@ class RtuSplitter:
         """Decide what a silence ends; a long one ends what is held, too."""
         if len(self._data) > self._decided:
             self._tears += 1
-            self._end_burst(events, self._tears < MAX_TEARS)
+            self._end_burst(events, may_go_on=True)
+            if self._tears >= MAX_TEARS and self._data:
+                self._end_burst(events, may_go_on=True, is_pressing=True)
+            if self._tears >= MAX_TEARS and self._data:
+                self._end_burst(events, may_go_on=False)
         if is_long and self._data:
             self._end_burst(events, may_go_on=False)
 
-    def _end_burst(self, events: list[Adu | Skipped], may_go_on: bool) -> None:
+    def _end_burst(
+        self, events: list[Adu | Skipped], *, may_go_on: bool, is_pressing: bool = False
+    ) -> None:
         self._take_front(events, True)
-        if self._data and not (may_go_on and self._front.is_begun(self._data, self._torn_at)):
-            self._search(events, may_go_on=may_go_on)
+        is_to_wait = may_go_on and not is_pressing
+        if self._data and not (is_to_wait and self._front.is_begun(self._data, self._torn_at)):
+            self._search(events, may_go_on=may_go_on, is_pressing=is_pressing)
         self._decided = len(self._data)
 
     def _take_front(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
@@ -191,7 +198,14 @@ class RtuSplitter:
         ):
             self._give(*frame, events)
 
-    def _search(self, events: list[Adu | Skipped], *, may_go_on: bool, keep: int = 0) -> None:
+    def _search(
+        self,
+        events: list[Adu | Skipped],
+        *,
+        may_go_on: bool,
+        is_pressing: bool = False,
+        keep: int = 0,
+    ) -> None:
         """Explain all that is held, and give it out but for a frame that has only begun.
 
         `keep` is how many of the last bytes are not decided yet.
@@ -204,6 +218,7 @@ class RtuSplitter:
             self._silences(keep),
             is_behind_noise=self._is_behind_noise,
             may_go_on=may_go_on,
+            is_pressing=is_pressing,
         )
         pieces = Tiling(window, self._turns, self._habits, self._roles).pieces()
         for piece in pieces:

@@ -82,7 +82,10 @@ class Tiling:
         ends.sort(key=lambda row: row.cost)
         opened = self._open_row
         if opened is not None and (not ends or opened.cost <= ends[0].cost):
-            pieces = agreed_on(ends, opened, self._end)
+            if self._window.is_pressing:
+                pieces = list(with_doubts([opened, *ends]))
+            else:
+                pieces = agreed_on(ends, opened, self._end)
         else:
             pieces = list(with_doubts(ends))
         return self._with_enclosed(list(merged(pieces)))
@@ -152,7 +155,8 @@ class Tiling:
         """Whether a frame is likely to begin at a place: behind another, or as it is due."""
         if row.is_anchored or (row.is_noise and row.skipped < LONG_SKIP):
             return True
-        return self._is_due(row, place)
+        head = self._data[place : place + 2]
+        return self._is_due(row, place) or self._turns.was_ever_asked(head)
 
     def _is_due(self, row: Row, place: int) -> bool:
         """Whether a row leads to a request whose response may begin at a place."""
@@ -174,7 +178,7 @@ class Tiling:
         if not self._is_known:
             cost += self._turns.weigh(turn, unit, pdu, frame.role, start_ns)
             inside_ns = self._candidates.longest_ns(place, frame.size)
-            if self._turns.ends_pause(turn, frame.role, start_ns, inside_ns):
+            if turn.ends_pause(frame.role, start_ns, inside_ns):
                 cost += self._turns.pause_cost(turn)
             follows = self._turns.follow(turn, unit, pdu, frame.role, start_ns, end_ns, inside_ns)
         piece = Piece(Kind.FRAME, place, frame.size, frame.role, frame.roles)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.core import Direction
 from mbtool.modbus.expectation import Expectation
 
 if TYPE_CHECKING:
@@ -72,6 +73,21 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
             owed is not None and owed.is_named_by(unit, code)
         )
 
+    def foresees(self, unit: int, code: int, size: int) -> bool:
+        """Whether just a response of this size of its PDU is due now."""
+        waiting = self.waiting
+        return waiting is not None and (
+            waiting.unit,
+            waiting.expected.code,
+            waiting.expected.size,
+        ) == (unit, code, size)
+
+    def ends_pause(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
+        """Whether a frame leaves the last silence to what came before it."""
+        if not self.pause_ns or (role is Direction.REQUEST and self.answered is None):
+            return False
+        return inside_ns > 0 or start_ns - (self.last_ns or start_ns) > 0
+
     def behind_damage(self) -> Turn:
         """The turn after bytes that could not be read."""
         owed = self.waiting or self.owed
@@ -101,3 +117,8 @@ def likelihood(bits: float) -> float:
 def bits_of(confidence: float) -> float:
     """By how many bits the better of two explanations is cheaper; the reverse of `likelihood`."""
     return math.log2(confidence / (1 - confidence)) if confidence < 1 else math.inf
+
+
+def is_like(answer: bytes, other: bytes, request: bytes) -> bool:
+    """Whether two PDUs can both be answers to a request."""
+    return len(answer) == len(other) and (answer == request) == (other == request)

@@ -39,6 +39,7 @@ from mbtool.modbus.turn import (
     Waiting,
     Weighed,
     bits_of,
+    is_like,
     likeliest,
     likelihood,
 )
@@ -97,6 +98,7 @@ class Turns:
         self._pauses = Latency()
         """The silences among glued frames in which no answer was missing."""
         self._again = Habit(weights.ASKED_AGAIN, weights.ASKED_AGAIN_LIMITS)
+        self._repeated = Habit(weights.REPEATED, weights.REPEATED_LIMITS)
 
     @property
     def turn(self) -> Turn:
@@ -152,15 +154,6 @@ class Turns:
             return not size or code != waiting.expected.code or waiting.expected.size in (0, size)
         return turn.waiting is None and (unit, code) in self._asked
 
-    def foresees(self, turn: Turn, unit: int, code: int, size: int) -> bool:
-        """Whether just a response of this size of its PDU is due now."""
-        waiting = turn.waiting
-        return waiting is not None and (
-            waiting.unit,
-            waiting.expected.code,
-            waiting.expected.size,
-        ) == (unit, code, size)
-
     def awaits(self, head: bytes, sizes: Mapping[Direction, int]) -> bool:
         """Whether a frame that has begun so, and is to be so long as each, is what is due now.
 
@@ -182,9 +175,9 @@ class Turns:
         """Whether a request was heard before."""
         return (unit, pdu) in self._known
 
-    def was_ever_asked(self, unit: int, code: int) -> bool:
-        """Whether a unit was asked for a function; `code` may be an exception's."""
-        return (unit, code & ~EXCEPTION_BIT) in self._asked
+    def was_ever_asked(self, head: bytes) -> bool:
+        """Whether a unit was asked for a function; it may be that of an exception."""
+        return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self._asked
 
     def pause_cost(self, turn: Turn, *, is_last: bool = False) -> float:
         """What it costs that in the last silence no answer was missing.
@@ -200,12 +193,6 @@ class Turns:
         cost = min(late, weights.MOST_FOR_LATENESS)
         # An adapter that waits for more before it hands over makes such a silence, too.
         return cost / 2 if is_last and turn.pause_ns <= TIMER_NS else cost
-
-    def ends_pause(self, turn: Turn, role: Direction, start_ns: int, inside_ns: int) -> bool:
-        """Whether a frame leaves the last silence to what came before it."""
-        if not turn.pause_ns or (role is Direction.REQUEST and turn.answered is None):
-            return False
-        return inside_ns > 0 or start_ns - (turn.last_ns or start_ns) > 0
 
     def hear(
         self,
@@ -225,11 +212,17 @@ class Turns:
             self._remember(unit, pdu)
             if turn.answered is not None:
                 self._again.learn(turn.answered.asks(unit, pdu))
-        elif self.trusts_silences and is_sure:
+            if judgement.by is DirectionBy.FORM:  # Nothing but a repetition would look like one.
+                waiting = turn.waiting
+                self._repeated.learn(waiting is not None and waiting.asks(unit, pdu))
+        elif role is Direction.RESPONSE and self.trusts_silences:
             waiting = turn.waiting
-            if waiting is not None and pdu != waiting.pdu and waiting.fits(unit, pdu):
-                self._latency.learn(start_ns - waiting.since_ns)
-        if self.ends_pause(turn, role, start_ns, inside_ns):
+            if waiting is not None and waiting.fits(unit, pdu):
+                if pdu == waiting.pdu:
+                    self._latency.learn_warily(start_ns - waiting.since_ns)
+                elif is_sure:
+                    self._latency.learn(start_ns - waiting.since_ns)
+        if turn.ends_pause(role, start_ns, inside_ns):
             self._pauses.learn_warily(turn.pause_ns)
         by_form = judgement.by in CERTAIN
         spoken = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
@@ -359,7 +352,7 @@ class Turns:
         if same and owed is not None and owed.asks(unit, pdu):
             cost += weights.REPEATED_AGAIN
         else:
-            cost += weights.REPEATED if same else weights.UNANSWERED
+            cost += self._repeated.bits if same else weights.UNANSWERED
         latency = self._latency
         is_early = latency.is_known and latency.octaves_late(at_ns - waiting.since_ns) < 0
         return cost, weights.EARLY_REPEAT if is_early else 0.0
@@ -400,7 +393,9 @@ class Turns:
         silence_ns = at_ns - waiting.since_ns
         octaves = self._latency.octaves_late(silence_ns)
         late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
-        by_time = min(late, weights.MOST_FOR_LATENESS) if octaves > MARGIN_OCTAVES else 0.0
+        is_echo = pdu == waiting.pdu
+        most = weights.MOST_FOR_LATE_ECHO if is_echo else weights.MOST_FOR_LATENESS
+        by_time = min(late, most) if octaves > MARGIN_OCTAVES else 0.0
         if by_time and self._is_just_asked_for(waiting, waiting.unit, pdu):
             by_time = 0.0
         if pdu == waiting.pdu and pdu[0] in FUNCTIONS and pdu[0] not in ECHOING:
@@ -448,8 +443,3 @@ def roles_of(pdu: bytes) -> tuple[Direction, ...]:
     """The directions whose form a whole PDU has; both where no table says."""
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES
-
-
-def is_like(answer: bytes, other: bytes, request: bytes) -> bool:
-    """Whether two PDUs can both be answers to a request."""
-    return len(answer) == len(other) and (answer == request) == (other == request)

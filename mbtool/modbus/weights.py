@@ -20,12 +20,13 @@ REPEATED_AGAIN = 2.0
 UNANSWERED = 5.0
 """A request while another waits: about one in thirty on a bad line."""
 REPEATED = 4.0
-"""The same, with the very request that waits: a retry is the usual reason."""
+"""The same, with the very request that waits: a retry is the usual reason. Learned, from 2 to 7."""
+REPEATED_LIMITS = (2.0, 7.0)
 ASKED_AGAIN = 5.0
 """A request right behind its own answer: a master goes on to the next of its list, and asks again
 only where it has a list of one. Where silences do not tell it from a late second answer. Learned,
-from 0 to 9."""
-ASKED_AGAIN_LIMITS = (0.0, 9.0)
+from 0 to 10."""
+ASKED_AGAIN_LIMITS = (0.0, 10.0)
 LATE_ANSWER = 2.0
 """The response to a request that the master has already repeated."""
 LATE_ELSEWHERE = 5.0
@@ -67,6 +68,8 @@ LATE = 3.0
 LATE_PER_OCTAVE = 3.0
 """More for each doubling."""
 MOST_FOR_LATENESS = 8.0
+MOST_FOR_LATE_ECHO = 14.0
+"""The same of an answer that may be a repeated request instead: masters wait for very long."""
 BACKWARDS = 6.0
 """An echo that answers after a longer silence than the one before its request."""
 

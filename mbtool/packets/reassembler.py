@@ -37,6 +37,7 @@ from mbtool.packets.fragments import (
 )
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
 from mbtool.packets.segment import ACK, RST, SYN, Segment, find_tcp, read_segment
+from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
@@ -46,6 +47,7 @@ MAX_WAITING = 256
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_TOLD = 4096
+_OF_A_LINE = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
 _TCP_HEADER_SEEN = 14
 """Bytes of the TCP header up to its flags."""
 
@@ -73,6 +75,8 @@ class TcpReassembler:
         finder = IP_FINDERS.get(packet.link_type)
         if finder is None:
             message = f"link type {packet.link_type} cannot be looked into"
+            if packet.link_type in USER_LINK_TYPES:
+                message += _OF_A_LINE
             self._tell(packet.ts_ns, packet.link, EventKind.UNREADABLE, message)
             return self._take_out()
         data = packet.data

@@ -5,7 +5,8 @@
 #
 # The header names the columns, in any order; others are left alone, `line` among them, since all
 # rows are of one bus in the order of time. Times are seconds, from the start of the recording or
-# since 1970, which is also what the start of a recording is shown as.
+# since 1970, which is also what the start of a recording is shown as. An analyser that counts from
+# its trigger gives what came before it times below 0: then the first row is shown as the start.
 #
 # A byte's time is when its last bit arrived. Where t_end_s tells the end of the data bits, as
 # sigrok's decoder does, or whatever comes before the end of the character, that is one character
@@ -114,6 +115,7 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
             f"and {BYTE}"
         )
     start_at, end_at, byte_at = (header.index(column) for column in (START, END, BYTE))
+    shift_ns: int | None = None
     number = 1
     while True:
         number += 1
@@ -129,12 +131,17 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
             end_ns = _ns(cells[end_at], END, name, number)
             if end_ns < start_ns:
                 raise _wrong(name, number, f"{END} is before {START}")
+            if shift_ns is None:
+                shift_ns = max(0, -start_ns)
+            if start_ns + shift_ns < 0:
+                shown = _short(cells[start_at])
+                raise _wrong(name, number, f"{START} is {shown}, before that of the first row")
             byte = _byte(cells[byte_at], name, number)
         except InputError as error:
             if is_whole:
                 raise
             raise CutError(f"{name}: ends in the middle of row {number}") from error
-        yield _Row(start_ns, end_ns, byte)
+        yield _Row(start_ns + shift_ns, end_ns + shift_ns, byte)
 
 
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
@@ -151,7 +158,7 @@ def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
 def _ns(text: str, column: str, name: str, number: int) -> int:
     try:
         value = Decimal(text) * 1_000_000_000
-        if 0 <= value <= _MAX_NS:
+        if -_MAX_NS <= value <= _MAX_NS:
             return round(value)
     except DecimalException:
         pass

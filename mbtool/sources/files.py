@@ -4,7 +4,8 @@
 # of capture inside. A plain file keeps its seekable stream, which the reader of a log may want.
 # A file of no known kind is the bytes of a serial line where the user says which line, as
 # hexadecimal if it is a text. An ASCII line's own bytes are a text, too: there, hexadecimal is what
-# has no colon and is parted in pairs.
+# has no colon and is parted in pairs. The byte order mark that some programs put before a text is
+# no part of it.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so what it blows up to in memory is
 # bounded (zlib to 0.5 MiB, zstd to 16 MiB at its worst, and its window to MAX_WINDOW). A stream
@@ -12,6 +13,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import re
@@ -76,6 +78,7 @@ class CaptureKind(StrEnum):
 
 
 PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
+_TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES, CaptureKind.MONITOR_TEXT))
 
 
 class CaptureFile:
@@ -88,7 +91,10 @@ class CaptureFile:
         """How messages call it."""
         self.kind = kind
         self.stream = cast("BinaryIO", stream)
-        """Its bytes from the first on, unpacked. Reading raises InputError, CutError, OSError."""
+        """Its bytes, unpacked, a text's without a byte order mark.
+
+        Reading raises InputError, CutError, OSError.
+        """
         self._file = file
         self._size = _size(file)
 
@@ -170,8 +176,8 @@ def place_of(path: str) -> tuple[object, bool]:
 def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
     """Open a capture file, or standard input for `-`. Raises InputError, CutError.
 
-    A file of no known kind is the bytes of a serial line, where a line is given. An empty name
-    raises UsageError.
+    A file of no known kind is the bytes of a serial line, where a line is given; so is one without
+    a byte, which then has none. An empty name raises UsageError.
     """
     if not str(path):
         raise UsageError("a file's name is empty; name a capture or a log, or - for standard input")
@@ -185,9 +191,12 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
         unpacked = _unpacked(name, head, stream)
         if unpacked is not None:
             head, stream = _peek(unpacked)
-        if not head:
+        if not head and line is None:
             raise InputError(f"{name}: empty; a capture has at least a header")
-        return CaptureFile(name, _kind(name, head, line), stream, file)
+        kind = _kind(name, head, line)
+        if kind in _TEXT_KINDS and head.startswith(codecs.BOM_UTF8):
+            stream.read(len(codecs.BOM_UTF8))
+        return CaptureFile(name, kind, stream, file)
     except OSError as error:
         file.close()
         raise _unreadable(name, error) from error
@@ -325,18 +334,19 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
         return CaptureKind.PCAPNG
     if head.startswith(_MCAP):
         return CaptureKind.MCAP
-    if is_byte_times(head):
+    text = head.removeprefix(codecs.BOM_UTF8)
+    if is_byte_times(text):
         return CaptureKind.BYTE_TIMES
-    if is_monitor_text(head):
+    if is_monitor_text(text):
         return CaptureKind.MONITOR_TEXT
     other = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
     if line is not None and other is None:
-        is_hex = _is_text(head) and (not line.ascii or _HEX_OF_ASCII.match(head) is not None)
+        is_hex = _is_text(text) and (not line.ascii or _HEX_OF_ASCII.match(text) is not None)
         return CaptureKind.HEX if is_hex else CaptureKind.RAW
     if any(magic.startswith(head) for magic in (*CAPTURE_MAGICS, _MCAP)):
         raise CutError(f"{name}: ends inside the first bytes of its header")
     looks_like = other or (
-        "a text file" if _is_text(head) else f"a file that begins with {head[:8].hex(' ')}"
+        "a text file" if _is_text(text) else f"a file that begins with {head[:8].hex(' ')}"
     )
     hint = "" if other else "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
     raise InputError(

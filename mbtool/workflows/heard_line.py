@@ -41,6 +41,10 @@ class HeardLine:
         self._overlaps += begin_ns + character_ns < last.ts_ns
 
     @property
+    def has_bytes(self) -> bool:
+        return self._pieces > 0
+
+    @property
     def doubt(self) -> str | None:
         """One line for a reader where pieces overlap."""
         if not self._overlaps:

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.decoding import Evidence, Record
 
+_SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
 _UNREAD_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
@@ -93,6 +94,8 @@ class Reading:
         self._seam = Seam()
         self._done = 0
         self._evidence = 0
+        self._serial_packets = 0
+        """How many pieces of the evidence these are."""
         self._found = False
         self._has_read = False
         self._unread: str | None = None
@@ -134,8 +137,10 @@ class Reading:
         if self._found or self._done < len(self._paths):
             return None
         names = self._names
-        if not self._evidence:
+        if not self._evidence and not self._kinds <= _SERIAL_KINDS:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
+        if self._evidence == self._serial_packets:
+            return f"{names}: no byte of a serial line in it"
         if self._any_port:
             return f"{names}: no Modbus at any TCP port"
         ports = {port for some in self._ports for port in some}
@@ -160,8 +165,9 @@ class Reading:
     def remarks(self) -> list[str]:
         """What a reader should know of the files beside what is in them, a line each."""
         remarks = []
-        if self._heard and self._options.line is None:
-            first, *others = (heard.name for heard in self._heard)
+        heard_names = [heard.name for heard in self._heard if heard.has_bytes]
+        if heard_names and self._options.line is None:
+            first, *others = heard_names
             names = f"{first} and {len(others)} more" if others else first
             usual = SerialFormat()
             remarks.append(f"{names}: taken as {usual}; name the line with --link rtu@{usual}")
@@ -288,6 +294,7 @@ class Reading:
         heard: HeardLine | None = None
         for packet in capture.packets():
             if packet.link_type in serial_types:
+                self._serial_packets += 1
                 heard = heard or self._hear(capture)
                 for piece in serial_pieces(packet):
                     heard.note(piece)

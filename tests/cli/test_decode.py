@@ -390,6 +390,27 @@ def test_a_log_that_was_not_closed_is_told_and_no_error(
     ]
 
 
+def test_an_empty_file_of_a_line_is_an_empty_capture(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"")
+    told = mbtool("decode", path, "--link", "rtu@9600")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err.splitlines() == ["0 transactions", f"{path}: no byte of a serial line in it"]
+
+
+def test_packets_that_only_a_user_can_tell_of_are_read_as_the_error_says(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap([packet(b"\1\3\0\0\0\2\xc4\x0b", 0, link_type=148)]))
+    told = mbtool("decode", path)
+    assert told.code == exit_codes.UNREADABLE
+    advice = told.err.splitlines()[-1].rpartition("say which: ")[2]
+    told = mbtool("decode", path, *advice.split())
+    assert told.code == exit_codes.DONE
+    assert told.err.startswith("1 transaction: ")
+
+
 def test_what_a_line_is_taken_for_is_no_data(mbtool: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(pcap([packet(b"\1\3\0\0\0\2\xc4\x0b", 0, link_type=147)]))

@@ -133,6 +133,13 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("rtu:,/dev/b@9600", "no port is named"),
         ("rtu:/dev/a@9600,t3.5=fast", "silence 'fast'"),
         ("rtu:/dev/a@9600,t2=5ms", "'t2=5ms' is neither t1.5=SILENCE nor t3.5=SILENCE"),
+        (
+            "rtu:/dev/a@auto,t3.5=5ms",
+            "auto takes no silences; give them with --t1-5 and --t3-5, "
+            "for example rtu:/dev/a@auto --t3-5 5ms",
+        ),
+        ("ascii:/dev/a,/dev/b@AUTO,t1.5=1ms", "for example ascii:/dev/a,/dev/b@auto --t3-5 5ms"),
+        ("rtutap:/dev/a@auto,t3.5=5ms=/dev/b", "its settings cannot be found; give them"),
         ("rtutap:/dev/a@9600", "for example rtutap:/dev/ttyUSB0@19200-8E1=/dev/ttyUSB1"),
         ("rtutap:/dev/a@9600=", "a tap needs the port on the master's side and the port on"),
         ("asciitap:/dev/a", "for example asciitap:/dev/ttyUSB0@9600-7E1=/dev/ttyUSB1"),

@@ -11,6 +11,7 @@ from mbtool.modbus.turns import SURE
 
 TOLD_BY_ANOTHER = {
     "FLIPPED_LIMITS",
+    "REPEATED_LIMITS",
     "SKIP_LIMITS",
     "NOISE_LIMITS",
     "GLUED_LIMITS",

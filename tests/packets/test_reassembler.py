@@ -209,11 +209,17 @@ def test_time_that_runs_backwards_harms_nothing() -> None:
     assert close_reasons(items) == [CloseReason.CAPTURE_END]
 
 
-def test_an_unknown_link_type_is_one_event_for_each_interface() -> None:
+_OF_A_LINE = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
+
+
+@pytest.mark.parametrize(
+    ("link_type", "hint"), [(148, _OF_A_LINE), (162, _OF_A_LINE), (163, ""), (9999, "")]
+)
+def test_an_unknown_link_type_is_one_event_for_each_interface(link_type: int, hint: str) -> None:
     packets = [
-        packet(b"abc", 7, link_type=147, link="if0"),
-        packet(b"abc", 8, link_type=147, link="if0"),
-        packet(b"abc", 9, link_type=147, link="if1"),
+        packet(b"abc", 7, link_type=link_type, link="if0"),
+        packet(b"abc", 8, link_type=link_type, link="if0"),
+        packet(b"abc", 9, link_type=link_type, link="if1"),
     ]
 
     assert run_packets(packets) == [
@@ -221,7 +227,7 @@ def test_an_unknown_link_type_is_one_event_for_each_interface() -> None:
             ts_ns=7 + 2 * number,
             link=link,
             kind=EventKind.UNREADABLE,
-            message="link type 147 cannot be looked into",
+            message=f"link type {link_type} cannot be looked into{hint}",
         )
         for number, link in enumerate(("if0", "if1"))
     ]

@@ -72,6 +72,24 @@ def test_columns_stand_in_any_order_and_others_are_left_alone() -> None:
     assert chunk.ts_ns == 1_700_000_000_000_000_000 + SerialFormat().character_ns
 
 
+@pytest.mark.parametrize("start_s", [-0.48, -0.002, -7200.0])
+def test_times_below_0_keep_their_order_and_their_distances(start_s: float) -> None:
+    # The trigger is between the bytes, or behind them.
+    found, chunks = _read(HEADER + _rows(FRAME, 9600, start_s=start_s))
+    expected_format, expected = _read(HEADER + _rows(FRAME, 9600, start_s=0))
+    assert found == expected_format
+    assert [chunk.data for chunk in chunks] == [chunk.data for chunk in expected]
+    for chunk, same in zip(chunks, expected, strict=True):
+        assert chunk.ts_ns == pytest.approx(same.ts_ns, abs=200)  # Times are written to 100 ns.
+
+
+def test_a_trigger_at_a_later_row_moves_no_byte_against_another() -> None:
+    _, chunks = _read(HEADER + "-0.25,-0.249,rx,01\n0,0.001,rx,02\n1.5,1.501,rx,03\n")
+    first, *others = (chunk.ts_ns for chunk in chunks)
+    assert first == 10**9 // 1000
+    assert [ts_ns - first for ts_ns in others] == [250_000_000, 1_750_000_000]
+
+
 def test_more_rows_than_are_looked_at_come_out_in_order() -> None:
     data = bytes(number % 251 for number in range(3 * LOOKED_AT))
     _, chunks = _read(HEADER + _rows(data, 9600))
@@ -86,7 +104,15 @@ def test_more_rows_than_are_looked_at_come_out_in_order() -> None:
         ("t_start_s,byte_hex\n0,01\n", "row 1: there is no column t_end_s"),
         (HEADER + "0.1,0.2,rx,01\n0.3,0.4,rx\n0.5", "row 3: 3 columns, where row 1 has 4"),
         (HEADER + "0.1,soon,rx,01\n", "row 2: t_end_s is 'soon'; a number of seconds"),
-        (HEADER + "-1,0,rx,01\n", "row 2: t_start_s is '-1'; a number of seconds"),
+        (HEADER + "-1e10,0,rx,01\n", "row 2: t_start_s is '-1e10'; a number of seconds"),
+        (
+            HEADER + "0.1,0.2,rx,01\n-1,0,rx,02\n",
+            "row 3: t_start_s is '-1', before that of the first row",
+        ),
+        (
+            HEADER + "-1,-0.9,rx,01\n-1.1,0,rx,02\n",
+            "row 3: t_start_s is '-1.1', before that of the first row",
+        ),
         (HEADER + "nan,0,rx,01\n", "row 2: t_start_s is 'nan'; a number of seconds"),
         (HEADER + "1e999999999,0,rx,01\n", "row 2: t_start_s is '1e999999999'; a number"),
         (HEADER + "0.2,0.1,rx,01\n", "row 2: t_end_s is before t_start_s"),

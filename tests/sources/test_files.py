@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import os
@@ -309,6 +310,7 @@ _MONITOR_TEXT = (
         (_MCAP, "rtu@9600", CaptureKind.MCAP),
         (_FRAME, "rtu@9600", CaptureKind.RAW),
         (bytes(64), "rtu@9600", CaptureKind.RAW),
+        (codecs.BOM_UTF8 + bytes(64), "rtu@9600", CaptureKind.RAW),
         (b"# of 2024: tio\n01 03", "rtu@9600", CaptureKind.HEX),
         (b"0103000000", "rtu@9600", CaptureKind.HEX),
         (b"what is this", "rtu@9600", CaptureKind.HEX),
@@ -346,6 +348,66 @@ def test_gives_the_bytes_of_a_line(tmp_path: Path) -> None:
         (chunk,) = of_file.pieces
     assert isinstance(chunk, Chunk)
     assert (chunk.link, chunk.data) == ("bench", _FRAME)
+
+
+@pytest.mark.parametrize("pack", [_plain, gzip.compress, _zstd])
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (_BYTE_TIMES, None),
+        (_MONITOR_TEXT, None),
+        (b"01 03 00 00", "rtu@9600"),
+        (b"3a 30 31", "ascii@9600"),
+        (b"", "rtu@9600"),
+    ],
+)
+def test_a_byte_order_mark_is_no_part_of_a_text(
+    tmp_path: Path, pack: Callable[[bytes], bytes], content: bytes, line: str | None
+) -> None:
+    settings = None if line is None else parse_line(line)
+    pieces = []
+    for mark in (b"", codecs.BOM_UTF8):
+        path = tmp_path / "a"
+        path.write_bytes(pack(mark + content))
+        with open_capture(path, settings) as capture:
+            pieces.append(list(capture.serial(settings).pieces))
+    assert pieces[0] == pieces[1]
+    assert bool(pieces[0]) is bool(content)
+
+
+def test_a_byte_order_mark_on_standard_input_is_no_part_of_a_text(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _standard_input(monkeypatch, codecs.BOM_UTF8 + b"01 03")
+    line = parse_line("rtu@9600")
+
+    with open_capture("-", line) as capture:
+        pieces = list(capture.serial(line).pieces)
+    assert b"".join(piece.data for piece in pieces if isinstance(piece, Chunk)) == b"\1\3"
+
+
+def test_bytes_of_a_line_may_begin_like_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    data = codecs.BOM_UTF8 + _FRAME
+    path.write_bytes(data)
+    line = parse_line("rtu@9600")
+
+    with open_capture(path, line) as capture:
+        (chunk,) = capture.serial(line).pieces
+    assert isinstance(chunk, Chunk)
+    assert chunk.data == data
+
+
+@pytest.mark.parametrize("pack", [_plain, gzip.compress])
+@pytest.mark.parametrize("line", ["rtu@9600", "ascii@9600"])
+def test_an_empty_file_of_a_line_has_no_bytes(
+    tmp_path: Path, pack: Callable[[bytes], bytes], line: str
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(pack(b""))
+
+    with open_capture(path, parse_line(line)) as capture:
+        assert list(capture.serial(parse_line(line)).pieces) == []
 
 
 def test_the_bytes_of_standard_input_are_called_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,14 @@ def _doubt(format_: SerialFormat, *pieces: Chunk | WireEvent) -> str | None:
     return line.doubt
 
 
+def test_a_line_of_which_no_byte_was_heard_is_told_apart() -> None:
+    line = HeardLine("a.pcap", USUAL)
+    line.note(WireEvent(ts_ns=0, link="if0", kind=EventKind.GAP, message=""))
+    assert not line.has_bytes
+    line.note(heard(0, b"\x03"))
+    assert line.has_bytes
+
+
 def test_packets_that_overlap_make_the_rate_doubtful() -> None:
     pieces = [heard(20 * number, b"\x03\0\0\0\2") for number in range(3)]
     assert _doubt(USUAL, *pieces) is None

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from mbtool.core import LineSettings
     from mbtool.workflows.decoding import Record
 
 
@@ -525,6 +526,39 @@ def test_says_as_what_line_serial_bytes_are_taken_and_doubts_a_wrong_rate(
         reading = Reading([str(path)], ReadingOptions(line=line))
         assert len(_transactions(list(reading.records()))) == 1
         assert reading.remarks == remarks
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", RTU),
+        (b"# nothing\n", RTU),
+        (b"t_start_s,t_end_s,byte_hex\n", None),
+        (pcap([packet(b"", 0, link_type=147)]), None),
+        (pcap([packet(b"", 0, link_type=147)]), RTU),
+        (pcap([packet(bytes(12), 0, link_type=250)]), None),
+        (pcap([packet(b"", 0, link_type=150)]), RTU),
+    ],
+)
+@pytest.mark.parametrize("any_port", [False, True])
+def test_without_a_byte_of_a_line_there_is_no_talk_of_networks_nor_of_baud_rates(
+    tmp_path: Path, content: bytes, line: LineSettings | None, any_port: bool
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(content)
+    reading = Reading([str(path)], ReadingOptions(line=line, any_port=any_port))
+    assert list(reading.records()) == []
+    assert reading.why_empty == f"{path}: no byte of a serial line in it"
+    assert reading.remarks == []
+
+
+def test_beside_packets_of_a_network_other_ports_are_worth_a_try(tmp_path: Path) -> None:
+    one, other = tmp_path / "serial.pcap", tmp_path / "network.pcap"
+    one.write_bytes(pcap([packet(b"", 0, link_type=147)]))
+    other.write_bytes(capture_file())
+    reading = Reading([str(one), str(other)], ReadingOptions(ports=(1502,)))
+    assert list(reading.records()) == []
+    assert (reading.why_empty or "").startswith(f"{one}, {other}: no Modbus at TCP port 1502; ")
 
 
 def test_as_what_line_is_said_once_for_all_files(tmp_path: Path) -> None:
