@@ -24,7 +24,7 @@ from mbtool.modbus.repair import mended
 from mbtool.modbus.rtu_structure import MIN_FRAME, crc_ends, frame_size
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from mbtool.modbus.habits import Habits
     from mbtool.modbus.turn import Turn
@@ -83,6 +83,24 @@ class Damaged(msgspec.Struct, gc=False):
     """The frame as it was sent, if one wrong bit explains it."""
 
 
+class _Count:
+    """At how many places of a range something is so; each place is asked once."""
+
+    __slots__ = ("_before", "_is_so")
+
+    def __init__(self, is_so: Callable[[int], bool]) -> None:
+        self._is_so = is_so
+        self._before = [0]
+
+    def count(self, first: int, end: int) -> int:
+        if end <= first:
+            return 0
+        before = self._before
+        while len(before) <= end:
+            before.append(before[-1] + self._is_so(len(before) - 1))
+        return before[end] - before[first]
+
+
 class Candidates:
     """The pieces that may be laid in one window."""
 
@@ -97,6 +115,8 @@ class Candidates:
         self._roles = roles
         self._found: dict[int, list[Frame]] = {}
         self._damaged: dict[int, list[Damaged]] = {}
+        self._anywhere = _Count(lambda place: bool(self.frames(place)))
+        self._behind_silences = _Count(self._begins)
         self._torn = [0] * (self._end + 2)
         for place in range(1, self._end + 1):
             self._torn[place + 1] = self._torn[place] + window.silences[place]
@@ -122,10 +142,10 @@ class Candidates:
         Registers may hold what looks like a frame, but not behind a silence, and hardly twice
         where the piece is not `known` by more than its length.
         """
-        inner = range(place + 1, place + size - MIN_FRAME + 1)
-        begins = sum(map(self._begins, inner))
+        first, last = place + 1, place + size - MIN_FRAME + 1
+        begins = self._behind_silences.count(first, last)
         if not known:
-            begins = max(begins, sum(bool(self.frames(at)) for at in inner) - 1)
+            begins = max(begins, self._anywhere.count(first, last) - 1)
         return weights.COINCIDENCE * begins
 
     def _begins(self, place: int) -> bool:
@@ -264,9 +284,11 @@ class Candidates:
 
         Of functions that their unit was asked for: any other would be looked for everywhere.
         """
+        if not self._turns.has_asked(head[:1]):
+            return
         for at, bit in product((1, 2), range(8)):
             start = head[:at] + bytes([head[at] ^ 1 << bit])
-            if not self._turns.was_ever_asked(start[:2]):
+            if not self._turns.has_asked(start[:2]):
                 continue
             whole = start + head[at + 1 :]
             for role in self._roles:

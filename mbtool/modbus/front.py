@@ -149,7 +149,8 @@ class Front:
         if judgement.direction is Direction.REQUEST:
             return judgement.confidence >= _ALMOST_CERTAIN
         # Without silences the same frame twice may be a request and its echo, or one that was
-        # repeated. What comes behind them tells, and how long the line was silent in all.
+        # repeated. What comes behind them tells, if it is of the same unit and function, and how
+        # long the line was silent in all.
         return (
             judgement.confidence >= _NEARLY_CERTAIN
             and not head.startswith(head[size : size + 2])

@@ -51,7 +51,7 @@ class Habits:
     glue: Habit
     tear: Habit
     flip: Habit
-    """Of a damaged frame, that one bit is wrong and nothing is missing."""
+    """Of damage, that it is one wrong bit and nothing is missing."""
 
 
 class Latency:

@@ -172,9 +172,11 @@ class RtuSplitter:
             self._tears += 1
             self._end_burst(events, may_go_on=True)
             if self._tears >= MAX_TEARS and self._data:
-                self._end_burst(events, may_go_on=True, is_pressing=True)
-            if self._tears >= MAX_TEARS and self._data:
-                self._end_burst(events, may_go_on=False)
+                told: list[Adu | Skipped] = []
+                self._end_burst(told, may_go_on=True, is_pressing=True)
+                if self._data and not any(isinstance(one, Adu) for one in told):
+                    self._end_burst(told, may_go_on=False)
+                events += told
         if is_long and self._data:
             self._end_burst(events, may_go_on=False)
 

@@ -14,7 +14,7 @@
 #
 # A `Turn` is a value (turn.py), so that the search for frames (tiling.py) can suppose one. `Turns`
 # keeps what the turn may be by now, since a frame in doubt leaves more than one, and what the line
-# has taught: bounded by MOST_TURNS turns and MAX_KNOWN requests.
+# has taught: bounded by MOST_TURNS turns, MAX_KNOWN requests and each function of each unit.
 
 from __future__ import annotations
 
@@ -175,8 +175,13 @@ class Turns:
         """Whether a request was heard before."""
         return (unit, pdu) in self._known
 
-    def was_ever_asked(self, head: bytes) -> bool:
-        """Whether a unit was asked for a function; it may be that of an exception."""
+    def has_asked(self, head: bytes) -> bool:
+        """Whether a unit was asked anything, or with a second byte for a function.
+
+        That may be an exception's.
+        """
+        if len(head) == 1:
+            return head[0] in self._units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self._asked
 
     def pause_cost(self, turn: Turn, *, is_last: bool = False) -> float:

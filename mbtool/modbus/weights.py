@@ -15,20 +15,20 @@ NEW_REQUEST = 2.0
 """More for a request that this line has not heard before: masters repeat a list."""
 ANSWER = 0.0
 """The response that the waiting request asks for."""
-REPEATED_AGAIN = 2.0
-"""The same of one that had been repeated already: what does not answer twice seldom does then."""
 UNANSWERED = 5.0
 """A request while another waits: about one in thirty on a bad line."""
 REPEATED = 4.0
 """The same, with the very request that waits: a retry is the usual reason. Learned, from 2 to 7."""
 REPEATED_LIMITS = (2.0, 7.0)
+REPEATED_AGAIN = 2.0
+"""The same of one that had been repeated already: what does not answer twice seldom does then."""
 ASKED_AGAIN = 5.0
 """A request right behind its own answer: a master goes on to the next of its list, and asks again
 only where it has a list of one. Where silences do not tell it from a late second answer. Learned,
 from 0 to 10."""
 ASKED_AGAIN_LIMITS = (0.0, 10.0)
 LATE_ANSWER = 2.0
-"""The response to a request that the master has already repeated."""
+"""The response to a request that the master has already repeated, or that was damaged."""
 LATE_ELSEWHERE = 5.0
 """The same where the master has gone on to another request: about as rare as no answer at all."""
 WRONG_ANSWER = 10.0
@@ -44,7 +44,7 @@ UNASKED = 4.0
 this line is heard: masters repeat a list."""
 FITS_AS_ANSWER = 9.0
 """More for a request that is none by its form, or was never heard, and is just what the waiting one
-asks for: unit, function and byte count. It outweighs any lateness."""
+asks for: unit, function and byte count."""
 ECHO_OF_A_READ = 16.0
 """A response that is its very request, of a function that says nothing of the kind: as with a read
 of bits, where 24 would have to agree."""
@@ -71,7 +71,8 @@ MOST_FOR_LATENESS = 8.0
 MOST_FOR_LATE_ECHO = 14.0
 """The same of an answer that may be a repeated request instead: masters wait for very long."""
 BACKWARDS = 6.0
-"""An echo that answers after a longer silence than the one before its request."""
+"""An echo that answers after more than twice the silence before its request, on a line of which
+nothing is sure."""
 
 # Where frames are.
 
@@ -97,7 +98,7 @@ DAMAGED = 10.0
 DAMAGED_SIZE = 3.0
 """More where it has lost bytes, or its size is that of its burst."""
 ONE_BIT = 2.0
-"""A frame of the right size in which one wrong bit explains the CRC: one in 400 others would do."""
+"""A frame in which one wrong bit explains the CRC, or the size too: one in 400 others would do."""
 ONE_BIT_MORE = 0.1
 """Each of its bytes: the more they are, the likelier is one that would do."""
 FLIPPED = 2.0
@@ -110,7 +111,7 @@ FORESEEN = -6.0
 that was heard before up to its CRC, a response with the byte count that was asked for, and as
 long as it is incomplete a write whose byte count agrees with its quantity."""
 UNEXPECTED = 3.0
-"""More for a damaged frame that the turn does not expect."""
+"""More for a damaged frame that the turn does not expect, or that its silences alone bound."""
 OPEN = 0.5
 """The beginning of a frame whose end is still to come: it costs little to wait."""
 WAIT = -4.0
@@ -140,7 +141,8 @@ UNKNOWN_BETWEEN_SILENCES = 2.0
 UNKNOWN = 6.0
 """The same, found by its CRC alone among 253 lengths: 8 bits of its 16 are used up."""
 UNKNOWN_DUE = 2.0
-"""The same where it begins with the unit and function that wait: 16 bits speak for it at once."""
+"""The same where it begins with the unit and function that wait, or were just answered: 16 bits
+speak for it at once."""
 ENDS_IN_ZERO = 5.0
 """More for such a frame that ends in 00: without that byte its CRC is right too. One frame in 256
 ends so, and one stray byte in four is 00; so it is the line's habit of stray bytes that decides."""

@@ -895,3 +895,29 @@ def test_write_of_no_coil_value_is_a_request_all_the_same() -> None:
         refusal = rtu_adu(5, bytes((int(pdu[:2], 16) | 0x80, 3)))
         sent = polled().frame(request, 30 * MS).frame(refusal, 5 * MS)
         assert directions(heard(sent))[-2:] == [REQUEST, RESPONSE], pdu
+
+
+def test_functions_that_no_table_knows_are_read_in_step_where_an_adapter_tears_them() -> None:
+    """Nothing but its end tells of such a frame, so that others are held beside it."""
+    polls = [
+        (rtu_adu(1, b"\x64\x01\x02"), rtu_adu(1, b"\x64" + bytes(range(9)))),
+        (rtu_adu(1, b"\x42"), rtu_adu(1, b"\x42" + bytes(range(100, 120)))),
+    ]
+    sent = line()
+    for request, response in polls * 12:
+        sent.frame(request, 20 * MS)
+        sent.frame(response[:7], 5 * MS).frame(response[7:], 4 * MS)
+    frames = [frame for pair in polls * 12 for frame in pair]
+    found = raws(adus(heard(sent)))
+    assert sum(raw in frames for raw in found) >= len(frames) - 2
+
+
+def test_function_that_was_asked_is_found_again_behind_what_hid_it() -> None:
+    """Without times a false end would else hide all frames of such functions that follow."""
+    request, response = rtu_adu(1, b"\x42\x01"), rtu_adu(1, b"\x42" + bytes(range(20)))
+    sent = burst(request, response, *READS, request, response, bytes(range(50, 90)))
+    for _ in range(6):
+        sent.send(request + response + b"".join(READS))
+    found = raws(adus(heard(sent, timed=False)))
+    assert found.count(request) >= 7
+    assert found.count(response) >= 7

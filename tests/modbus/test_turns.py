@@ -454,3 +454,38 @@ def test_doubt_ends_with_the_echo_of_what_was_doubted() -> None:
     spoken.hear(1, WRITE, 300 * MS)
     heard = [spoken.hear(1, WRITE, after_ns) for after_ns in (5 * MS, 30 * MS) * 20]
     assert [one.confidence >= SURE for one in heard[4:]] == [True] * 36
+
+
+def test_master_that_never_repeats_a_read_hardly_repeats_a_write() -> None:
+    """What is learned where nothing but a repetition looks like one holds for writes, too."""
+    repeating, other = Spoken(timed=False), Spoken(timed=False)
+    for number in range(60):
+        read = bytes((0x03, 0, number % 2, 0, 3))
+        for spoken in (repeating, other):
+            spoken.hear(1, read)
+        repeating.hear(1, read)
+        for spoken in (repeating, other):
+            spoken.hear(1, ANSWER)
+    costs = []
+    for spoken in (repeating, other):
+        spoken.hear(1, WRITE)
+        costs.append(spoken.turns.weigh(spoken.turns.turn, 1, WRITE, REQUEST, 0))
+    assert costs[0] < costs[1]
+
+
+def test_doubt_about_a_response_does_not_make_it_a_request() -> None:
+    """Where it is in doubt is another question than who sent it."""
+    turns = Turns()
+    turns.hear(Judgement(REQUEST, DirectionBy.FORM, 1.0), 1, READ, 0, 1)
+    turns.hear(Judgement(RESPONSE, DirectionBy.PENDING, 0.5), 1, ANSWER, 2, 3)
+    assert len(turns.likely) == 1
+    assert turns.turn.waiting is None
+
+
+def test_request_that_was_damaged_may_wait_or_not() -> None:
+    """The slave may have heard the damage, or this adapter alone."""
+    turns = Turns()
+    turns.hear(Judgement(REQUEST, DirectionBy.FORM, 1.0), 1, READ, 0, 1)
+    turns.hear(Judgement(RESPONSE, DirectionBy.PENDING, 1.0), 1, ANSWER, 2, 3)
+    turns.heard_damaged(b"\x01" + WRITE + b"\x00\x00", REQUEST, 4, 5)
+    assert {turn.waiting is not None for _, turn in turns.likely} == {True, False}
