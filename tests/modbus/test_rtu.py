@@ -23,6 +23,7 @@ from mbtool.modbus import (
 )
 from mbtool.modbus.rtu import HOLD_NS, MAX_TEARS, WINDOW
 from mbtool.modbus.turns import SURE
+from tests.benchmarks.adapters import Column, Wire, delivered
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import adus, pdus, raw, skipped
 
@@ -897,27 +898,28 @@ def test_write_of_no_coil_value_is_a_request_all_the_same() -> None:
         assert directions(heard(sent))[-2:] == [REQUEST, RESPONSE], pdu
 
 
-def test_functions_that_no_table_knows_are_read_in_step_where_an_adapter_tears_them() -> None:
+@pytest.mark.parametrize(("pause_ms", "latency_ms"), [(9, 12), (20, 12), (30, 9)])
+def test_functions_that_no_table_knows_are_read_in_step_from_an_adapter_that_tears(
+    pause_ms: int, latency_ms: int
+) -> None:
     """Nothing but its end tells of such a frame, so that others are held beside it."""
-    polls = [
-        (rtu_adu(1, b"\x64\x01\x02"), rtu_adu(1, b"\x64" + bytes(range(9)))),
-        (rtu_adu(1, b"\x42"), rtu_adu(1, b"\x42" + bytes(range(100, 120)))),
-    ]
-    sent = line()
-    for request, response in polls * 12:
-        sent.frame(request, 20 * MS)
-        sent.frame(response[:7], 5 * MS).frame(response[7:], 4 * MS)
-    frames = [frame for pair in polls * 12 for frame in pair]
-    found = raws(adus(heard(sent)))
-    assert sum(raw in frames for raw in found) >= len(frames) - 2
+    polls = ((b"\x64\x01\x02", bytes(range(9))), (b"\x42", bytes(range(100, 120))))
+    sent, frames, now_ns = Wire(FORMAT), [], START_NS
+    for number in range(12):
+        for pdu, data in polls:
+            response = pdu[:1] + bytes([number]) + data
+            for said, gap_ms in ((pdu, pause_ms), (response, latency_ms)):
+                frames.append(rtu_adu(1, said))
+                now_ns += gap_ms * MS
+                sent.data += frames[-1]
+                sent.times += [now_ns + (at + 1) * CHARACTER for at in range(len(frames[-1]))]
+                now_ns = sent.times[-1]
+    assert raws(adus(feed_all(splitter(), delivered(sent, Column.FTDI)))) == frames
 
 
 def test_function_that_was_asked_is_found_again_behind_what_hid_it() -> None:
-    """Without times a false end would else hide all frames of such functions that follow."""
-    request, response = rtu_adu(1, b"\x42\x01"), rtu_adu(1, b"\x42" + bytes(range(20)))
-    sent = burst(request, response, *READS, request, response, bytes(range(50, 90)))
-    for _ in range(6):
-        sent.send(request + response + b"".join(READS))
-    found = raws(adus(heard(sent, timed=False)))
-    assert found.count(request) >= 7
-    assert found.count(response) >= 7
+    """Without times and without others nothing else tells where such a frame may begin."""
+    one = rtu_adu(1, b"\x42\x01"), rtu_adu(1, b"\x42" + bytes(range(20)))
+    other = rtu_adu(2, b"\x64\x07"), rtu_adu(2, b"\x64" + bytes(range(9)))
+    sent = burst(*other * 40, *one, bytes(range(50, 90)), *other * 6)
+    assert raws(adus(heard(sent, timed=False)))[-12:] == [*other * 6]
