@@ -57,7 +57,7 @@ ECHO_OF_UNKNOWN = 4.0
 """A response that repeats its request, of a function that no table says to do so."""
 MALFORMED = 6.0
 """The CRC is right and the form is not: a tester, or a device with ways of its own."""
-ODD_REQUEST = 3.0
+ODD_REQUEST = 6.0
 """The form is that of a request, and it says what none does."""
 UNLIKELY_UNIT = 3.0
 """Units 248 to 255 are reserved (Serial Line V1.02, 2.2)."""
