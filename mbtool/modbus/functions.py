@@ -146,6 +146,8 @@ READ_REGISTERS = frozenset({0x03, 0x04, 0x17})
 
 ECHOING = frozenset({0x05, 0x06, 0x08, 0x15, 0x16})
 """Functions whose response may be the same as its request."""
+NEVER_ECHOED = frozenset(FUNCTIONS) - ECHOING - {0x2B}
+"""Functions whose response is not; of 2B only its MEI types could tell."""
 
 QUERY_DATA = 0
 """The sub-function of 08 that returns its data, however much that is (6.8.1)."""

@@ -64,6 +64,14 @@ class Latency:
     LEAST_NS = 10_000_000
     """No line is supposed to be faster, since an adapter hands over what it heard in blocks."""
     FEW = 16
+    WRITE_NS = 20_000_000
+    """No device is late that takes as long to write, however fast it reads."""
+    RETRY_NS = 60_000_000
+    """No master gives up sooner."""
+    TIMER_NS = 255_000_000
+    """The longest latency timer of an FTDI adapter."""
+    MARGIN_OCTAVES = 0.25
+    """A response is late when it takes a fifth longer than the longest latency of the line."""
 
     def __init__(self) -> None:
         self._heard = 0
@@ -72,7 +80,7 @@ class Latency:
     def learn(self, latency_ns: int) -> None:
         """Note one more response. The longest is forgotten slowly."""
         self._heard += 1
-        self._longest_ns = max(latency_ns, self._longest_ns * 0.998, self.LEAST_NS)
+        self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.LEAST_NS)
 
     def learn_warily(self, latency_ns: int) -> None:
         """The same of what may be none: one alone does no more than double the longest."""
@@ -83,9 +91,12 @@ class Latency:
         """Whether enough responses were heard to say."""
         return self._heard >= self.FEW
 
-    def octaves_late(self, silence_ns: int) -> float:
-        """How many doublings a silence is above the longest latency; below 0 for a shorter one."""
-        longest_ns = self._longest_ns
+    def octaves_late(self, silence_ns: int, least_ns: int = 0) -> float:
+        """How many doublings a silence is above the longest latency; below 0 for a shorter one.
+
+        `least_ns` may be the longest at least.
+        """
+        longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.FEW and longest_ns < self.FIRST_NS:
             # Each response makes what was heard so far count more against what is supposed.
             longest_ns *= (self.FIRST_NS / longest_ns) ** (1 - self._heard / self.FEW)

@@ -28,7 +28,7 @@ from mbtool.modbus import weights
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.expectation import Expectation
 from mbtool.modbus.framing import RTU_EXTRA_BYTES
-from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, FUNCTIONS, READ_BITS
+from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, FUNCTIONS, NEVER_ECHOED, READ_BITS
 from mbtool.modbus.habits import Habit, Latency
 from mbtool.modbus.oddities import is_odd_request, is_odd_response, is_padded
 from mbtool.modbus.pdu import parse_pdu, pdu_length
@@ -59,10 +59,6 @@ SURE = 0.8
 
 CERTAIN = frozenset((DirectionBy.FORM, DirectionBy.PORT))
 ROLES = (Direction.REQUEST, Direction.RESPONSE)
-TIMER_NS = 255_000_000
-"""The longest latency timer of an FTDI adapter."""
-MARGIN_OCTAVES = 0.25
-"""A response is late when it takes a fifth longer than the longest latency of the line."""
 MAX_UNIT = 247
 """The largest address of a slave (Serial Line V1.02, 2.2)."""
 
@@ -193,11 +189,11 @@ class Turns:
             return 0.0
         octaves = self._pauses.octaves_late(turn.pause_ns)
         late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
-        if octaves <= MARGIN_OCTAVES:
+        if octaves <= Latency.MARGIN_OCTAVES:
             return 0.0
         cost = min(late, weights.MOST_FOR_LATENESS)
         # An adapter that waits for more before it hands over makes such a silence, too.
-        return cost / 2 if is_last and turn.pause_ns <= TIMER_NS else cost
+        return cost / 2 if is_last and turn.pause_ns <= Latency.TIMER_NS else cost
 
     def hear(
         self,
@@ -223,10 +219,11 @@ class Turns:
         elif role is Direction.RESPONSE and self.trusts_silences:
             waiting = turn.waiting
             if waiting is not None and waiting.fits(unit, pdu):
-                if pdu == waiting.pdu:
-                    self._latency.learn_warily(start_ns - waiting.since_ns)
-                elif is_sure:
-                    self._latency.learn(start_ns - waiting.since_ns)
+                latency_ns = start_ns - waiting.since_ns
+                if pdu != waiting.pdu and is_sure:
+                    self._latency.learn(latency_ns)
+                elif latency_ns < Latency.RETRY_NS:  # Otherwise it may have been a retry.
+                    self._latency.learn_warily(latency_ns)
         if turn.ends_pause(role, start_ns, inside_ns):
             self._pauses.learn_warily(turn.pause_ns)
         by_form = judgement.by in CERTAIN
@@ -373,7 +370,7 @@ class Turns:
         if waiting is not None and waiting.is_named_by(unit, pdu[0]):
             return weights.WRONG_ANSWER + odd, 0.0
         owed = turn.owed
-        if owed is not None and pdu == owed.pdu and pdu[0] in FUNCTIONS and pdu[0] not in ECHOING:
+        if owed is not None and pdu == owed.pdu and pdu[0] in NEVER_ECHOED:
             owed = None  # The read that comes again: see _answer_cost.
         if owed is not None and at_ns - owed.since_ns <= TURN_NS and owed.fits(unit, pdu):
             is_elsewhere = waiting is not None and (waiting.unit, waiting.pdu) != (
@@ -396,22 +393,22 @@ class Turns:
         self, waiting: Waiting, pdu: bytes, at_ns: int, sure: bool
     ) -> tuple[float, float]:
         silence_ns = at_ns - waiting.since_ns
-        octaves = self._latency.octaves_late(silence_ns)
-        late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
         is_echo = pdu == waiting.pdu
+        octaves = self._latency.octaves_late(silence_ns, Latency.WRITE_NS if is_echo else 0)
+        late = weights.LATE + weights.LATE_PER_OCTAVE * octaves
         most = weights.MOST_FOR_LATE_ECHO if is_echo else weights.MOST_FOR_LATENESS
-        by_time = min(late, most) if octaves > MARGIN_OCTAVES else 0.0
+        by_time = min(late, most) if octaves > Latency.MARGIN_OCTAVES else 0.0
         if by_time and self._is_just_asked_for(waiting, waiting.unit, pdu):
             by_time = 0.0
-        if pdu == waiting.pdu and pdu[0] in FUNCTIONS and pdu[0] not in ECHOING:
+        if is_echo and pdu[0] in NEVER_ECHOED:
             # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own answer.
             return weights.ECHO_OF_A_READ, by_time
         if pdu[0] in READ_BITS and not is_padded(waiting.pdu, pdu):
             return weights.MALFORMED, by_time
-        if pdu == waiting.pdu and pdu[0] not in FUNCTIONS:
+        if is_echo and pdu[0] not in ECHOING:
             return weights.ECHO_OF_UNKNOWN, by_time
         before_ns = waiting.before_ns
-        if pdu == waiting.pdu and not sure and before_ns and silence_ns > 2 * before_ns:
+        if is_echo and not sure and before_ns and silence_ns > 2 * before_ns:
             by_time += weights.BACKWARDS
         return weights.ANSWER, by_time
 

@@ -18,8 +18,9 @@ ANSWER = 0.0
 UNANSWERED = 5.0
 """A request while another waits: about one in thirty on a bad line."""
 REPEATED = 4.0
-"""The same, with the very request that waits: a retry is the usual reason. Learned, from 2 to 7."""
-REPEATED_LIMITS = (2.0, 7.0)
+"""The same, with the very request that waits: a retry is the usual reason. Learned, from 2
+to 5.5."""
+REPEATED_LIMITS = (2.0, 5.5)
 REPEATED_AGAIN = 2.0
 """The same of one that had been repeated already: what does not answer twice seldom does then."""
 ASKED_AGAIN = 5.0

@@ -66,9 +66,9 @@ def test_silence_is_late_by_its_doublings_of_the_longest_latency() -> None:
     for each in (20, 40, 30) * Latency.FEW:
         latency.learn(each * MS)
     longest_ns = 40 * MS
-    assert latency.octaves_late(longest_ns) == pytest.approx(0, abs=0.01)
-    assert latency.octaves_late(4 * longest_ns) == pytest.approx(2, abs=0.01)
-    assert latency.octaves_late(longest_ns // 2) == pytest.approx(-1, abs=0.01)
+    assert latency.octaves_late(longest_ns) == pytest.approx(0, abs=0.05)
+    assert latency.octaves_late(4 * longest_ns) == pytest.approx(2, abs=0.05)
+    assert latency.octaves_late(longest_ns // 2) == pytest.approx(-1, abs=0.05)
 
 
 def test_longest_latency_is_forgotten_slowly() -> None:
@@ -76,10 +76,10 @@ def test_longest_latency_is_forgotten_slowly() -> None:
     for _ in range(Latency.FEW):
         latency.learn(15 * MS)
     latency.learn(400 * MS)
-    for _ in range(100):
+    for _ in range(20):
         latency.learn(15 * MS)
     assert latency.octaves_late(300 * MS) < 0
-    for _ in range(3000):
+    for _ in range(600):
         latency.learn(15 * MS)
     assert latency.octaves_late(300 * MS) > 3
 
