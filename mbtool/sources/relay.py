@@ -87,7 +87,9 @@ class Relay:
             self._call.cancel()
         for side in (self.master, self.slave):
             if side.transport is not None:
-                side.transport.abort()
+                # The first releases of Python 3.11 forget that a TLS transport may have ended.
+                with suppress(AttributeError):
+                    side.transport.abort()
 
     def connected(self, side: _Side, transport: asyncio.Transport) -> None:
         loop = asyncio.get_running_loop()

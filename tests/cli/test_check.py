@@ -34,8 +34,8 @@ def test_each_finding_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", LOG, "--all"]) == exit_codes.NO
     captured = capsys.readouterr()
     assert captured.out == (
-        "2026-11-21 13:10:29.049  FT1A-F15   rs485 unit 1: the device has no write multiple coils\n"
-        "2026-11-21 13:10:29.113  FT1A-A3    rs485 unit 1: read holding HR404096..404097: "
+        "2026-11-21 19:39:41.268  FT1A-F15   rs485 unit 1: the device has no write multiple coils\n"
+        "2026-11-21 19:39:41.332  FT1A-A3    rs485 unit 1: read holding HR404096..404097: "
         "not an address that one can read\n"
     )
     assert captured.err.startswith("2 findings of 2 codes in 11 transactions;")
