@@ -172,7 +172,7 @@ class _Vocabulary:
             transaction.address,
             transaction.quantity,
             transaction.write_address,
-            len(transaction.request_values or ()) if function == _READ_WRITE else 0,
+            0 if transaction.write_address is None else len(transaction.request_values or ()),
         )
         meaning = self._remembered.get(key)
         if meaning is None:
