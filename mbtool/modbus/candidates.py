@@ -202,7 +202,7 @@ class Candidates:
             if size == burst:
                 continue
             cost = self._swallowed(place, size, known=False)
-            if not cost and any(map(self.frames, range(place + 1, place + size - MIN_FRAME + 1))):
+            if not cost and self._anywhere.count(place + 1, place + size - MIN_FRAME + 1):
                 cost = weights.UNKNOWN_COINCIDENCE
             is_burst = size < burst and not any(head[size:burst])  # But for the 00 behind it.
             cost += weights.UNKNOWN_BETWEEN_SILENCES if is_burst else weights.UNKNOWN

@@ -9,14 +9,14 @@ from functools import lru_cache
 
 import msgspec
 
-from mbtool.modbus.functions import EXCEPTION_BIT, QUERY_DATA, READ_BITS, READ_REGISTERS
+from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, QUERY_DATA, READ_BITS, READ_REGISTERS
 from mbtool.modbus.packing import bit_bytes
 
 UNKNOWN_SIZE = 0
 MAX_KNOWN = 1024
 """Requests whose responses are remembered; beyond that the one unasked longest is forgotten."""
 
-_ECHOED = frozenset({0x05, 0x06, 0x15, 0x16})
+_ECHOED = ECHOING - {0x08}  # Of which only some sub-functions are.
 _ADDRESS_AND_QUANTITY_ECHOED = frozenset({0x0F, 0x10})
 _FIXED = {0x07: 2, 0x0B: 5}
 _FORCE_LISTEN_ONLY = 4

@@ -5,8 +5,9 @@
 #
 # 1. Is the frame at the front beyond doubt, or surely a mere beginning (front.py)?
 # 2. At a silence of t3.5, what do the bytes held mean (tiling.py)? All is given out but a frame
-#    that has only begun: an adapter may have torn it. That is held for HOLD_NS at most, and for
-#    MAX_TEARS silences.
+#    that has only begun: an adapter may have torn it. That is held for HOLD_NS behind its last byte
+#    at most, and what stands before it, if only its end would make that certain, for MAX_TEARS
+#    silences.
 # 3. Without a silence, the same when the window is full. All but its last 256 bytes is given out.
 #
 # Times: a byte's time is when its last bit arrived. The bytes of one read get their times back from

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 DOUBT = 6.0
 """Bits: what is so much dearer raises no doubt."""
-BEYOND_DOUBT = 1 / (1 + 2**-DOUBT)
 MOST_TURNS = 4
 """How many turns are thought possible at once."""
 
@@ -55,7 +54,7 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
     answered: Waiting | None = None
     """The request that the last frame answered."""
     answer: bytes = b""
-    """The PDU of that frame."""
+    """The PDU of the last frame, if that is a response, whether or not it answers any."""
     lost: bool = False
     """Whether damage came before, in which a request may have gone unheard."""
     sure: bool = False
@@ -112,6 +111,10 @@ def likeliest(turns: Iterable[Weighed]) -> list[Weighed]:
 def likelihood(bits: float) -> float:
     """How sure the better of two explanations is that differ by so many bits, 0.5 to 1."""
     return 1 / (1 + math.exp2(-bits))
+
+
+BEYOND_DOUBT = likelihood(DOUBT)
+"""How sure one is beside which no other is kept."""
 
 
 def bits_of(confidence: float) -> float:

@@ -302,8 +302,7 @@ class Turns:
         owed, answered = turn.owed, None
         if waiting is None or waiting.unit == unit:
             owed, answered, waiting = (owed if waiting else None), waiting or owed, None
-        answer = pdu if answered else b""
-        return Turn(waiting, owed, answered, answer, sure=sure, last_ns=end_ns, pause_ns=pause_ns)
+        return Turn(waiting, owed, answered, pdu, sure=sure, last_ns=end_ns, pause_ns=pause_ns)
 
     def _pause_ns(self, turn: Turn, role: Direction, start_ns: int, inside_ns: int) -> int:
         """The last silence after a frame, if it is not explained."""
@@ -341,7 +340,7 @@ class Turns:
         if again:
             is_told = self.trusts_silences and turn.owed is None
             cost += 0.0 if is_told else self._again.bits
-        elif answered is not None and answered.unit == unit and turn.answer == pdu:
+        elif turn.answer == pdu and (answered.unit == unit if answered else pdu[0] not in ECHOING):
             cost += weights.REQUEST_LIKE_ANSWER
         if not (same or again or (unit, pdu) in self._known):
             cost += weights.NEW_REQUEST
@@ -373,10 +372,7 @@ class Turns:
         if owed is not None and pdu == owed.pdu and pdu[0] in NEVER_ECHOED:
             owed = None  # The read that comes again: see _answer_cost.
         if owed is not None and at_ns - owed.since_ns <= TURN_NS and owed.fits(unit, pdu):
-            is_elsewhere = waiting is not None and (waiting.unit, waiting.pdu) != (
-                owed.unit,
-                owed.pdu,
-            )
+            is_elsewhere = waiting is not None and not waiting.asks(owed.unit, owed.pdu)
             late = weights.LATE_ELSEWHERE if is_elsewhere else weights.LATE_ANSWER
             is_second = turn.answered is not None and turn.answered.pdu == owed.pdu
             if is_second and not is_like(pdu, turn.answer, owed.pdu):

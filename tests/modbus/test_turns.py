@@ -489,3 +489,10 @@ def test_request_that_was_damaged_may_wait_or_not() -> None:
     turns.hear(Judgement(RESPONSE, DirectionBy.PENDING, 1.0), 1, ANSWER, 2, 3)
     turns.heard_damaged(b"\x01" + WRITE + b"\x00\x00", REQUEST, 4, 5)
     assert {turn.waiting is not None for _, turn in turns.likely} == {True, False}
+
+
+def test_echo_of_an_unknown_function_at_the_start_is_its_answer() -> None:
+    """Had the capture begun with an answer, it would not be a request's likeness."""
+    spoken = Spoken()
+    assert spoken.hear(1, b"\x41").direction is REQUEST
+    assert spoken.hear(1, b"\x41", 7 * MS).direction is RESPONSE
