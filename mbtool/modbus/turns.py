@@ -402,7 +402,7 @@ class Turns:
         if pdu[0] in READ_BITS and not is_padded(waiting.pdu, pdu):
             return weights.MALFORMED, by_time
         if is_echo and pdu[0] not in ECHOING:
-            return weights.ECHO_OF_UNKNOWN, by_time
+            return weights.ECHO_OF_UNKNOWN, by_time or weights.ECHO_IN_TIME
         before_ns = waiting.before_ns
         if is_echo and not sure and before_ns and silence_ns > 2 * before_ns:
             by_time += weights.BACKWARDS

@@ -56,6 +56,8 @@ UNLIKE_ANSWERS = 6.0
 that was none."""
 ECHO_OF_UNKNOWN = 4.0
 """A response that repeats its request, of a function that no table says to do so."""
+ECHO_IN_TIME = -1.0
+"""Less for one that comes as soon as answers do here: masters wait longer before they repeat."""
 MALFORMED = 6.0
 """The CRC is right and the form is not: a tester, or a device with ways of its own."""
 ODD_REQUEST = 6.0

@@ -496,3 +496,9 @@ def test_echo_of_an_unknown_function_at_the_start_is_its_answer() -> None:
     spoken = Spoken()
     assert spoken.hear(1, b"\x41").direction is REQUEST
     assert spoken.hear(1, b"\x41", 7 * MS).direction is RESPONSE
+
+
+def test_unknown_function_that_is_echoed_and_asked_again_is_answered_each_time() -> None:
+    spoken = Spoken()
+    heard = [spoken.hear(1, b"\x41", after_ns).direction for after_ns in (2000 * MS, 7 * MS) * 3]
+    assert heard == [REQUEST, RESPONSE] * 3
