@@ -20,7 +20,7 @@ from mbtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from mbtool.workflows.checking import Checking, Placed
+    from mbtool.workflows.check import Checking, FileFinding
 
 
 class CheckFormat(StrEnum):
@@ -100,7 +100,7 @@ def check(
     )
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError
-    from mbtool.workflows.checking import Checking, Selection
+    from mbtool.workflows.check import Checking, Selection
 
     options = reading_options(
         device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
@@ -144,25 +144,25 @@ def _finished(
 
 
 class _Printer(Protocol):
-    def add(self, placed: Placed) -> None: ...
+    def add(self, placed: FileFinding) -> None: ...
 
     def end(self, checking: Checking) -> None: ...
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
     if format_ is CheckFormat.TABLE:
-        return _EachPrinter(file) if each else _TablePrinter(file)
+        return _EachPrinter(file) if each else _FindingsTablePrinter(file)
     return _DocumentPrinter(file, format_)
 
 
-class _TablePrinter:
+class _FindingsTablePrinter:
     def __init__(self, file: TextIO) -> None:
         from mbtool.views.findings_table import Summaries
 
         self._file = file
         self._summaries = Summaries()
 
-    def add(self, placed: Placed) -> None:
+    def add(self, placed: FileFinding) -> None:
         self._summaries.add(placed.finding)
 
     def end(self, checking: Checking) -> None:
@@ -178,7 +178,7 @@ class _EachPrinter:
 
         self._console = PipeConsole(file=file)
 
-    def add(self, placed: Placed) -> None:
+    def add(self, placed: FileFinding) -> None:
         from mbtool.views.findings_table import finding_line
 
         self._console.print(finding_line(placed.finding), soft_wrap=True)
@@ -198,7 +198,7 @@ class _DocumentPrinter:
         )
         file.write(self._document.begin())
 
-    def add(self, placed: Placed) -> None:
+    def add(self, placed: FileFinding) -> None:
         self._file.write(self._document.add(placed.finding, placed.place))
 
     def end(self, checking: Checking) -> None:

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.workflows.model_hints import ModelHints
-    from mbtool.workflows.reading import Reading
+    from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.reading import Reading
 
 STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
@@ -79,8 +79,8 @@ def decode(
     from mbtool.cli.output import demand_other_file, open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError, UsageError
-    from mbtool.workflows.model_hints import ModelHints
-    from mbtool.workflows.reading import Reading, followed
+    from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.reading import Reading, followed
 
     if follow and (raw or link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")

@@ -19,7 +19,7 @@ from mbtool.cli.options import LineOption, PortOption, RtuPortOption
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.workflows.reading import ReadingOptions
+    from mbtool.workflows.shared.reading import ReadingOptions
 
 _SHOW = "show"
 

@@ -13,8 +13,8 @@ from mbtool.cli.options import LineOption, PortOption, RtuPortOption
 
 if TYPE_CHECKING:
     from mbtool.devices import Who
-    from mbtool.workflows.reading import ReadingOptions
-    from mbtool.workflows.surveying import Survey
+    from mbtool.workflows.shared.observed_slaves import ObservedSlaves
+    from mbtool.workflows.shared.reading import ReadingOptions
 
 
 class AddressesChoice(StrEnum):
@@ -190,14 +190,14 @@ def schema() -> None:
 
 def survey(
     file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
-) -> Survey:
+) -> ObservedSlaves:
     """Read a capture or log to its end, and say what there is to know of it."""
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError
-    from mbtool.workflows.reading import Reading
-    from mbtool.workflows.surveying import Survey
+    from mbtool.workflows.shared.observed_slaves import ObservedSlaves
+    from mbtool.workflows.shared.reading import Reading
 
-    found = Survey(who, with_values=with_values)
+    found = ObservedSlaves(who, with_values=with_values)
     reading = Reading([file], options)
     try:
         with interruptible() as interrupt:

@@ -64,7 +64,7 @@ def diff(
     from mbtool.cli.options import condition, reading_options
     from mbtool.cli.talk import say
     from mbtool.views.differences import count_text, print_differences
-    from mbtool.workflows.differing import DiffOptions, compare
+    from mbtool.workflows.diff import DiffOptions, compare
 
     options = DiffOptions(
         reading=reading_options(device=device, port=port, rtu_port=rtu_port, link=link, raw=raw),

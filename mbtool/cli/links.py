@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.core.here import InterfaceHere, SerialPortHere
+    from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 
 
 class LinksFormat(StrEnum):
@@ -49,7 +49,7 @@ def links(
         )
 
 
-def _print_tables(ports: Sequence[SerialPortHere], interfaces: Sequence[InterfaceHere]) -> None:
+def _print_tables(ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalInterface]) -> None:
     from mbtool.cli.console import PipeConsole
     from mbtool.views.links import print_interfaces, print_ports
 
@@ -60,7 +60,9 @@ def _print_tables(ports: Sequence[SerialPortHere], interfaces: Sequence[Interfac
     print_interfaces(console, interfaces)
 
 
-def _print_json_lines(ports: Sequence[SerialPortHere], interfaces: Sequence[InterfaceHere]) -> None:
+def _print_json_lines(
+    ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalInterface]
+) -> None:
     """One object to a line, without what does not apply or is not known."""
     for port in ports:
         _print_json({"kind": "serial", "link": port.link, **_fields(port)})
@@ -69,7 +71,7 @@ def _print_json_lines(ports: Sequence[SerialPortHere], interfaces: Sequence[Inte
         _print_json({**told, "may_capture": one.may_capture})
 
 
-def _fields(here: SerialPortHere | InterfaceHere) -> dict[str, Any]:
+def _fields(here: LocalSerialPort | LocalInterface) -> dict[str, Any]:
     return asdict(
         here,
         dict_factory=lambda pairs: {

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from mbtool.core import LineSettings, Silence
     from mbtool.devices import Assignments
-    from mbtool.workflows.reading import ReadingOptions
-    from mbtool.workflows.where import Where
+    from mbtool.query.where import Where
+    from mbtool.workflows.shared.reading import ReadingOptions
 
 
 class Format(StrEnum):
@@ -127,7 +127,7 @@ def reading_options(
     raw: bool = False,
 ) -> ReadingOptions:
     """How files are read, by the options of those names. Raises UsageError, ProfileError."""
-    from mbtool.workflows.reading import ReadingOptions
+    from mbtool.workflows.shared.reading import ReadingOptions
 
     ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
     return ReadingOptions(
@@ -181,7 +181,7 @@ def condition(where: str | None) -> Where:
     """The filter that --where names. Raises UsageError."""
     if where is None:
         return lambda _: True
-    from mbtool.workflows.where import parse_where
+    from mbtool.query.where import parse_where
 
     return parse_where(where)
 

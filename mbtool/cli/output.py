@@ -12,14 +12,14 @@ from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.printers import printer_for
 from mbtool.cli.talk import say
 from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
-from mbtool.workflows.counting import CONNECTION_EVENTS, Tally
+from mbtool.workflows.shared.tally import CONNECTION_EVENTS, Tally
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mbtool.cli.printers import Printer, ProfileFor
-    from mbtool.workflows.decoding import Record
-    from mbtool.workflows.where import Where
+    from mbtool.decode.decoder import Record
+    from mbtool.query.where import Where
 
 _STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
@@ -29,7 +29,7 @@ F = TypeVar("F")
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
 
-class Output:
+class RecordOutput:
     """Prints what is wanted of the records it is given, and counts it.
 
     Its methods raise OutputError.
@@ -109,7 +109,7 @@ def open_output(
     demand_inputs: Callable[[], None] = lambda: None,
     *,
     is_kept: bool = False,
-) -> Iterator[Output]:
+) -> Iterator[RecordOutput]:
     """An output that is finished, and talked about, when its context ends.
 
     `demand_inputs` is called before a file is opened, so that what is wrong with an input costs no
@@ -124,7 +124,7 @@ def open_output(
     with opened(path, demand_inputs, is_kept=is_kept) as (file, name):
         with told_as_lost(name):
             printer = printer_for(chosen, file, profile_for)
-        output = Output(file, name, printer, shown, wanted, limit)
+        output = RecordOutput(file, name, printer, shown, wanted, limit)
         try:
             yield output
         except OutputError:

@@ -12,8 +12,8 @@ from mbtool.views.cells import day, event_row, transaction_row
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.workflows.decoding import Record
 
     ProfileFor = Callable[[NamedTransaction], Profile | None]
 

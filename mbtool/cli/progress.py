@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.workflows.decoding import Record
-    from mbtool.workflows.reading import Reading
+    from mbtool.decode.decoder import Record
+    from mbtool.workflows.shared.reading import Reading
 
 _APPEARS_S = 1.0
 _SHOW_EVERY = 500

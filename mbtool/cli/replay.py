@@ -247,22 +247,22 @@ def replay(
     from mbtool.cli.options import condition, reading_options
     from mbtool.core import parse_link
     from mbtool.core.link_spec import ANSWERED
-    from mbtool.replay import Match, OnEnd, OnMiss, Tolerance, Window
+    from mbtool.replay import MatchStrategy, OnEnd, OnMiss, TimeRange, Tolerance
 
     side = _side(as_slave=as_slave, as_master=as_master, as_bus=as_bus)
     link_text = _link_text(side, on, to)
     _demand_side(context, side)
     reading = reading_options(device=device, port=port, rtu_port=rtu_port, link=link, raw=raw)
     where_to = parse_link(link_text, ANSWERED)
-    wanted, rate, window = condition(where), _rate(speed), Window(*_window(start, end))
+    wanted, rate, window = condition(where), _rate(speed), TimeRange(*_window(start, end))
     if side == AS_SLAVE:
         from mbtool.cli.replay_slave import play_as_slave
-        from mbtool.workflows.replaying import SlaveOptions
+        from mbtool.workflows.replay_slave import SlaveOptions
 
         slave_options = SlaveOptions(
             reading=reading,
             wanted=wanted,
-            match=Match(match.value),
+            match=MatchStrategy(match.value),
             on_miss=OnMiss(on_miss.value),
             on_end=OnEnd(_end(on_end, is_loop=loop).value),
             rate=rate,
@@ -275,7 +275,7 @@ def replay(
         return
     if side == AS_BUS:
         from mbtool.cli.replay_bus import play_as_bus
-        from mbtool.workflows.bus_playing import BusOptions
+        from mbtool.workflows.replay_bus import BusOptions
 
         bus_options = BusOptions(
             reading=reading, wanted=wanted, rate=rate, is_loop=loop, window=window
@@ -283,7 +283,7 @@ def replay(
         play_as_bus(file, where_to, bus_options)
         return
     from mbtool.cli.replay_master import play_as_master, ranges_of
-    from mbtool.workflows.mastering import MasterOptions
+    from mbtool.workflows.replay_master import MasterOptions
 
     tolerance = None if latency_tolerance is None else Tolerance(share=latency_tolerance / 100)
     master_options = MasterOptions(

@@ -11,11 +11,11 @@ from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import interruptible, say
 from mbtool.sources.priority import run_promptly
-from mbtool.workflows.bus_playing import BusRun, line_link
+from mbtool.workflows.replay_bus import BusRun, line_link
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec, SerialLink
-    from mbtool.workflows.bus_playing import BusOptions, BusReport
+    from mbtool.workflows.replay_bus import BusOptions, BusReport
 
 
 def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:

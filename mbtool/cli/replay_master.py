@@ -17,13 +17,13 @@ from mbtool.cli.talk import interruptible, say
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
-from mbtool.workflows.mastering import MasterRun, junit
+from mbtool.workflows.replay_master import MasterRun, junit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.core import LinkSpec
-    from mbtool.workflows.mastering import MasterOptions, Report
+    from mbtool.workflows.replay_master import MasterOptions, Report
 
 SIDES = ("recorded", "answered")
 _MAX_RANGES_BYTES = 1 << 20

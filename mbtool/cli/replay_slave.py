@@ -11,12 +11,12 @@ from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.serve import serve
 from mbtool.cli.talk import say
-from mbtool.slave import slave_link
-from mbtool.workflows.replaying import SlaveRun
+from mbtool.slave.shells import slave_link
+from mbtool.workflows.replay_slave import SlaveRun
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
-    from mbtool.workflows.replaying import SlaveOptions
+    from mbtool.workflows.replay_slave import SlaveOptions
 
 
 def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remote: bool) -> None:

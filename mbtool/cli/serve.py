@@ -12,7 +12,7 @@ from mbtool.cli.talk import interruptible, say
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mbtool.slave import Shell
+    from mbtool.slave.shells import Shell
 
 
 _LOOK_EVERY_S = 0.2

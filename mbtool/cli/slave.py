@@ -13,8 +13,8 @@ from mbtool.cli.options import RemoteOption
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.cli.output import Output
-    from mbtool.workflows.exchanges import Exchanges
+    from mbtool.cli.output import RecordOutput
+    from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 _OF_A_UNIT = re.compile(r"(\d{1,3})=(.+)", re.ASCII | re.DOTALL)
 
@@ -86,8 +86,8 @@ def slave(
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.devices import load_profile
-    from mbtool.workflows.exchanges import Exchanges
-    from mbtool.workflows.serving import Station, device_slave
+    from mbtool.workflows.shared.slave_monitor import SlaveMonitor
+    from mbtool.workflows.slave import Station, device_slave
 
     if len(on) > 1:
         raise UsageError(f"--on {on[1]}: it answers on {on[0]} already; start another slave there")
@@ -100,7 +100,7 @@ def slave(
     }
     exchanges = None
     if print_:
-        exchanges = Exchanges(device, link, {n: one.profile for n, one in others.items()})
+        exchanges = SlaveMonitor(device, link, {n: one.profile for n, one in others.items()})
     shell = device_slave(
         device,
         link,
@@ -122,7 +122,7 @@ def slave(
         serve(shell, who, lambda: _show(exchanges, out))
 
 
-def _show(exchanges: Exchanges, out: Output) -> None:
+def _show(exchanges: SlaveMonitor, out: RecordOutput) -> None:
     """Show what has come since the last time."""
     from mbtool.cli.talk import say
 

@@ -92,17 +92,17 @@ def sniff(
     from mbtool.cli.tls_options import listen_tls, target_tls, with_tls
     from mbtool.core import InterfaceLink, UsageError, parse_link
     from mbtool.core.link_spec import HEARD
+    from mbtool.decode.decoder import Decoder
+    from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Namer
     from mbtool.logs import Rotation
-    from mbtool.sources.clock import now_ns
-    from mbtool.sources.tls import why_outdated
-    from mbtool.workflows.decoding import Decoder
-    from mbtool.workflows.line_timing import LineTiming
-    from mbtool.workflows.model_hints import ModelHints
-    from mbtool.workflows.reading import DEFAULT_PORT
-    from mbtool.workflows.recording import begin_log, demand_log
+    from mbtool.logs.opening import begin_log, demand_log
+    from mbtool.ports.clock import now_ns
+    from mbtool.ports.tls import why_outdated
     from mbtool.workflows.settling import settled
-    from mbtool.workflows.sniffing import Sniffer, serial_lines
+    from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.reading import DEFAULT_PORT
+    from mbtool.workflows.sniff import Sniffer, serial_lines
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")

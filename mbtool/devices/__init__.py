@@ -29,7 +29,7 @@ from mbtool.devices.naming import Namer
 from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema
 from mbtool.devices.spans import Span, parse_span
-from mbtool.devices.values import Place, registers_of
+from mbtool.devices.values import PointInstance, registers_of
 from mbtool.devices.wording import describe, describe_points, describe_written
 
 __all__ = [
@@ -45,8 +45,8 @@ __all__ = [
     "FunctionRule",
     "NamedTransaction",
     "Namer",
-    "Place",
     "Point",
+    "PointInstance",
     "PointType",
     "PointValue",
     "Profile",

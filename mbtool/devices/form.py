@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_LIMIT_17H
-from mbtool.modbus.matching import mismatch
 from mbtool.modbus.pdu import parse_pdu, pdu_length, whole_pdu
+from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:

@@ -24,21 +24,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.blocks import can_be_read
+from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.devices.references import write_reference
-from mbtool.devices.seen import Seen
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import (
-    FUNCTIONS,
-    WRITE_LIMIT_17H,
-    ExceptionCode,
-    function_name,
-)
+from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, ExceptionCode, function_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from mbtool.devices.model import Profile
-    from mbtool.devices.seen import Ask, Replies
+    from mbtool.devices.observed_slave import ObservedRequest, Replies
     from mbtool.modbus.tables import Table
 
 _REFUSALS = frozenset(
@@ -57,7 +52,7 @@ _LEAST_WORD = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Match:
+class ProfileMatch:
     """How well one profile explains one slave."""
 
     profile: str
@@ -113,14 +108,14 @@ class Match:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class MatchResult:
     """The profiles for one slave, the best first, and what to make of them."""
 
-    seen: Seen
-    matches: tuple[Match, ...]
+    seen: ObservedSlave
+    matches: tuple[ProfileMatch, ...]
 
     @property
-    def best(self) -> tuple[Match, ...]:
+    def best(self) -> tuple[ProfileMatch, ...]:
         """The one that explains it best, or those that do so equally well; none if none does."""
         plausible = [one for one in self.matches if one.is_plausible]
         return tuple(one for one in plausible if one.rank == plausible[0].rank)
@@ -144,7 +139,7 @@ class Verdict:
         return f"a tie of {names}: nothing in {what} tells them apart"
 
 
-def match(seen: Seen, profiles: Iterable[Profile]) -> Verdict:
+def match(seen: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
     """Compare a slave with profiles."""
     in_ascii = seen.transports == {Transport.ASCII}
     given = seen.given()
@@ -161,10 +156,10 @@ def match(seen: Seen, profiles: Iterable[Profile]) -> Verdict:
             one.profile,
         )
     )
-    return Verdict(seen, tuple(matches))
+    return MatchResult(seen, tuple(matches))
 
 
-def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match:
+def _match(seen: ObservedSlave, profile: Profile, given: dict[Table, bytearray]) -> ProfileMatch:
     reasons: list[str] = []
     against: list[str] = []
     is_model, is_other = _compare_models(seen, profile, reasons, against)
@@ -181,7 +176,7 @@ def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match
     named = min(_named(given, profile), addresses)
     if named:
         reasons.append(f"names {named} of {addresses} addresses asked for")
-    return Match(
+    return ProfileMatch(
         profile=profile.name,
         explained=explained,
         contradicted=contradicted,
@@ -197,7 +192,7 @@ def _match(seen: Seen, profile: Profile, given: dict[Table, bytearray]) -> Match
 
 
 def _compare_requests(
-    seen: Seen, profile: Profile, against: list[str]
+    seen: ObservedSlave, profile: Profile, against: list[str]
 ) -> tuple[int, int, list[str]]:
     """How many requests ended as the profile says, how many did not, and whose refusal it says."""
     explained, contradicted = 0, 0
@@ -223,7 +218,7 @@ def _compare_requests(
     return explained, contradicted, refusals
 
 
-def _told(profile: Profile, ask: Ask, replies: Replies, *, would: bool) -> bool | None:
+def _told(profile: Profile, ask: ObservedRequest, replies: Replies, *, would: bool) -> bool | None:
     """Whether the slave does what is asked; None where its replies do not tell."""
     if replies.ok:
         return True
@@ -237,7 +232,7 @@ def _told(profile: Profile, ask: Ask, replies: Replies, *, would: bool) -> bool 
     return False if refused else None
 
 
-def _other_refusal(profile: Profile, ask: Ask, replies: Replies) -> str:
+def _other_refusal(profile: Profile, ask: ObservedRequest, replies: Replies) -> str:
     """The code of a refusal that is for another reason than the profile's; empty for the same."""
     lacks = profile.exceptions.function
     others = {profile.exceptions.address, profile.exceptions.value} - {lacks}
@@ -247,7 +242,7 @@ def _other_refusal(profile: Profile, ask: Ask, replies: Replies) -> str:
     return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
 
 
-def _expected(profile: Profile, ask: Ask) -> tuple[str, bool]:
+def _expected(profile: Profile, ask: ObservedRequest) -> tuple[str, bool]:
     """Whether a device of the profile would do what is asked, and the rule that says so."""
     rule = profile.rule(ask.function)
     if rule is None:
@@ -269,7 +264,7 @@ def _expected(profile: Profile, ask: Ask) -> tuple[str, bool]:
     return "its manual has that", True
 
 
-def _said(profile: Profile, ask: Ask) -> str:
+def _said(profile: Profile, ask: ObservedRequest) -> str:
     if ask.table is None or ask.address is None:
         return f"{ask.function:02X} {function_name(ask.function)}"
     where = write_reference(profile, ask.table, ask.address, ask.quantity, writing=ask.writes)
@@ -277,7 +272,7 @@ def _said(profile: Profile, ask: Ask) -> str:
 
 
 def _compare_models(
-    seen: Seen, profile: Profile, reasons: list[str], against: list[str]
+    seen: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
 ) -> tuple[bool, bool]:
     """Whether the slave gave this model's code, or another's."""
     function = model_function(profile)
@@ -304,7 +299,7 @@ def model_function(profile: Profile) -> int | None:
     return None
 
 
-def _compare_words(seen: Seen, profile: Profile, reasons: list[str]) -> bool:
+def _compare_words(seen: ObservedSlave, profile: Profile, reasons: list[str]) -> bool:
     """Whether what the slave says of itself names the profile's vendor or device."""
     known = _words(f"{profile.vendor} {profile.title} {profile.name}")
     hits = {
@@ -333,14 +328,14 @@ def _words(text: str) -> set[str]:
     return {word for word in words if len(word) >= _LEAST_WORD} - _COMMON
 
 
-def _compare_exceptions(seen: Seen, profile: Profile, against: list[str]) -> int:
+def _compare_exceptions(seen: ObservedSlave, profile: Profile, against: list[str]) -> int:
     codes = {code for one in seen.asked.values() for code in one.exceptions}
     strange = sorted(codes - set(profile.exceptions.documented))
     against += [f"exception {code:02X} is none of its manual's" for code in strange]
     return len(strange)
 
 
-def _compare_transports(seen: Seen, profile: Profile, against: list[str]) -> int:
+def _compare_transports(seen: ObservedSlave, profile: Profile, against: list[str]) -> int:
     """What the line speaks; a serial device may stand behind a gateway, no other on a line."""
     spoken = set(profile.transports)
     if seen.transports & spoken or not seen.transports:
@@ -354,7 +349,7 @@ def _compare_transports(seen: Seen, profile: Profile, against: list[str]) -> int
     return 1
 
 
-def _compare_unit(seen: Seen, profile: Profile, against: list[str]) -> int:
+def _compare_unit(seen: ObservedSlave, profile: Profile, against: list[str]) -> int:
     """Whether it can be that unit, which on a line is the number that it was given."""
     last = profile.last_unit
     on_line = any(one.is_serial for one in seen.transports)

@@ -33,7 +33,7 @@ from mbtool.devices.identity import answer_word, identity_points
 from mbtool.devices.model import AnswerWord, Point, PointType, Profile
 from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
-from mbtool.devices.values import Place, places_of, values_of
+from mbtool.devices.values import PointInstance, places_of, values_of
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
@@ -88,10 +88,10 @@ class _Meaning:
 
     function_name: str | None = None
     reference: str | None = None
-    written: tuple[tuple[int, Place], ...] = ()
+    written: tuple[tuple[int, PointInstance], ...] = ()
     """Each place with the index of its first value."""
-    read: tuple[tuple[int, Place], ...] = ()
-    answer: Place | None = None
+    read: tuple[tuple[int, PointInstance], ...] = ()
+    answer: PointInstance | None = None
     findings: tuple[str, ...] = ()
 
 
@@ -101,7 +101,7 @@ class _Vocabulary:
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
         self._device = profile.name if profile is not None else None
-        self._places: dict[tuple[Table, bool], list[Place]] = {}
+        self._places: dict[tuple[Table, bool], list[PointInstance]] = {}
         """By table, and whether it is written."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         self._remembered: dict[tuple[int | None, ...], _Meaning] = {}
@@ -189,7 +189,7 @@ class _Vocabulary:
         )
         findings = tuple(request_findings(self.profile, transaction))
         title: str | None = None
-        answer: Place | None = None
+        answer: PointInstance | None = None
         if self.profile is not None:
             rule = self.profile.rule(function)
             if rule is not None:
@@ -223,7 +223,7 @@ class _Vocabulary:
 
     def _between(
         self, table: Table, address: int, quantity: int, *, writing: bool
-    ) -> tuple[tuple[int, Place], ...]:
+    ) -> tuple[tuple[int, PointInstance], ...]:
         """The places whose registers or bits are all in a range, each with its index there.
 
         What has no name beside others that have one goes by its reference.
@@ -244,19 +244,19 @@ class _Vocabulary:
         return tuple((place.address - address, place) for place in whole)
 
     def _with_unnamed(
-        self, places: list[Place], table: Table, span: range, writing: bool
-    ) -> list[Place]:
+        self, places: list[PointInstance], table: Table, span: range, writing: bool
+    ) -> list[PointInstance]:
         named = {word for each in places for word in range(each.address, each.address + each.words)}
         kind = PointType.BIT if table.is_bits else PointType.UINT16
         for address in span:
             if address not in named:
                 reference = write_reference(self.profile, table, address, writing=writing)
                 point = Point(name=reference, table=table, address=address, type=kind)
-                places.append(Place(point, address, reference))
+                places.append(PointInstance(point, address, reference))
         return sorted(places, key=lambda place: place.address)
 
 
-def _answer_place(answer: AnswerWord, function: int) -> Place:
+def _answer_place(answer: AnswerWord, function: int) -> PointInstance:
     point = Point(
         name=answer.name,
         table=Table.HOLDING_REGISTERS,  # Not looked at: the word has no address.
@@ -264,7 +264,7 @@ def _answer_place(answer: AnswerWord, function: int) -> Place:
         type=PointType.UINT16,
         texts=answer.texts,
     )
-    return Place(point, 0, f"{function:02X}H")
+    return PointInstance(point, 0, f"{function:02X}H")
 
 
 def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from mbtool.core.errors import ProfileError
 from mbtool.devices.model import WORD_BITS, Point, PointType, WordOrder
-from mbtool.devices.values import Place
+from mbtool.devices.values import PointInstance
 
 _PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
@@ -138,7 +138,7 @@ def _validate_range(point: Point, accused: Accused) -> None:
         accused.wrong(
             "default", f"only a point of one register has a default, not the {point.words} of this"
         )
-    value = Place(point, point.address, "").value([point.default]).value
+    value = PointInstance(point, point.address, "").value([point.default]).value
     if value is None:
         accused.wrong("default", f"0x{point.default:04X} is no {point.type}")
     said = point.default if value == point.default else f"{point.default}, a value of {value},"

@@ -43,7 +43,7 @@ _FLOAT32_DIGITS = 7
 _DIGITS = 15
 
 
-class Place:
+class PointInstance:
     """One named place of a device: one of the `count` that a point stands for."""
 
     # A plain number is said about as soon as it is looked up: of such a place only the last value
@@ -128,7 +128,9 @@ class Place:
         )
 
 
-def values_of(places: Iterable[tuple[int, Place]], values: Sequence[int]) -> list[PointValue]:
+def values_of(
+    places: Iterable[tuple[int, PointInstance]], values: Sequence[int]
+) -> list[PointValue]:
     """Put registers or bits into words; each place comes with the index of its first one.
 
     A response may bring less than was asked for: a place that is not all there says nothing.
@@ -158,7 +160,7 @@ def values_of(places: Iterable[tuple[int, Place]], values: Sequence[int]) -> lis
     return said
 
 
-def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[Place]:
+def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[PointInstance]:
     """The named places of a table, by address: what a request to write, or to read, can be about.
 
     A value that a master cannot write keeps its name where one tries, unless what it would write
@@ -171,7 +173,7 @@ def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[
     else:
         points = [point for point in points if point.access is not Access.WRITE]
     points.sort(key=lambda point: not point.allows(writing=writing))
-    places: list[Place] = []
+    places: list[PointInstance] = []
     taken: set[tuple[int | None, int]] = set()
     for point in points:
         for address in point.addresses:
@@ -179,7 +181,7 @@ def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[
             if taken.isdisjoint(words):
                 taken.update(words)
                 reference = write_reference(profile, table, address, point.words, writing=writing)
-                places.append(Place(point, address, reference))
+                places.append(PointInstance(point, address, reference))
     return sorted(places, key=lambda place: place.address)
 
 

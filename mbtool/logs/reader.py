@@ -29,7 +29,7 @@ from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage
 from mbtool.logs.layout import FORMAT_VERSION, MESSAGE_HEAD, PROFILE, Opcode
 from mbtool.logs.messages import ChunkMessage, EventMessage, LogItem
-from mbtool.logs.records import ByteStream, Record, RecordStream
+from mbtool.logs.records import ByteStream, McapRecord, RecordStream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -141,7 +141,7 @@ class LogReader:
                 f"this one reads format {FORMAT_VERSION}"
             )
 
-    def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[Record]:
+    def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[McapRecord]:
         """The records up to DataEnd; the rest of the file is checked."""
         while True:
             record = self._records.read()
@@ -162,7 +162,7 @@ class LogReader:
                 following = self._records.read()
             self._records.read_magic()
 
-    def _check_crc(self, data_end: Record) -> None:
+    def _check_crc(self, data_end: McapRecord) -> None:
         if self._damage:
             return  # The CRC of the whole has no more to tell.
         try:
@@ -170,11 +170,11 @@ class LogReader:
         except DamageError as error:
             self._damage.add(error)
 
-    def _is_open_end(self, record: Record) -> bool:
+    def _is_open_end(self, record: McapRecord) -> bool:
         """Whether this is the Footer of a log that is being written, or was when it was killed."""
         return record.opcode == Opcode.FOOTER and self._records.summary_start(record) == 0
 
-    def _learn(self, record: Record) -> bool:
+    def _learn(self, record: McapRecord) -> bool:
         """Take in a record that stands outside chunks; False where it may hold items."""
         if record.opcode in _OF_ITEMS:
             return False
@@ -184,7 +184,7 @@ class LogReader:
             self._damage.add(error, len(record.content))
         return True
 
-    def _learn_from(self, record: Record) -> None:
+    def _learn_from(self, record: McapRecord) -> None:
         match record.opcode:
             case Opcode.METADATA:
                 metadata = self._records.parse(record, Metadata.read)
@@ -219,7 +219,7 @@ class LogReader:
         if self._damage:
             raise self._damage.error()
 
-    def _items_of(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+    def _items_of(self, record: McapRecord, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
         """What a record holds, up to where it is damaged."""
         is_chunk = record.opcode == Opcode.CHUNK
         try:
@@ -230,7 +230,7 @@ class LogReader:
         except DamageError as error:
             self._damage.add_hole(error, record.offset, len(record.content))
 
-    def _take(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+    def _take(self, record: McapRecord, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
         match record.opcode:
             case Opcode.MESSAGE:
                 yield from self._decode(record, wanted)
@@ -243,7 +243,7 @@ class LogReader:
                 if schema_name is not None or not channel.schema_id:
                     self._channels[channel.id] = schema_name or ""
 
-    def _decode(self, record: Record, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
+    def _decode(self, record: McapRecord, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
         if len(record.content) < MESSAGE_HEAD.size:
             raise self._records.damaged(record.offset, "a message without a head")
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(record.content)

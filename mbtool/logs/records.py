@@ -43,7 +43,7 @@ class ByteStream(Protocol):
     def close(self) -> None: ...
 
 
-class Record(NamedTuple):
+class McapRecord(NamedTuple):
     """One record of the file or of a chunk."""
 
     offset: int
@@ -76,7 +76,7 @@ class RecordStream:
         if len(magic) < len(MAGIC):
             raise self._cut(at)
 
-    def read(self) -> Record:
+    def read(self) -> McapRecord:
         """The next record. Raises CutError; DamageError where what follows cannot be found."""
         offset = self._position
         self._crc_before = self._crc
@@ -86,9 +86,9 @@ class RecordStream:
                 offset,
                 f"a record of {length} bytes; {MAX_RECORD} is the most, and what follows is lost",
             )
-        return Record(offset, opcode, self._read(length, offset))
+        return McapRecord(offset, opcode, self._read(length, offset))
 
-    def check_crc(self, data_end: Record) -> None:
+    def check_crc(self, data_end: McapRecord) -> None:
         """Raise DamageError where a DataEnd, just read, says that what was before it is damaged."""
         expected = self._unpack(_DATA_END, data_end)[0]
         if expected not in (0, self._crc_before):
@@ -99,18 +99,18 @@ class RecordStream:
         self._stream.seek(offset)
         self._position = offset
 
-    def parse(self, record: Record, read: Callable[[ReadDataStream], _T]) -> _T:
+    def parse(self, record: McapRecord, read: Callable[[ReadDataStream], _T]) -> _T:
         """Take a record apart with one of mcap's classes. Raises DamageError."""
         try:
             return read(ReadDataStream(io.BytesIO(record.content)))
         except (McapError, struct.error, ValueError, OverflowError) as error:
             raise self.damaged(record.offset, "a record that ends too early") from error
 
-    def summary_start(self, footer: Record) -> int:
+    def summary_start(self, footer: McapRecord) -> int:
         """Where a Footer says that the summary starts; 0 where there is none."""
         return self._unpack(_FOOTER, footer)[0]
 
-    def unpack_chunk(self, record: Record) -> Iterator[Record]:
+    def unpack_chunk(self, record: McapRecord) -> Iterator[McapRecord]:
         """The records of a chunk. Raises DamageError."""
         chunk = self.parse(record, Chunk.read)
         try:
@@ -128,7 +128,7 @@ class RecordStream:
             at = body + length
             if at > len(data):
                 raise self.damaged(record.offset, "a chunk that ends inside a record")
-            yield Record(record.offset, opcode, data[body:at])
+            yield McapRecord(record.offset, opcode, data[body:at])
 
     def damaged(self, offset: int, what: str) -> DamageError:
         return DamageError(f"{self._name}: damaged at byte {offset}: {what}")
@@ -139,7 +139,7 @@ class RecordStream:
             "all before that was read"
         )
 
-    def _unpack(self, layout: struct.Struct, record: Record) -> tuple[int, ...]:
+    def _unpack(self, layout: struct.Struct, record: McapRecord) -> tuple[int, ...]:
         if len(record.content) < layout.size:
             raise self.damaged(record.offset, "a record that ends too early")
         return layout.unpack_from(record.content)

@@ -1,10 +1,7 @@
-"""The Modbus protocol without I/O: bytes and times in, transactions out."""
+"""The Modbus protocol: PDUs, ADUs and transactions as values; parsing, encoding, no I/O."""
 
 from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.answer import Answer, Responder
-from mbtool.modbus.ascii import AsciiSplitter
-from mbtool.modbus.conversation import Bus, Conversation, Decoded
-from mbtool.modbus.framing import ascii_adu, crc, lrc, mbap_adu, rtu_adu
+from mbtool.modbus.adu_bytes import ascii_adu, crc, lrc, mbap_adu, rtu_adu
 from mbtool.modbus.functions import (
     FUNCTIONS,
     ExceptionCode,
@@ -12,7 +9,6 @@ from mbtool.modbus.functions import (
     function_name,
     short_name,
 )
-from mbtool.modbus.mbap import MbapSplitter
 from mbtool.modbus.pdu import (
     Pdu,
     encode_pdu,
@@ -22,40 +18,33 @@ from mbtool.modbus.pdu import (
     pdu_of,
     whole_pdu,
 )
-from mbtool.modbus.reach import REACHING, Reach, reach_of, response_to, values_after
-from mbtool.modbus.recognition import Recognition, State
-from mbtool.modbus.rtu import RtuSplitter
-from mbtool.modbus.rtu_stream import RtuStreamSplitter
+from mbtool.modbus.register_access import (
+    REACHING,
+    RegisterAccess,
+    register_access,
+    response_to,
+    values_after,
+)
+from mbtool.modbus.response import Responder, Response
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome, Transaction
-from mbtool.modbus.two_taps import TwoTaps
 
 __all__ = [
     "FUNCTIONS",
     "REACHING",
     "Adu",
-    "Answer",
-    "AsciiSplitter",
-    "Bus",
     "Checksum",
-    "Conversation",
-    "Decoded",
     "DirectionBy",
     "ExceptionCode",
-    "MbapSplitter",
     "Outcome",
     "Pdu",
-    "Reach",
-    "Recognition",
+    "RegisterAccess",
     "Responder",
-    "RtuSplitter",
-    "RtuStreamSplitter",
+    "Response",
     "Skipped",
-    "State",
     "Table",
     "Transaction",
     "Transport",
-    "TwoTaps",
     "Verdict",
     "ascii_adu",
     "crc",
@@ -68,7 +57,7 @@ __all__ = [
     "parse_pdu",
     "pdu_length",
     "pdu_of",
-    "reach_of",
+    "register_access",
     "response_to",
     "rtu_adu",
     "short_name",

@@ -15,7 +15,7 @@ import re
 from dataclasses import dataclass
 
 from mbtool.modbus.adu import Checksum
-from mbtool.modbus.framing import lrc
+from mbtool.modbus.adu_bytes import lrc
 
 CR = 0x0D
 LF = 0x0A

@@ -9,7 +9,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from mbtool.modbus.group_layouts import FileAnswers, FileGroups, Objects
-from mbtool.modbus.layouts import Bits, Bytes, Choice, CoilValue, Layout, Registers, Words
+from mbtool.modbus.layouts import (
+    Bits,
+    Bytes,
+    Choice,
+    CoilValue,
+    Layout,
+    Registers,
+    UncountedRegisters,
+)
 from mbtool.modbus.tables import Table
 
 EXCEPTION_BIT = 0x80
@@ -39,7 +47,7 @@ VALUE = ("value", 2)
 _READ = Layout(ADDRESS, QUANTITY)
 _WRITE_ONE = Layout(ADDRESS, VALUE)
 _MASKS = Layout(ADDRESS, ("and_mask", 2), ("or_mask", 2))
-_DIAGNOSTICS = Layout(("sub_function", 2), tail=Words())
+_DIAGNOSTICS = Layout(("sub_function", 2), tail=UncountedRegisters())
 _EMPTY = Layout()
 
 FUNCTIONS: dict[int, Function] = {

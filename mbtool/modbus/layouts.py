@@ -187,7 +187,7 @@ class Bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class UncountedRegisters:
     """One register or more, to the end of the PDU, without a count."""
 
     name: str = "values"

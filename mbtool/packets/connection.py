@@ -29,8 +29,8 @@
 from __future__ import annotations
 
 from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, WireEvent
-from mbtool.packets.segment import ACK, FIN, RST, SYN, Segment
-from mbtool.packets.stream import LEAD, Piece, Stream
+from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment
+from mbtool.packets.stream import LEAD, HeldBytes, Stream
 from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,
@@ -89,7 +89,7 @@ class TcpConnection:
         """Bytes are held for what precedes them."""
         return bool(self._requests.held or self._responses.held)
 
-    def is_replaced_by(self, segment: Segment, *, from_lower: bool) -> bool:
+    def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
         """Tell whether a segment belongs to another connection between the same ends."""
         sender = self._requests if from_lower == self._master_is_lower else self._responses
         if segment.flags & SYN:
@@ -106,7 +106,7 @@ class TcpConnection:
         end = start + len(segment.payload) + segment.missing
         return end > sender.position or start < sender.position - WINDOW
 
-    def feed(self, segment: Segment, ts_ns: int, *, from_lower: bool) -> None:
+    def feed(self, segment: TcpSegment, ts_ns: int, *, from_lower: bool) -> None:
         """Take a segment of this connection. After its end, nothing happens.
 
         `from_lower` says which end sent it, in the order that the caller gives the two ends.
@@ -148,9 +148,9 @@ class TcpConnection:
                 start = self._leap(sender, sequence)
             end = start + len(data)
             if data:
-                self._take(sender, other, Piece(start, end, data, after, ts_ns, self._arrivals))
+                self._take(sender, other, HeldBytes(start, end, data, after, ts_ns, self._arrivals))
             if missing:
-                cut = Piece(end, end + missing, b"", after, ts_ns, self._arrivals)
+                cut = HeldBytes(end, end + missing, b"", after, ts_ns, self._arrivals)
                 self._take(sender, other, cut)
         elif (
             flags == ACK
@@ -202,7 +202,7 @@ class TcpConnection:
         stream.rebase(sequence)
         return stream.position
 
-    def _take(self, sender: Stream, other: Stream, piece: Piece) -> None:
+    def _take(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
         """Deliver or hold a piece, less what was delivered before."""
         differs = False
         behind = sender.position - piece.start
@@ -236,7 +236,7 @@ class TcpConnection:
         )
         self._out.append(StreamEvent(self.identity, event))
 
-    def _follows(self, piece: Piece, other: Stream) -> bool:
+    def _follows(self, piece: HeldBytes, other: Stream) -> bool:
         """What a piece acknowledges has been delivered, or is no longer waited for."""
         if piece.after <= other.position:
             return True
@@ -294,7 +294,7 @@ class TcpConnection:
             self._deliver(stream, stream.release())
         return True
 
-    def _deliver(self, stream: Stream, piece: Piece) -> None:
+    def _deliver(self, stream: Stream, piece: HeldBytes) -> None:
         length = piece.end - piece.start
         stream.advance(piece.data, length)
         if piece.arrival >= stream.latest[0]:

@@ -75,7 +75,7 @@ class Overlap(Enum):
     DIFFERENT = 2
 
 
-class Ending(Enum):
+class DatagramEnd(Enum):
     """How a packet was done with."""
 
     WHOLE = 0
@@ -100,7 +100,7 @@ class Datagram:
     total: int | None = None
     """Where the last fragment ends, once seen."""
     overlap: Overlap = Overlap.NONE
-    ending: Ending | None = None
+    ending: DatagramEnd | None = None
 
     @property
     def payload(self) -> bytes:
@@ -199,7 +199,7 @@ class Fragments:
         done = self.advance(ts_ns)
         key = (among, fragment.key)
         datagram = self._datagrams.get(key)
-        if datagram is not None and datagram.ending is Ending.WHOLE:
+        if datagram is not None and datagram.ending is DatagramEnd.WHOLE:
             if datagram.is_copy(fragment):
                 return done
             self._forget(key)
@@ -211,10 +211,10 @@ class Fragments:
         before = datagram.held
         self._cost += datagram.add(fragment) * PIECE_COST + datagram.held - before
         if datagram.held == datagram.total:
-            datagram.ending = Ending.WHOLE
+            datagram.ending = DatagramEnd.WHOLE
             done.append(datagram)
         while len(self._datagrams) > MAX_DATAGRAMS or self._cost > MAX_FRAGMENT_BYTES:
-            done += self._give_up(next(iter(self._datagrams)), Ending.DISCARDED)
+            done += self._give_up(next(iter(self._datagrams)), DatagramEnd.DISCARDED)
         return done
 
     def advance(self, now_ns: int) -> list[Datagram]:
@@ -224,18 +224,20 @@ class Fragments:
             key, oldest = next(iter(self._datagrams.items()))
             if abs(now_ns - oldest.first_ns) < FRAGMENT_NS:
                 break
-            done += self._give_up(key, Ending.INCOMPLETE)
+            done += self._give_up(key, DatagramEnd.INCOMPLETE)
         return done
 
     def close(self) -> list[Datagram]:
         """The capture ends. Gives the packets that are not whole."""
         return [
-            one for key in list(self._datagrams) for one in self._give_up(key, Ending.INCOMPLETE)
+            one
+            for key in list(self._datagrams)
+            for one in self._give_up(key, DatagramEnd.INCOMPLETE)
         ]
 
-    def _give_up(self, key: tuple[str, Key], ending: Ending) -> list[Datagram]:
+    def _give_up(self, key: tuple[str, Key], ending: DatagramEnd) -> list[Datagram]:
         datagram = self._forget(key)
-        if datagram.ending is Ending.WHOLE:
+        if datagram.ending is DatagramEnd.WHOLE:
             return []
         datagram.ending = ending
         return [datagram]
@@ -305,9 +307,9 @@ def fragment_events(
     elif datagram.overlap is Overlap.DIFFERENT:
         text = "fragments of a packet contradict each other; the first copy is kept"
         told.append((EventKind.OVERLAP, text))
-    if datagram.ending is Ending.INCOMPLETE:
+    if datagram.ending is DatagramEnd.INCOMPLETE:
         told.append((EventKind.UNREADABLE, "a packet of which fragments are missing"))
-    elif datagram.ending is Ending.DISCARDED:
+    elif datagram.ending is DatagramEnd.DISCARDED:
         text = "a packet of which fragments are missing, given up since too many are held"
         told.append((EventKind.DISCARDED, text))
     source, destination, *_ = datagram.key

@@ -30,13 +30,13 @@ from mbtool.core import Connection, Endpoint, EventKind, Packet, WireEvent
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
 from mbtool.packets.fragments import (
     Datagram,
-    Ending,
+    DatagramEnd,
     Fragments,
     find_fragment,
     fragment_events,
 )
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
-from mbtool.packets.segment import ACK, RST, SYN, Segment, find_tcp, read_segment
+from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, find_tcp, read_segment
 from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
@@ -153,13 +153,13 @@ class TcpReassembler:
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)
-            if datagram.ending is Ending.WHOLE:  # First, so that its connection is known.
+            if datagram.ending is DatagramEnd.WHOLE:  # First, so that its connection is known.
                 self._feed_ip(data, 0, length, ts_ns, datagram.link)
             if place is not None and len(data) >= place.start + 4:
                 source_port, destination_port = struct.unpack_from(">HH", data, place.start)
                 if source_port in self._ports or destination_port in self._ports:
                     self._tell_fragments(datagram, ts_ns, source_port, destination_port)
-            elif datagram.ending is not Ending.WHOLE:
+            elif datagram.ending is not DatagramEnd.WHOLE:
                 message = "fragments of packets whose first one is not in the capture"
                 self._tell(ts_ns, datagram.link, EventKind.UNREADABLE, message)
 
@@ -183,7 +183,7 @@ class TcpReassembler:
         )
         self._out += (StreamEvent(identity, event) for event in events)
 
-    def _follow(self, segment: Segment, ts_ns: int, link: str) -> None:
+    def _follow(self, segment: TcpSegment, ts_ns: int, link: str) -> None:
         if not -PATIENCE_NS < ts_ns - self._checked_ns < PATIENCE_NS:
             self._advance(ts_ns)
         source, source_port, destination, destination_port = segment[:4]
@@ -205,7 +205,7 @@ class TcpReassembler:
             if len(self._waiting) > MAX_WAITING:
                 self._waiting.pop(next(iter(self._waiting))).flush()
 
-    def _open(self, segment: Segment, ts_ns: int, from_lower: bool) -> TcpConnection:
+    def _open(self, segment: TcpSegment, ts_ns: int, from_lower: bool) -> TcpConnection:
         if len(self._connections) >= MAX_CONNECTIONS:
             self._drop_oldest(ts_ns, CloseReason.DISCARDED)
         from_master = _is_from_master(segment, self._ports)
@@ -256,7 +256,7 @@ def _key(
     return (among, destination, destination_port, source, source_port), False
 
 
-def _is_from_master(segment: Segment, ports: frozenset[int]) -> bool:
+def _is_from_master(segment: TcpSegment, ports: frozenset[int]) -> bool:
     if segment.source_port not in ports:
         return True
     if segment.destination_port not in ports:

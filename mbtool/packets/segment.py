@@ -43,7 +43,7 @@ class TcpPlace(NamedTuple):
     """Where the IP packet ends; more than len(data) where the capture cut it."""
 
 
-class Segment(NamedTuple):
+class TcpSegment(NamedTuple):
     """A TCP segment; a tuple since one is made for each packet."""
 
     source: bytes
@@ -103,7 +103,7 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
     return end, following, start
 
 
-def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> Segment | None:
+def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> TcpSegment | None:
     """Read the segment at a place in the IP packet at an offset; None where it is malformed.
 
     At least 14 bytes of the TCP header are there: the caller has looked.
@@ -123,7 +123,7 @@ def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) ->
         else (data[at + 8 : at + 24], data[at + 24 : at + 40])
     )
     payload = data[begin:end]
-    return Segment(
+    return TcpSegment(
         source,
         source_port,
         destination,

@@ -32,7 +32,7 @@ _MASK = 0xFFFFFFFF
 _HALF = 0x80000000
 
 
-class Piece(NamedTuple):
+class HeldBytes(NamedTuple):
     """A run of bytes that waits for what precedes it."""
 
     start: int
@@ -45,7 +45,7 @@ class Piece(NamedTuple):
     arrival: int
     """The number of its packet in the connection."""
 
-    def part(self, start: int, end: int) -> Piece:
+    def part(self, start: int, end: int) -> HeldBytes:
         data = self.data[start - self.start : end - self.start]
         return self._replace(start=start, end=end, data=data)
 
@@ -87,7 +87,7 @@ class Stream:
         """The position of FIN, once seen."""
         self.acknowledged = 0
         """How far the other end has received, as it says."""
-        self.held: list[Piece] = []
+        self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
         """Arrival and time of whichever delivered piece was captured last."""
@@ -169,7 +169,7 @@ class Stream:
         self._gaps = [*self._gaps[1 - MAX_GAPS :], (self.position, self.position + hole)]
         self.advance(b"", hole)
 
-    def take_late(self, piece: Piece) -> bytes:
+    def take_late(self, piece: HeldBytes) -> bytes:
         """The bytes of a piece whose hole was given up, told once."""
         for gap in self._gaps:
             start, end = max(gap[0], piece.start), min(gap[1], piece.end)
@@ -192,10 +192,10 @@ class Stream:
             and data[begin - start : end - start] != (self._recent[begin - oldest : end - oldest])
         )
 
-    def hold(self, piece: Piece) -> bool:
+    def hold(self, piece: HeldBytes) -> bool:
         """Keep what no held piece has of a piece. True where a second copy differs."""
         differs = False
-        merged: list[Piece] = []
+        merged: list[HeldBytes] = []
         cursor = piece.start
         for other in self.held:
             if other.end <= cursor or other.start >= piece.end:
@@ -213,7 +213,7 @@ class Stream:
             self.held_bytes += sum(len(part.data) for part in merged)
         return differs
 
-    def release(self) -> Piece:
+    def release(self) -> HeldBytes:
         """Take the first held piece."""
         piece = self.held.pop(0)
         self.held_bytes -= len(piece.data)

@@ -34,7 +34,7 @@ BEHIND_NS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class ByteRun:
     """Bytes that follow each other without a gap."""
 
     place_ns: int
@@ -48,7 +48,7 @@ class BusPlayer:
     """Says which piece is to be sent now. Pieces are in order of their places."""
 
     def __init__(
-        self, pieces: Sequence[Piece], clock: PlayClock, *, character_ns: int, silence_ns: int
+        self, pieces: Sequence[ByteRun], clock: PlayClock, *, character_ns: int, silence_ns: int
     ) -> None:
         """`character_ns` and `silence_ns`, between frames, are those of the line played on."""
         self._pieces = pieces
@@ -81,7 +81,7 @@ class BusPlayer:
         """When the last byte that was sent has passed."""
         return self._passed_ns
 
-    def next_piece(self, now_ns: int) -> Piece | None:
+    def next_piece(self, now_ns: int) -> ByteRun | None:
         """The piece to send at once; it counts as sent. None where there is none yet."""
         piece = self._upcoming()
         if piece is None:
@@ -115,23 +115,23 @@ class BusPlayer:
         """Have one more piece sent while the clock stands."""
         self._gate.let_go()
 
-    def _free_ns(self, piece: Piece) -> int:
+    def _free_ns(self, piece: ByteRun) -> int:
         """From when on the line takes a piece."""
         busy_ns = self._busy_ns(piece)
         return busy_ns if piece.after_silence else busy_ns - AHEAD_NS
 
-    def _busy_ns(self, piece: Piece) -> int:
+    def _busy_ns(self, piece: ByteRun) -> int:
         """When the line has carried what comes before a piece, its silence included."""
         if self._passed_ns is None:
             return 0
         return self._passed_ns + (self._silence_ns if piece.after_silence else 0)
 
-    def _upcoming(self) -> Piece | None:
+    def _upcoming(self) -> ByteRun | None:
         if self._next >= len(self._pieces):
             if not self._clock.is_loop or not self._pieces:
                 return None
             self._next, self._lap = 0, self._lap + 1
         return self._pieces[self._next]
 
-    def _place(self, piece: Piece) -> int:
+    def _place(self, piece: ByteRun) -> int:
         return piece.place_ns + self._clock.lap_begin(self._lap)

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.replay.significance import Shift, rank_sum, same_share
-from mbtool.replay.traffic import NO_ANSWER, Ask, Held, Place
-from mbtool.replay.wording import Words, function_text, held_text, latency_side
+from mbtool.replay.traffic import NO_ANSWER, Held, RequestKey, ValueKey
+from mbtool.replay.wording import DeviceWording, function_text, held_text, latency_side
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -45,7 +45,7 @@ class Ignored:
     """Registers whose values may differ."""
     latency: bool = False
 
-    def has(self, place: Place) -> bool:
+    def has(self, place: ValueKey) -> bool:
         return any(span.table is place.table and place.address in span for span in self.spans)
 
 
@@ -64,7 +64,7 @@ def differences(
             found.append(_only_slave(key, one, other))
             continue
         device = one.device or other.device
-        words = Words(profiles.get(device) if device is not None else None)
+        words = DeviceWording(profiles.get(device) if device is not None else None)
         compared = _Compared(key, one, other, words, ignored, ALPHA / max(tests, 1))
         found += compared.differences()
     return found
@@ -97,7 +97,7 @@ class _Compared:
         key: SlaveKey,
         a: SlaveTraffic,
         b: SlaveTraffic,
-        words: Words,
+        words: DeviceWording,
         ignored: Ignored,
         alpha: float,
     ) -> None:
@@ -127,7 +127,7 @@ class _Compared:
                 _transactions(there.count if there is not None else 0),
             )
 
-    def _outcomes(self, ask: Ask) -> Iterator[Difference]:
+    def _outcomes(self, ask: RequestKey) -> Iterator[Difference]:
         here, there = self._a.asked[ask], self._b.asked[ask]
         labels = (here.outcomes.keys() ^ there.outcomes.keys()) - {NO_ANSWER}
         p = same_share(here.outcomes[NO_ANSWER], here.count, there.outcomes[NO_ANSWER], there.count)
@@ -169,7 +169,7 @@ class _Compared:
                 b=b,
             )
 
-    def _changes(self, place: Place) -> bool:
+    def _changes(self, place: ValueKey) -> bool:
         """Whether it changes in both captures, so that its neighbours may be told with it."""
         return min(len(side.registers[place].values) for side in (self._a, self._b)) > 1
 
@@ -193,11 +193,11 @@ class _Compared:
                 len(shifted) - 1,
             )
 
-    def _shift(self, ask: Ask) -> Shift:
+    def _shift(self, ask: RequestKey) -> Shift:
         return rank_sum(self._a.asked[ask].latencies.values, self._b.asked[ask].latencies.values)
 
     def _about(
-        self, ask: Ask, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
+        self, ask: RequestKey, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
     ) -> Difference:
         asked = self._a.asked.get(ask) or self._b.asked[ask]
         return Difference(
@@ -219,9 +219,11 @@ def _is_same(a: Held, b: Held) -> bool:
     return a.values.keys() == b.values.keys() or (bounds and not (a.is_all and b.is_all))
 
 
-def _runs(places: Iterable[Place], is_together: Callable[[Place], bool]) -> Iterator[list[Place]]:
+def _runs(
+    places: Iterable[ValueKey], is_together: Callable[[ValueKey], bool]
+) -> Iterator[list[ValueKey]]:
     """Neighbours of which all hold that; each other place alone."""
-    run: list[Place] = []
+    run: list[ValueKey] = []
     for place in places:
         follows = bool(run) and is_together(run[-1]) and is_together(place)
         if follows and place == run[-1]._replace(address=run[-1].address + 1):
@@ -246,7 +248,7 @@ def _outcomes_text(asked: Asked) -> str:
     )
 
 
-def _together(run: Sequence[Place], registers: Mapping[Place, Held]) -> str:
+def _together(run: Sequence[ValueKey], registers: Mapping[ValueKey, Held]) -> str:
     held = [registers[place] for place in run]
     values = sum(len(one.values) for one in held)
     least, greatest = min(one.least for one in held), max(one.greatest for one in held)

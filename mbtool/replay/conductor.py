@@ -20,40 +20,27 @@
 # How late a step leaves is kept only where it waits for nothing but the clock: that is what the
 # player can help.
 #
-# Holds: the open requests, at most MAX_OPEN; more are not sent until one is over.
+# Holds: the open requests, at most MAX_OPEN_REQUESTS; more are not sent until one is over.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.replay.script import MAX_OPEN, Step
+from mbtool.core.limits import MAX_OPEN_REQUESTS
+from mbtool.replay.script import Step
 from mbtool.replay.steering import Gate
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
+    from mbtool.core.limits import LinkLimits
     from mbtool.replay.clock import PlayClock
     from mbtool.replay.judging import Judge
     from mbtool.replay.script import Script
 
-TIMEOUT_NS = 1_000_000_000
-TURNAROUND_NS = 100_000_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Manners:
-    """How a master behaves on a link."""
-
-    timeout_ns: int = TIMEOUT_NS
-    """How long it waits for an answer."""
-    one_at_a_time: bool = False
-    """On a serial line, or RTU over TCP."""
-    pause_ns: int = 0
-    turnaround_ns: int = TURNAROUND_NS
-
 
 @dataclass(slots=True)
-class _Open:
+class _SentRequest:
     step: Step
     sent_ns: int
 
@@ -61,15 +48,15 @@ class _Open:
 class Conductor:
     """Plays a script once, or in a loop until it is told to end."""
 
-    def __init__(self, script: Script, clock: PlayClock, judge: Judge, manners: Manners) -> None:
+    def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
         self._steps = script.steps
         self._clock = clock
         self._gate = Gate(clock)
         self._judge = judge
-        self._manners = manners
+        self._limits = limits
         self._next = 0
         self._lap = 0
-        self._open: dict[int, _Open] = {}
+        self._open: dict[int, _SentRequest] = {}
         """By the step's number."""
         self._free_ns: int | None = None
         """From when on the line may be used; None: at once."""
@@ -102,9 +89,9 @@ class Conductor:
         self._next += 1
         if step.is_broadcast:
             self._judge.judge(step, None, None)
-            self._free_ns = now_ns + self._manners.turnaround_ns
+            self._free_ns = now_ns + self._limits.turnaround_ns
         else:
-            self._open[step.number] = _Open(step, now_ns)
+            self._open[step.number] = _SentRequest(step, now_ns)
         return step
 
     def let_go(self, _now_ns: int) -> None:
@@ -117,11 +104,11 @@ class Conductor:
         if open_ is not None:
             open_.sent_ns = now_ns
         elif step.is_broadcast:
-            self._free_ns = now_ns + self._manners.turnaround_ns
+            self._free_ns = now_ns + self._limits.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
         """When something is due: a step, the end of a pause, or a time-out. None: nothing is."""
-        moments = [each.sent_ns + self._manners.timeout_ns for each in self._open.values()]
+        moments = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
         if step is not None and not self._is_held(step):
             due_ns = self._gate.opens_ns(self._place(step), now_ns)
@@ -147,7 +134,7 @@ class Conductor:
         late = [
             number
             for number, each in self._open.items()
-            if now_ns - each.sent_ns >= self._manners.timeout_ns
+            if now_ns - each.sent_ns >= self._limits.timeout_ns
         ]
         return [each for number in late for each in self.give_up(number, now_ns)]
 
@@ -161,7 +148,7 @@ class Conductor:
 
     def _over(self, now_ns: int) -> None:
         """A request is over: the next may be sent."""
-        self._free_ns = now_ns + self._manners.pause_ns
+        self._free_ns = now_ns + self._limits.pause_ns
 
     def _upcoming(self) -> Step | None:
         if self._next >= len(self._steps):
@@ -175,7 +162,7 @@ class Conductor:
 
     def _is_held(self, step: Step) -> bool:
         """Whether it waits for others to be over."""
-        if len(self._open) >= MAX_OPEN or (self._manners.one_at_a_time and self._open):
+        if len(self._open) >= MAX_OPEN_REQUESTS or (self._limits.one_at_a_time and self._open):
             return True
         return any(
             number not in step.open_before and each.step.expected is not None

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.modbus import Answer, Outcome, Transport, whole_pdu
-from mbtool.modbus.spoiling import Spoiling
+from mbtool.modbus import Outcome, Response, Transport, whole_pdu
+from mbtool.modbus.distortion import Distortion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -49,14 +49,14 @@ class DamagedAnswer:
     """It is whole but for its check; else only a part of it, or worse."""
     latency_ns: int
 
-    def again(self, transport: Transport, delay_ns: int) -> Answer | None:
+    def again(self, transport: Transport, delay_ns: int) -> Response | None:
         """An answer that arrives on a link in the same way; None where it cannot."""
         if transport is self.transport or {transport, self.transport} <= _RTU:
-            return Answer(b"\0", delay_ns, Spoiling(cut=_WHOLE_ADU, extra=self.raw))
+            return Response(b"\0", delay_ns, Distortion(cut=_WHOLE_ADU, extra=self.raw))
         pdu = whole_pdu(self.transport, self.raw) if self.has_wrong_check else None
         if transport is Transport.TCP or pdu is None:
             return None
-        return Answer(pdu, delay_ns, Spoiling(wrong_check=True))
+        return Response(pdu, delay_ns, Distortion(wrong_check=True))
 
 
 def damaged_answers(

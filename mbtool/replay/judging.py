@@ -29,16 +29,16 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
-from mbtool.modbus import exception_name, parse_pdu, reach_of
+from mbtool.modbus import exception_name, parse_pdu, register_access
 from mbtool.replay.script import Step
-from mbtool.replay.traffic import Held, Place, Sample
-from mbtool.replay.wording import Words, function_text, held_text, latency_side
+from mbtool.replay.traffic import Held, Sample, ValueKey
+from mbtool.replay.wording import DeviceWording, function_text, held_text, latency_side
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from mbtool.devices import Profile
-    from mbtool.modbus import Reach
+    from mbtool.modbus import RegisterAccess
 
 NO_ANSWER = "no answer"
 SHOWN_BYTES = 16
@@ -94,7 +94,7 @@ class _Pair:
     count: int = 0
 
 
-class Request(msgspec.Struct, frozen=True, kw_only=True):
+class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     """One request and its repetitions, for reports."""
 
     unit: int
@@ -122,9 +122,9 @@ class Judge:
         self._spans = list(spans)
         self._learns = learns
         self._tolerance = tolerance
-        self._of_devices: dict[str | None, Words] = {}
+        self._of_devices: dict[str | None, DeviceWording] = {}
         self._asked: dict[tuple[int, bytes], _Judged] = {}
-        self._registers: dict[tuple[int, str | None, Place], _Pair] = {}
+        self._registers: dict[tuple[int, str | None, ValueKey], _Pair] = {}
         self.count = 0
         """How many answers were judged."""
         self.wrong = 0
@@ -143,7 +143,7 @@ class Judge:
         recorded, came = (_outcome(pdu, step.pdu[0]) for pdu in (step.expected, answer))
         is_right = False
         if step.expected is not None and answer is not None and recorded == came:
-            reach = reach_of(parse_pdu(step.pdu, Direction.REQUEST))
+            reach = register_access(parse_pdu(step.pdu, Direction.REQUEST))
             if recorded != _OK or reach is None or not reach.reads:
                 recorded, came = _apart(step.expected, answer)
             elif len(answer) != len(step.expected):
@@ -160,10 +160,10 @@ class Judge:
         found = [*self._outcomes(), *self._value_differences(), *self._latencies()]
         return sorted(found, key=lambda one: one.unit)
 
-    def requests(self) -> list[Request]:
+    def requests(self) -> list[RequestReport]:
         """What was asked, in the order in which it was first asked."""
         return [
-            Request(
+            RequestReport(
                 unit=asked.step.unit,
                 function=asked.step.pdu[0],
                 what=function_text(asked.step.pdu[0], asked.step.function_name),
@@ -187,13 +187,15 @@ class Judge:
             spans.append((unit, one))
         return spans
 
-    def _has_right_values(self, step: Step, expected: bytes, reach: Reach, answer: bytes) -> bool:
+    def _has_right_values(
+        self, step: Step, expected: bytes, reach: RegisterAccess, answer: bytes
+    ) -> bool:
         recorded, came = (
             parse_pdu(pdu, Direction.RESPONSE).numbers() or () for pdu in (expected, answer)
         )
         is_right = True
         for address, before, after in zip(reach.reads, recorded, came, strict=False):
-            place = Place(reach.table, address, is_written=False)
+            place = ValueKey(reach.table, address, is_written=False)
             if before == after or self._may_differ(place):
                 continue
             pair = self._registers.setdefault((step.unit, step.device, place), _Pair())
@@ -203,7 +205,7 @@ class Judge:
             is_right = self._learns and is_right
         return is_right
 
-    def _may_differ(self, place: Place) -> bool:
+    def _may_differ(self, place: ValueKey) -> bool:
         return any(span.table is place.table and place.address in span for span in self._spans)
 
     def _outcomes(self) -> Iterable[Difference]:
@@ -235,25 +237,25 @@ class Judge:
                 ),
             )
 
-    def _reads(self) -> Counter[tuple[int, Place]]:
+    def _reads(self) -> Counter[tuple[int, ValueKey]]:
         """How often each register that differed was asked for."""
         differed = {(unit, place) for unit, _, place in self._registers}
-        reads: Counter[tuple[int, Place]] = Counter()
+        reads: Counter[tuple[int, ValueKey]] = Counter()
         for asked in self._asked.values():
             step = asked.step
-            reach = reach_of(parse_pdu(step.pdu, Direction.REQUEST))
+            reach = register_access(parse_pdu(step.pdu, Direction.REQUEST))
             if reach is None:
                 continue
             for address in reach.reads:
-                key = step.unit, Place(reach.table, address, is_written=False)
+                key = step.unit, ValueKey(reach.table, address, is_written=False)
                 if key in differed:
                     reads[key] += asked.count
         return reads
 
-    def _words(self, device: str | None) -> Words:
+    def _words(self, device: str | None) -> DeviceWording:
         if device not in self._of_devices:
             profile = self._profiles.get(device) if device is not None else None
-            self._of_devices[device] = Words(profile)
+            self._of_devices[device] = DeviceWording(profile)
         return self._of_devices[device]
 
     def _latencies(self) -> Iterable[Difference]:

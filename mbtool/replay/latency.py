@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mbtool.replay.recording import Recording
 
 
-class Latency(Protocol):
+class LatencyModel(Protocol):
     """Says how long the answer to a request takes."""
 
     @property

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _EXCEPTION_BIT = 0x80
 
 
-class Match(StrEnum):
+class MatchStrategy(StrEnum):
     """How the answer to a request is found."""
 
     AUTO = "auto"
@@ -49,7 +49,7 @@ class Match(StrEnum):
     @property
     def by_clock(self) -> bool:
         """Whether the clock says where in the recording we are; else the requests do."""
-        return self in (Match.TIME, Match.IMAGE)
+        return self in (MatchStrategy.TIME, MatchStrategy.IMAGE)
 
 
 class OnEnd(StrEnum):
@@ -64,7 +64,7 @@ class OnEnd(StrEnum):
     SILENT = "silent"
 
 
-class Word(Enum):
+class NoAnswer(Enum):
     """What there is in place of a recorded answer."""
 
     MISS = "miss"
@@ -72,7 +72,7 @@ class Word(Enum):
     SILENCE = "silence"
 
 
-_AT_END = {OnEnd.IMAGE: Word.IMAGE, OnEnd.SILENT: Word.SILENCE}
+_AT_END = {OnEnd.IMAGE: NoAnswer.IMAGE, OnEnd.SILENT: NoAnswer.SILENCE}
 
 
 class Moment(NamedTuple):
@@ -88,16 +88,16 @@ class Moment(NamedTuple):
 class Matcher(Protocol):
     """Finds the answer to each request."""
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | Word: ...
+    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer: ...
 
 
-def matcher_for(match: Match, recording: Recording, on_end: OnEnd) -> Matcher:
+def matcher_for(match: MatchStrategy, recording: Recording, on_end: OnEnd) -> Matcher:
     match match:
-        case Match.SEQUENCE:
+        case MatchStrategy.SEQUENCE:
             return SequenceMatcher(recording, on_end)
-        case Match.TIME:
+        case MatchStrategy.TIME:
             return TimeMatcher(recording, on_end)
-        case Match.IMAGE:
+        case MatchStrategy.IMAGE:
             return ImageMatcher(recording, on_end)
         case _:
             return KeyMatcher(recording, on_end)
@@ -112,10 +112,10 @@ class KeyMatcher:
         self._given: dict[Key, int] = {}
         """How many answers were given to a request."""
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | Word:
+    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         answers = self._answers.get(key)
         if answers is None:
-            return Word.MISS
+            return NoAnswer.MISS
         place = self._given.get(key, 0)
         if moment.holds:
             place = max(place - 1, 0)
@@ -138,16 +138,16 @@ class SequenceMatcher:
         self._next = 0
         self._last: dict[Key, RecordedAnswer] = {}
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | Word:
+    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         if moment.holds:
-            return self._last.get(key, Word.MISS)
+            return self._last.get(key, NoAnswer.MISS)
         if self._next >= len(self._order) and self._on_end is not OnEnd.LOOP:
             if key not in self._answers:
-                return Word.MISS
+                return NoAnswer.MISS
             return _AT_END.get(self._on_end) or _last(self._answers[key])
         expected, answer = self._order[self._next % len(self._order)]
         if key != expected:
-            return Word.MISS
+            return NoAnswer.MISS
         self._next += 1
         self._last[key] = answer
         return answer
@@ -165,7 +165,7 @@ class TimeMatcher:
             if alike is not None:
                 self._alike.setdefault(alike, []).append(answer)
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | Word:
+    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         if moment.is_over and self._on_end in _AT_END:
             return _AT_END[self._on_end]
         answers = self._answers.get(key)
@@ -173,10 +173,10 @@ class TimeMatcher:
             return _nearest(answers, moment.at_ns)
         alike = self._alike.get(_likeness(key) or b"")
         if alike is None:
-            return Word.MISS
+            return NoAnswer.MISS
         answer = _nearest(alike, moment.at_ns)
         is_good = answer.pdu is not None and not answer.pdu[0] & _EXCEPTION_BIT
-        return Word.IMAGE if is_good else answer
+        return NoAnswer.IMAGE if is_good else answer
 
 
 class ImageMatcher:
@@ -186,12 +186,12 @@ class ImageMatcher:
         self._others = KeyMatcher(recording, on_end)
         self._on_end = on_end
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | Word:
+    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         if moment.is_over and self._on_end is OnEnd.SILENT:
-            return Word.SILENCE
+            return NoAnswer.SILENCE
         if not key[1] or key[1][0] not in REACHING:
             return self._others.find(key, moment)
-        return Word.IMAGE
+        return NoAnswer.IMAGE
 
 
 def _last(answers: Sequence[RecordedAnswer]) -> RecordedAnswer:

@@ -30,26 +30,26 @@ from typing import TYPE_CHECKING, Protocol
 from mbtool.core import Direction
 from mbtool.modbus import (
     REACHING,
-    Answer,
+    Response,
     Table,
     Transport,
     exception_pdu,
     parse_pdu,
-    reach_of,
+    register_access,
     response_to,
     values_after,
 )
 from mbtool.modbus import ExceptionCode as _Code
 from mbtool.replay.clock import PlayClock
-from mbtool.replay.latency import Latency, RecordedLatency
-from mbtool.replay.matching import Match, Moment, OnEnd, Word, matcher_for
+from mbtool.replay.latency import LatencyModel, RecordedLatency
+from mbtool.replay.matching import MatchStrategy, Moment, NoAnswer, OnEnd, matcher_for
 from mbtool.replay.recording import RecordedAnswer
 from mbtool.replay.steering import Control, Progress, Steering
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from mbtool.modbus import Pdu, Reach
+    from mbtool.modbus import Pdu, RegisterAccess
     from mbtool.replay.recording import Recording
 
 BROADCAST_UNIT = 0
@@ -72,7 +72,7 @@ class Device(Protocol):
     def learn(self, table: Table, address: int, value: int) -> None:
         """Take over what the recording knows."""
 
-    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None: ...
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None: ...
 
 
 class RecordedSlave:
@@ -82,11 +82,11 @@ class RecordedSlave:
         self,
         recording: Recording,
         *,
-        match: Match = Match.AUTO,
+        match: MatchStrategy = MatchStrategy.AUTO,
         on_miss: OnMiss = OnMiss.IMAGE,
         on_end: OnEnd = OnEnd.LAST,
         rate: Fraction | None = Fraction(1),
-        latency: Latency | None = None,
+        latency: LatencyModel | None = None,
         devices: Mapping[int, Device] | None = None,
         transport: Transport = Transport.RTU,
         with_damage: bool = False,
@@ -123,7 +123,7 @@ class RecordedSlave:
         self.missed = 0
         """How many requests the recording has no answer for."""
 
-    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._steering.begin(now_ns)
         self.asked += 1
         found = self._matcher.find((unit, pdu), self._moment(now_ns))
@@ -136,9 +136,9 @@ class RecordedSlave:
             return None
         if isinstance(found, RecordedAnswer):
             return self._play(unit, pdu, found)
-        if unit not in self._recording.units or not pdu or found is Word.SILENCE:
+        if unit not in self._recording.units or not pdu or found is NoAnswer.SILENCE:
             return None
-        if found is Word.MISS:
+        if found is NoAnswer.MISS:
             self.missed += 1
         return self._make_up(unit, pdu, found, now_ns)
 
@@ -186,7 +186,7 @@ class RecordedSlave:
         is_line = self._transport is not Transport.TCP
         return unit == BROADCAST_UNIT and is_line and unit not in self._recording.units
 
-    def _play(self, unit: int, pdu: bytes, recorded: RecordedAnswer) -> Answer | None:
+    def _play(self, unit: int, pdu: bytes, recorded: RecordedAnswer) -> Response | None:
         if recorded.pdu is None:
             if recorded.damaged is None or not self._with_damage:
                 return None
@@ -195,7 +195,7 @@ class RecordedSlave:
         self._pass_by(recorded)
         if recorded.pdu[0] == pdu[0]:
             self._keep_write(unit, parse_pdu(pdu, Direction.REQUEST))
-        return Answer(recorded.pdu, self._delay_ns(unit, pdu[0], recorded.latency_ns))
+        return Response(recorded.pdu, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
     def _pass_by(self, played: RecordedAnswer) -> None:
         """The answers say where in the recording we are, where the clock does not."""
@@ -208,15 +208,15 @@ class RecordedSlave:
             return latency_ns
         return 0 if self._clock.rate is None else round(latency_ns / self._clock.rate)
 
-    def _make_up(self, unit: int, pdu: bytes, found: Word, now_ns: int) -> Answer | None:
+    def _make_up(self, unit: int, pdu: bytes, found: NoAnswer, now_ns: int) -> Response | None:
         """An answer to what was never recorded."""
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = reach_of(request)
-        if found is Word.IMAGE or self._on_miss is OnMiss.IMAGE:
+        reach = register_access(request)
+        if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:
             delay_ns = self._delay_ns(unit, pdu[0], None)
             response = self._from_image(unit, request, reach, pdu)
             if response is not None:
-                return Answer(response, delay_ns)
+                return Response(response, delay_ns)
             if unit in self._devices:
                 answer = self._from_device(unit, request, reach, pdu, now_ns)
                 return None if answer is None else replace(answer, delay_ns=delay_ns)
@@ -227,9 +227,11 @@ class RecordedSlave:
             reaching = request.code in REACHING
             refusal = _Code.ILLEGAL_DATA_VALUE if reaching else _Code.ILLEGAL_FUNCTION
         refused = exception_pdu(request.code, refusal)
-        return Answer(refused, self._delay_ns(unit, pdu[0], None))
+        return Response(refused, self._delay_ns(unit, pdu[0], None))
 
-    def _from_image(self, unit: int, request: Pdu, reach: Reach | None, pdu: bytes) -> bytes | None:
+    def _from_image(
+        self, unit: int, request: Pdu, reach: RegisterAccess | None, pdu: bytes
+    ) -> bytes | None:
         """The response, or None where one of its addresses was never seen."""
         if reach is None:
             return None
@@ -241,8 +243,8 @@ class RecordedSlave:
         return response_to(request, pdu, values)
 
     def _from_device(
-        self, unit: int, request: Pdu, reach: Reach | None, pdu: bytes, now_ns: int
-    ) -> Answer | None:
+        self, unit: int, request: Pdu, reach: RegisterAccess | None, pdu: bytes, now_ns: int
+    ) -> Response | None:
         """The device's own answer, given the values that the recording knows."""
         device = self._devices[unit]
         if reach is not None:
@@ -257,7 +259,7 @@ class RecordedSlave:
 
     def _keep_write(self, unit: int, request: Pdu) -> None:
         """Lay what an acknowledged request wrote over the image, where that knows the address."""
-        reach = reach_of(request)
+        reach = register_access(request)
         if reach is None or not reach.writes:
             return
         before = [self._value(unit, reach.table, address) for address in reach.writes]

@@ -25,10 +25,10 @@ from statistics import median_low
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Direction
-from mbtool.modbus import Outcome, Table, parse_pdu, reach_of, values_after, whole_pdu
+from mbtool.modbus import Outcome, Table, parse_pdu, register_access, values_after, whole_pdu
 from mbtool.replay.damaged import DamagedAnswer, damaged_answers
 from mbtool.replay.timeline import Timeline
-from mbtool.replay.window import Window
+from mbtool.replay.window import TimeRange
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -55,7 +55,7 @@ class RecordedAnswer:
     """What came in place of an answer, where that was known to be one."""
 
 
-_ALL = Window()
+_ALL = TimeRange()
 
 
 class Recording:
@@ -78,7 +78,7 @@ class Recording:
     def of(
         cls,
         transactions: Iterable[Transaction],
-        window: Window = _ALL,
+        window: TimeRange = _ALL,
         events: Iterable[WireEvent] = (),
     ) -> Self:
         """Build a recording; the transactions may come in any order.
@@ -154,7 +154,7 @@ class Recording:
         if pdu is None or transaction.outcome not in (Outcome.OK, Outcome.BROADCAST):
             return
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = reach_of(request)
+        reach = register_access(request)
         if reach is None:
             return
         is_broadcast = transaction.outcome is Outcome.BROADCAST

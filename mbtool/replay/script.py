@@ -17,15 +17,13 @@ from dataclasses import dataclass
 from sys import intern
 from typing import TYPE_CHECKING, Self
 
+from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.modbus import Outcome, whole_pdu
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from mbtool.devices import NamedTransaction
-
-MAX_OPEN = 256
-"""No more requests than these were open at once; older ones count as answered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +73,7 @@ class Script:
         for number, (request_ns, pdu, one) in enumerate(asked):
             for each in [each for each, end in open_until.items() if end <= request_ns]:
                 del open_until[each]
-            while len(open_until) > MAX_OPEN:
+            while len(open_until) > MAX_OPEN_REQUESTS:
                 del open_until[next(iter(open_until))]
             steps.append(
                 Step(

@@ -45,7 +45,7 @@ class Progress:
     """What was done so far, for a reader."""
 
 
-class Desk(Protocol):
+class PlayerControls(Protocol):
     """Where someone sits who steers a player, and sees where it is. It is asked very often."""
 
     def controls(self) -> Sequence[Control]:
@@ -120,7 +120,7 @@ class Steering:
             case Control.SLOWER:
                 self._clock.slower(now_ns)
 
-    def attend(self, desk: Desk, now_ns: int, done: str) -> None:
+    def attend(self, desk: PlayerControls, now_ns: int, done: str) -> None:
         """Do what is wanted at a desk, and show there where the player is."""
         for control in desk.controls():
             self.apply(control, now_ns)

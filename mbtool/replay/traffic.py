@@ -51,7 +51,7 @@ class SlaveKey(NamedTuple):
         return f"unit {self.unit}" + (f" on {self.link}" if self.link is not None else "")
 
 
-class Ask(NamedTuple):
+class RequestKey(NamedTuple):
     """What a request asks for, its values apart; -1 where a function has no such field."""
 
     function: int
@@ -62,7 +62,7 @@ class Ask(NamedTuple):
     write_quantity: int
 
 
-class Place(NamedTuple):
+class ValueKey(NamedTuple):
     """A register or bit, as it is read or as it is written."""
 
     table: Table
@@ -133,8 +133,8 @@ class SlaveTraffic:
         self.count = 0
         self.device: str | None = None
         """The name of its profile, if it has one."""
-        self.asked: dict[Ask, Asked] = {}
-        self.registers: dict[Place, Held] = {}
+        self.asked: dict[RequestKey, Asked] = {}
+        self.registers: dict[ValueKey, Held] = {}
         self.is_whole = True
         """Whether no bound left anything out."""
 
@@ -180,12 +180,12 @@ class SlaveTraffic:
         if address is None or not values:
             return
         for at, value in enumerate(values, start=address):
-            held = self.registers.get(Place(table, at, is_written))
+            held = self.registers.get(ValueKey(table, at, is_written))
             if held is None:
                 if len(self.registers) >= MAX_REGISTERS:
                     self.is_whole = False
                     return
-                held = self.registers[Place(table, at, is_written)] = Held()
+                held = self.registers[ValueKey(table, at, is_written)] = Held()
             held.add(value)
 
 
@@ -232,14 +232,14 @@ class Traffic:
         return Counter(unit for _, unit in self._slaves)
 
 
-def _ask(transaction: NamedTransaction) -> Ask:
+def _ask(transaction: NamedTransaction) -> RequestKey:
     def number(value: int | None) -> int:
         return -1 if value is None else value
 
     written = -1
     if transaction.write_address is not None:
         written = len(transaction.request_values or ())
-    return Ask(
+    return RequestKey(
         transaction.function,
         number(transaction.sub_function),
         number(transaction.address),

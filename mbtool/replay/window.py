@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class TimeRange:
     """A part of a recording, counted from its first request or byte; all of it by default.
 
     What begins at its end is the next part's, so parts one behind the other have each request once.

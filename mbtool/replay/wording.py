@@ -6,17 +6,17 @@ from statistics import median_low
 from typing import TYPE_CHECKING
 
 from mbtool.devices import Side, write_reference
-from mbtool.devices.values import Place as NamedPlace
+from mbtool.devices.values import PointInstance as NamedPlace
 from mbtool.modbus import Table, short_name
 
 if TYPE_CHECKING:
     from mbtool.devices import Profile
-    from mbtool.replay.traffic import Held, Place, Sample
+    from mbtool.replay.traffic import Held, Sample, ValueKey
 
 SHOWN_VALUES = 4
 
 
-class Words:
+class DeviceWording:
     """The words of a device for its registers."""
 
     def __init__(self, profile: Profile | None) -> None:
@@ -30,7 +30,7 @@ class Words:
     def reference(self, table: Table, address: int, quantity: int = 1) -> str:
         return write_reference(self._profile, table, address, quantity)
 
-    def of(self, place: Place) -> tuple[str | None, NamedPlace | None]:
+    def of(self, place: ValueKey) -> tuple[str | None, NamedPlace | None]:
         """The name of a register, and what puts its value into words where it is one word."""
         point = self._points.get((place.table, place.address))
         if point is None:

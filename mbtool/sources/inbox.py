@@ -28,16 +28,7 @@ from dataclasses import dataclass, field
 from threading import Condition, Event
 from typing import TYPE_CHECKING, Protocol
 
-from mbtool.core import (
-    Chunk,
-    Connection,
-    Direction,
-    EventKind,
-    LinkError,
-    Packet,
-    Quiet,
-    WireEvent,
-)
+from mbtool.core import Chunk, Connection, Direction, EventKind, LinkError, Packet, Quiet, WireEvent
 from mbtool.packets import StreamClosed, StreamEvent, StreamGap, StreamItem, StreamOpened
 
 if TYPE_CHECKING:

@@ -40,9 +40,9 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
-from mbtool.core.here import Trouble
 from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
-from mbtool.sources.clock import now_ns
+from mbtool.core.local_ports import Trouble
+from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.port_filter import drop_everything, port_filter
 

@@ -16,15 +16,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
-from mbtool.modbus.guessing import (
+from mbtool.ports.clock import now_ns
+from mbtool.ports.serial_port import IDLE_S, ListeningPort, open_listening
+from mbtool.serial_line.settings_fit import (
     ENOUGH,
     Hearing,
     LineScore,
     other_parity,
     settings_to_hear,
 )
-from mbtool.sources.clock import now_ns
-from mbtool.sources.serial_port import IDLE_S, ListeningPort, open_listening
 
 if TYPE_CHECKING:
     from collections.abc import Callable

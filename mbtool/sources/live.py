@@ -6,15 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
-from mbtool.core import (
-    AutoLink,
-    InterfaceLink,
-    LinkSpec,
-    SerialLink,
-    TapLink,
-    TcpLink,
-    UsageError,
-)
+from mbtool.core import AutoLink, InterfaceLink, LinkSpec, SerialLink, TapLink, TcpLink, UsageError
 from mbtool.core.link_spec import MODBUS_PORT
 
 if TYPE_CHECKING:
@@ -64,7 +56,7 @@ def live_source(
 
             return TwoTapsSource(link, inbox)
         case SerialLink():
-            from mbtool.sources.serial_line import SerialSource
+            from mbtool.sources.serial_capture import SerialSource
 
             return SerialSource(link, inbox)
         case InterfaceLink():

@@ -82,7 +82,7 @@ def read_monitor_text(
 ) -> SerialBytes:
     """`line` is what the user says of the line."""
     line = line or LineSettings(SerialFormat())
-    return SerialBytes(line, _Reader(name, link, line).pieces(stream))
+    return SerialBytes(line, _TextReader(name, link, line).pieces(stream))
 
 
 def is_monitor_text(head: bytes) -> bool:
@@ -90,7 +90,7 @@ def is_monitor_text(head: bytes) -> bool:
     return _BEGINS.match(head) is not None
 
 
-class _Reader:
+class _TextReader:
     def __init__(self, name: str, link: str, line: LineSettings) -> None:
         self._name = name
         self._link = link

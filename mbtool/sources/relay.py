@@ -29,9 +29,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
-from mbtool.sources.clock import now_ns
-from mbtool.sources.tls import failure
-from mbtool.sources.tls_peer import described
+from mbtool.ports.clock import now_ns
+from mbtool.ports.tls import failure
+from mbtool.ports.tls_peer import described
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,7 +46,7 @@ MAX_WAITING = 2**16
 _ERRNO = re.compile(r"\[Errno (\d{1,5})\]")
 
 
-class Relay:
+class TcpRelay:
     """Passes bytes between a master that has called and the target."""
 
     def __init__(
@@ -56,8 +56,8 @@ class Relay:
         target: Endpoint,
         number: int,
         inbox: Sink,
-        on_accept: Callable[[Relay, asyncio.Transport, Endpoint], bool],
-        on_end: Callable[[Relay], None],
+        on_accept: Callable[[TcpRelay, asyncio.Transport, Endpoint], bool],
+        on_end: Callable[[TcpRelay], None],
         listen_tls: ssl.SSLContext | None = None,
         target_tls: tuple[ssl.SSLContext, str] | None = None,
     ) -> None:
@@ -76,8 +76,8 @@ class Relay:
         self._is_open = False
         self.active_s = 0.0
         """When a byte last passed, on the event loop's clock."""
-        self.master = _Side(self, Direction.REQUEST)
-        self.slave = _Side(self, Direction.RESPONSE)
+        self.master = _RelaySide(self, Direction.REQUEST)
+        self.slave = _RelaySide(self, Direction.RESPONSE)
         self.master.peer, self.slave.peer = self.slave, self.master
 
     def abort(self, reason: CloseReason) -> None:
@@ -91,7 +91,7 @@ class Relay:
                 with suppress(AttributeError):
                     side.transport.abort()
 
-    def connected(self, side: _Side, transport: asyncio.Transport) -> None:
+    def connected(self, side: _RelaySide, transport: asyncio.Transport) -> None:
         loop = asyncio.get_running_loop()
         self.active_s = loop.time()
         if side is self.slave:
@@ -105,7 +105,7 @@ class Relay:
             loop.call_soon(transport.pause_reading)
             self._call = loop.create_task(self._begin(transport, self._connection))
 
-    def received(self, side: _Side, ts_ns: int, data: bytes) -> None:
+    def received(self, side: _RelaySide, ts_ns: int, data: bytes) -> None:
         self.active_s = asyncio.get_running_loop().time()
         self._inbox.put(
             Chunk(
@@ -118,7 +118,7 @@ class Relay:
             )
         )
 
-    def lost(self, side: _Side, error: Exception | None) -> None:
+    def lost(self, side: _RelaySide, error: Exception | None) -> None:
         """A side's transport is closed; the other's follows."""
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
@@ -215,12 +215,12 @@ class Relay:
         self._on_end(self)
 
 
-class _Side(asyncio.Protocol):
+class _RelaySide(asyncio.Protocol):
     """The relay's end of one of the two connections."""
 
-    peer: _Side
+    peer: _RelaySide
 
-    def __init__(self, relay: Relay, direction: Direction) -> None:
+    def __init__(self, relay: TcpRelay, direction: Direction) -> None:
         self._relay = relay
         self.direction = direction
         self.who = "master" if direction is Direction.REQUEST else "slave"

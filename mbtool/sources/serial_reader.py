@@ -23,11 +23,11 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError, SerialFormat
-from mbtool.sources.clock import now_ns
-from mbtool.sources.line_errors import LineErrors, LineTrouble
+from mbtool.ports.clock import now_ns
+from mbtool.ports.line_errors import LineErrors, LineTrouble
+from mbtool.ports.serial_port import IDLE_S, ListeningPort, open_listening
+from mbtool.ports.serial_records import RecordKind, RecordWriter
 from mbtool.sources.priority import run_promptly
-from mbtool.sources.serial_port import IDLE_S, ListeningPort, open_listening
-from mbtool.sources.serial_records import Kind, RecordWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -49,7 +49,7 @@ def _read_port(port: str, format_: SerialFormat, records: RecordWriter) -> None:
     try:
         source = open_listening(port, format_)
         try:
-            records.put(Kind.QUIET, now_ns())
+            records.put(RecordKind.QUIET, now_ns())
             read_until(told_to_end, source, records, format_)
         finally:
             source.close()
@@ -79,7 +79,7 @@ def read_until(
             elif wait_s:
                 wait_s = 0.0
             else:
-                records.put(Kind.QUIET, asked_ns)
+                records.put(RecordKind.QUIET, asked_ns)
                 wait_s = IDLE_S
             _put_troubles(records, errors.tell(read_ns))
         if data := source.read(0):
@@ -91,7 +91,7 @@ def read_until(
 def _put_data(
     records: RecordWriter, errors: LineErrors, data: bytes, damaged: Sequence[int], read_ns: int
 ) -> None:
-    records.put(Kind.DATA, read_ns, data)
+    records.put(RecordKind.DATA, read_ns, data)
     if damaged:
         errors.mark(data, damaged, read_ns)
 
@@ -99,9 +99,9 @@ def _put_data(
 def _put_troubles(records: RecordWriter, troubles: Iterable[LineTrouble]) -> None:
     for trouble in troubles:
         if trouble.lost:
-            records.put_count(Kind.OVERRUN, trouble.ts_ns, trouble.lost)
+            records.put_count(RecordKind.OVERRUN, trouble.ts_ns, trouble.lost)
         else:
-            records.put(Kind.DAMAGE, trouble.ts_ns, trouble.text.encode())
+            records.put(RecordKind.DAMAGE, trouble.ts_ns, trouble.text.encode())
 
 
 def _await_end(told_to_end: Event) -> None:

@@ -28,11 +28,11 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import LinkError, SerialFormat
-from mbtool.sources.clock import now_ns
-from mbtool.sources.line_errors import ErrorCounts, LineErrors, LineTrouble
+from mbtool.ports.clock import now_ns
+from mbtool.ports.line_errors import ErrorCounts, LineErrors, LineTrouble
+from mbtool.ports.serial_port import IDLE_S, explain
+from mbtool.ports.serial_records import RecordKind, RecordWriter
 from mbtool.sources.priority import run_promptly
-from mbtool.sources.serial_port import IDLE_S, explain
-from mbtool.sources.serial_records import Kind, RecordWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,14 +72,14 @@ def _join_ports(names: tuple[str, str], format_: SerialFormat, pipe: int) -> Non
             for name in names:
                 ports.append(_open_passing(name, format_))
                 opened.callback(ports[-1].close)
-            records.put(Kind.QUIET, now_ns())
-            Relay(ports[0], ports[1], records, format_).run_until(told_to_end)
+            records.put(RecordKind.QUIET, now_ns())
+            SerialRelay(ports[0], ports[1], records, format_).run_until(told_to_end)
     except LinkError as link_error:
         error = str(link_error)
     records.end(now_ns(), error)
 
 
-class Relay:
+class SerialRelay:
     """Passes on between two ports and records both."""
 
     def __init__(
@@ -88,8 +88,8 @@ class Relay:
         self._records = records
         self._settle_s = min(2 * format_.t3_5_ns / 1e9, IDLE_S)
         self._sides = (
-            _Side(master, Kind.DATA, "the master's side", format_),
-            _Side(slaves, Kind.ANSWER, "the slaves' side", format_),
+            _SerialDirection(master, RecordKind.DATA, "the master's side", format_),
+            _SerialDirection(slaves, RecordKind.ANSWER, "the slaves' side", format_),
         )
         self._sides[0].onward, self._sides[1].onward = slaves, master
 
@@ -127,7 +127,7 @@ class Relay:
             return IDLE_S
         if wait_s:
             return 0.0
-        self._records.put(Kind.QUIET, asked_ns)
+        self._records.put(RecordKind.QUIET, asked_ns)
         return IDLE_S
 
     def _finish(self) -> None:
@@ -137,12 +137,12 @@ class Relay:
             side.tell_all(self._records)
 
 
-class _Side:
+class _SerialDirection:
     """One direction: the port that brings it, and where it goes."""
 
     onward: Port
 
-    def __init__(self, port: Port, kind: Kind, name: str, format_: SerialFormat) -> None:
+    def __init__(self, port: Port, kind: RecordKind, name: str, format_: SerialFormat) -> None:
         self.port = port
         self.unsent = b""
         """What the other port's driver had no room for."""
@@ -193,15 +193,15 @@ class _Side:
 
 def _put_trouble(records: RecordWriter, trouble: LineTrouble, side: str) -> None:
     if trouble.lost:
-        records.put_count(Kind.OVERRUN, trouble.ts_ns, trouble.lost)
+        records.put_count(RecordKind.OVERRUN, trouble.ts_ns, trouble.lost)
     else:
-        records.put(Kind.DAMAGE, trouble.ts_ns, f"on {side}: {trouble.text}".encode())
+        records.put(RecordKind.DAMAGE, trouble.ts_ns, f"on {side}: {trouble.text}".encode())
 
 
 def _open_passing(name: str, format_: SerialFormat) -> Port:
     if sys.platform == "win32":
         raise LinkError("a serial tap needs Linux or macOS")
-    from mbtool.sources.posix_serial import PassingPort
+    from mbtool.ports.posix_serial import PassingPort
 
     try:
         return PassingPort(name, format_)

@@ -32,11 +32,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import Endpoint, EventKind, LinkError, Quiet, TapLink, WireEvent
 from mbtool.packets import CloseReason
-from mbtool.sources.clock import now_ns
+from mbtool.ports.clock import now_ns
+from mbtool.ports.tls import client_context, server_context
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.outbox import Outbox
-from mbtool.sources.relay import Relay, reset
-from mbtool.sources.tls import client_context, server_context
+from mbtool.sources.relay import TcpRelay, reset
 
 if TYPE_CHECKING:
     import ssl
@@ -70,7 +70,7 @@ class TapSource:
         self._endpoint = link.listen
         self._listen_tls: ssl.SSLContext | None = None
         self._target_tls: tuple[ssl.SSLContext, str] | None = None
-        self._relays: set[Relay] = set()
+        self._relays: set[TcpRelay] = set()
         self._accepted = 0
         self._waits = waits
         self._server: asyncio.Server | None = None
@@ -155,9 +155,9 @@ class TapSource:
         while self._relays:
             await asyncio.sleep(0)
 
-    def _relay(self, outbox: Outbox) -> Relay:
+    def _relay(self, outbox: Outbox) -> TcpRelay:
         self._accepted += 1
-        return Relay(
+        return TcpRelay(
             link=self.link,
             target=self._link.target,
             number=self._accepted,
@@ -169,7 +169,7 @@ class TapSource:
         )
 
     def _admit(
-        self, outbox: Outbox, relay: Relay, transport: asyncio.Transport, master: Endpoint
+        self, outbox: Outbox, relay: TcpRelay, transport: asyncio.Transport, master: Endpoint
     ) -> bool:
         if len(self._relays) < self._max_connections:
             self._relays.add(relay)

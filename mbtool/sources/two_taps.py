@@ -12,9 +12,9 @@ from threading import Lock
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Chunk, Direction, LinkError, Quiet, SerialLink
-from mbtool.modbus.two_taps import LATE_NS
+from mbtool.core.limits import MAX_CLOCK_STEP_NS
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.serial_line import SerialSource
+from mbtool.sources.serial_capture import SerialSource
 
 if TYPE_CHECKING:
     from mbtool.sources.inbox import Item
@@ -104,7 +104,7 @@ class TwoTapsSource:
 
 def _known(until_ns: int, ts_ns: int) -> int:
     """Until when something is known, where it is now known until a time."""
-    return ts_ns if ts_ns < until_ns - LATE_NS else max(until_ns, ts_ns)
+    return ts_ns if ts_ns < until_ns - MAX_CLOCK_STEP_NS else max(until_ns, ts_ns)
 
 
 class _Tap:

@@ -27,7 +27,7 @@ MAX_RAW = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TransactionRow:
     """One line of the table."""
 
     number: str
@@ -62,9 +62,9 @@ HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency"
 
 def transaction_row(
     number: int, transaction: NamedTransaction, profile: Profile | None = None
-) -> Row:
+) -> TransactionRow:
     """A transaction as a line; the profile gives findings their figures."""
-    return Row(
+    return TransactionRow(
         number=str(number),
         time=clock_time(transaction.start_ns),
         link=transaction.link,
@@ -77,9 +77,9 @@ def transaction_row(
     )
 
 
-def event_row(event: WireEvent) -> Row:
+def event_row(event: WireEvent) -> TransactionRow:
     """A wire event as a line of the same table."""
-    return Row(
+    return TransactionRow(
         number="",
         time=clock_time(event.ts_ns),
         link=event.link,

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from mbtool.core.here import InterfaceHere, SerialPortHere, Trouble
+    from mbtool.core.local_ports import LocalInterface, LocalSerialPort, Trouble
 
 _UNKNOWN = "-"
 _INDENT = "  "
 _NARROWEST = 20
 
 
-def print_ports(console: Console, ports: Sequence[SerialPortHere]) -> None:
+def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
     """A table of the ports, then how to call each and what is wrong with it."""
     table = plain_table("port", "what it is", "driver", "timing", "low latency", "held by")
     for port in ports:
@@ -45,7 +45,7 @@ def print_ports(console: Console, ports: Sequence[SerialPortHere]) -> None:
             _print_trouble(console, trouble)
 
 
-def print_interfaces(console: Console, interfaces: Sequence[InterfaceHere]) -> None:
+def print_interfaces(console: Console, interfaces: Sequence[LocalInterface]) -> None:
     """A table of the interfaces, then what keeps captures from starting, each once."""
     table = plain_table("interface", "what it is", "state", "capture")
     for one in interfaces:
@@ -81,12 +81,12 @@ def _print_whole(console: Console, line: str, style: str = "") -> None:
     console.print(plain(line, style), soft_wrap=True)
 
 
-def _what(port: SerialPortHere) -> str:
+def _what(port: LocalSerialPort) -> str:
     usb = f"({port.usb_id})" if port.usb_id else ""
     return f"{port.description} {usb}".strip() or _UNKNOWN
 
 
-def _timing(port: SerialPortHere) -> str:
+def _timing(port: LocalSerialPort) -> str:
     if port.latency_timer_ms is not None:
         return f"timer {port.latency_timer_ms} ms"
     if port.fifo_bytes is not None:
@@ -94,7 +94,7 @@ def _timing(port: SerialPortHere) -> str:
     return _UNKNOWN
 
 
-def _low_latency(port: SerialPortHere) -> str:
+def _low_latency(port: LocalSerialPort) -> str:
     if port.low_latency:
         return "on"
     match port.low_latency_support:
@@ -106,13 +106,13 @@ def _low_latency(port: SerialPortHere) -> str:
             return "no"
 
 
-def _held_by(port: SerialPortHere) -> str:
+def _held_by(port: LocalSerialPort) -> str:
     if port.holders:
         return ", ".join(map(str, port.holders))
     return "nobody seen" if port.unseen_processes else _UNKNOWN
 
 
-def _state(one: InterfaceHere) -> str:
+def _state(one: LocalInterface) -> str:
     if one.is_up is None:
         return _UNKNOWN
     if not one.is_up:

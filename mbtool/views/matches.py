@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from mbtool.devices.matching import Match, Verdict
+    from mbtool.devices.matching import MatchResult, ProfileMatch
 
 SHOWN = 3
 
 
-def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
+def print_verdicts(console: Console, verdicts: Sequence[MatchResult]) -> None:
     """Every slave with its best profiles."""
     for index, verdict in enumerate(verdicts):
         if index:
@@ -32,19 +32,19 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
             console.print(_table(shown_matches(verdict)))
 
 
-def slave_text(verdict: Verdict) -> str:
+def slave_text(verdict: MatchResult) -> str:
     """The slave, as a person would say where it is."""
     seen = verdict.seen
     return f"unit {seen.unit} at {seen.destination or seen.link}"
 
 
-def shown_matches(verdict: Verdict) -> Sequence[Match]:
+def shown_matches(verdict: MatchResult) -> Sequence[ProfileMatch]:
     """The best and all that tie with it, else SHOWN; none that explains nothing."""
     worth = [one for one in verdict.matches if one.score > 0]
     return worth[: max(SHOWN, len(verdict.best))]
 
 
-def verdict_record(verdict: Verdict) -> dict[str, Any]:
+def verdict_record(verdict: MatchResult) -> dict[str, Any]:
     """The same for a program."""
     seen = verdict.seen
     record: dict[str, Any] = {"link": seen.link, "destination": seen.destination}
@@ -71,7 +71,7 @@ def verdict_record(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _table(matches: Sequence[Match]) -> Table:
+def _table(matches: Sequence[ProfileMatch]) -> Table:
     table = plain_table("profile")
     table.add_column("score", justify="right")
     table.add_column("why", overflow="fold", ratio=1)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Group
 
-from mbtool.devices import Access, ByteOrder, Place, PointType, WordOrder, write_reference
+from mbtool.devices import Access, ByteOrder, PointInstance, PointType, WordOrder, write_reference
 from mbtool.modbus import FUNCTIONS, function_name
 from mbtool.views.tables import plain, plain_table
 
@@ -208,5 +208,5 @@ def _point_notes(profile: Profile) -> list[str]:
 
 def _default(point: Point, word: int) -> str:
     if point.words == 1:
-        return Place(point, point.address, "").value([word]).text
+        return PointInstance(point, point.address, "").value([word]).text
     return str(word)

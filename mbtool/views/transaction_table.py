@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from mbtool.views.cells import HEADINGS, Row
+from mbtool.views.cells import HEADINGS, TransactionRow
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
@@ -48,13 +48,13 @@ class TransactionTable:
     def __init__(self, console: Console, *, sample: int = SAMPLE) -> None:
         self._console = console
         self._sample = sample
-        self._waiting: list[tuple[str, Row]] = []
+        self._waiting: list[tuple[str, TransactionRow]] = []
         self._widths: tuple[int, ...] | None = None
         self._is_live = False
         self._styles: dict[str, tuple[str, str]] = {}
         self._day = ""
 
-    def add(self, row: Row, day: str) -> None:
+    def add(self, row: TransactionRow, day: str) -> None:
         """Show a row; a day that differs from the last one gets a line of its own."""
         if self._widths is not None:
             self._print(row, day)
@@ -78,14 +78,14 @@ class TransactionTable:
         for day, row in waiting:
             self._print(row, day)
 
-    def _settle(self, rows: Sequence[Row]) -> None:
+    def _settle(self, rows: Sequence[TransactionRow]) -> None:
         minima = self._widths or (_LIVE_MINIMA if self._is_live else _MINIMA)
         if self._console.is_terminal:
             self._widths = _widths_within(self._console.width, rows, minima, live=self._is_live)
         else:
             self._widths = _widths(rows, minima)
 
-    def _print(self, row: Row, day: str) -> None:
+    def _print(self, row: TransactionRow, day: str) -> None:
         if _outgrows(row, self._widths or (), whole=not self._console.is_terminal):
             self._settle([row])
         if day != self._day:
@@ -96,7 +96,7 @@ class TransactionTable:
         if self._console.is_terminal:
             self._print_long(row, style)
 
-    def _print_long(self, row: Row, style: str) -> None:
+    def _print_long(self, row: TransactionRow, style: str) -> None:
         """Show in full below its line what is cut in it."""
         widths = self._widths or ()
         for index in _LEFTOVER:
@@ -142,7 +142,7 @@ def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:
     return cell.rjust(width) if right else cell.ljust(width)
 
 
-def _outgrows(row: Row, widths: Sequence[int], *, whole: bool) -> bool:
+def _outgrows(row: TransactionRow, widths: Sequence[int], *, whole: bool) -> bool:
     """Whether a column is too narrow for a row; those that are cut to fit never are."""
     fixed = () if whole else (_FUNCTION, *_LEFTOVER)
     return any(
@@ -152,7 +152,7 @@ def _outgrows(row: Row, widths: Sequence[int], *, whole: bool) -> bool:
     )
 
 
-def _widths(rows: Sequence[Row], minima: Sequence[int]) -> tuple[int, ...]:
+def _widths(rows: Sequence[TransactionRow], minima: Sequence[int]) -> tuple[int, ...]:
     """Each column's width, as wide as its rows up to its cap."""
     columns = zip(HEADINGS, *(row.cells() for row in rows), strict=True)
     return tuple(
@@ -162,7 +162,7 @@ def _widths(rows: Sequence[Row], minima: Sequence[int]) -> tuple[int, ...]:
 
 
 def _widths_within(
-    total: int, rows: Sequence[Row], minima: Sequence[int], *, live: bool
+    total: int, rows: Sequence[TransactionRow], minima: Sequence[int], *, live: bool
 ) -> tuple[int, ...]:
     """Each column's width, where what and result fill the total."""
     widths = list(_widths(rows, minima))

@@ -23,25 +23,27 @@ from mbtool.core import (
     TcpLink,
     WireEvent,
 )
+from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
+from mbtool.logs.opening import begin_log
+from mbtool.master.poll import Poller, TcpPoller
 from mbtool.modbus import Table, encode_pdu
 from mbtool.replay import RecordedSlave, Recording
-from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave, units_on
+from mbtool.slave.device import RegisterImage, units_on
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.tap import TapSource
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.asking import Master, TcpMaster
-from mbtool.workflows.decoding import Decoder
-from mbtool.workflows.reading import Reading, ReadingOptions
-from mbtool.workflows.recording import begin_log
-from mbtool.workflows.sniffing import Sniffer, serial_lines
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.sniff import Sniffer, serial_lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.core import LinkSpec
+    from mbtool.decode.decoder import Record
     from mbtool.modbus import Responder
     from mbtool.modbus.layouts import Value
-    from mbtool.workflows.decoding import Record
 
 LINE = SerialFormat(19200, 8, "E", 1)
 TOUCH_UNIT = 1
@@ -110,7 +112,7 @@ class Demo:
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
         slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
-        with slave, TcpMaster(slave.endpoint) as master:
+        with slave, TcpPoller(slave.endpoint) as master:
             answers = [master.ask(unit, pdu) for unit, pdu, _ in self._exchanges]
         differences = tuple(
             (unit, pdu, answer)
@@ -121,13 +123,13 @@ class Demo:
 
     def _ask_all(self, serial: SerialLink, tap: Endpoint) -> None:
         try:
-            with Master(serial) as rtu, TcpMaster(tap) as tcp:
+            with Poller(serial) as rtu, TcpPoller(tap) as tcp:
                 self._ask(tcp, MODULE_UNIT, module_requests())
                 self._ask(rtu, TOUCH_UNIT, touch_requests())
         except Exception as error:
             self._failure = error
 
-    def _ask(self, master: Master, unit: int, requests: Sequence[bytes]) -> None:
+    def _ask(self, master: Poller, unit: int, requests: Sequence[bytes]) -> None:
         for pdu in requests:
             answer = master.ask(unit, pdu)
             if answer is None:
@@ -179,7 +181,7 @@ def _touch(link: SerialLink) -> Responder:
     image.set(Table.INPUT_REGISTERS, 0, [2310, 498])
     image.set(Table.COILS, 0, [0, 0, 0, 0, 0, 1, 0, 0, 1, 1, 0])
     image.set(Table.DISCRETE_INPUTS, 0, [1, 0, 1])
-    return units_on(link, profile, TOUCH_UNIT, DeviceResponder(profile, image))
+    return units_on(link, profile, TOUCH_UNIT, make_device(profile, image))
 
 
 def _module(link: TcpLink) -> Responder:
@@ -188,7 +190,7 @@ def _module(link: TcpLink) -> Responder:
     image.set(Table.INPUT_REGISTERS, 2, [12000, 4000, 0, 0, 0, 2700, 0, 37])
     image.set(Table.DISCRETE_INPUTS, 0x09, [1])
     image.set(Table.DISCRETE_INPUTS, 0x10, [1, 1, 0, 0, 0, 1, 0, 1])
-    return units_on(link, profile, MODULE_UNIT, DeviceResponder(profile, image))
+    return units_on(link, profile, MODULE_UNIT, make_device(profile, image))
 
 
 def _when_done(masters: threading.Thread) -> Callable[[int], bool]:

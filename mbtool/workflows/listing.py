@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.sources.interfaces_here import interfaces_here
-from mbtool.sources.ports_here import ports_here
+from mbtool.ports.local_ports import local_ports
+from mbtool.sources.local_interfaces import local_interfaces
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.core.here import InterfaceHere, SerialPortHere
+    from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 
 
-def links_here() -> tuple[Sequence[SerialPortHere], Sequence[InterfaceHere]]:
+def links_here() -> tuple[Sequence[LocalSerialPort], Sequence[LocalInterface]]:
     """The serial ports and the interfaces; nothing is opened."""
-    return ports_here(), interfaces_here()
+    return local_ports(), local_interfaces()

@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rich.console import Console
 
 from mbtool.core import Chunk, Direction, Packet
+from mbtool.decode import ConnectionDecoder
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
 from mbtool.logs import LogReader, LogWriter, transaction_to_jsonl
-from mbtool.modbus import Conversation, Transaction, encode_pdu, mbap_adu
+from mbtool.modbus import Transaction, encode_pdu, mbap_adu
 from mbtool.packets import TcpReassembler, read_capture
 from mbtool.views.cells import day, transaction_row
 from mbtool.views.transaction_table import TransactionTable
@@ -133,7 +134,7 @@ def reassembled(packets: Sequence[Packet]) -> list[Chunk]:
 
 def conversed(chunks: Sequence[Chunk]) -> list[Transaction]:
     assert chunks[0].connection is not None
-    conversation = Conversation(chunks[0].connection)
+    conversation = ConnectionDecoder(chunks[0].connection)
     decoded: list[Any] = []
     for chunk in chunks:
         decoded += conversation.feed(chunk.direction, chunk.data, chunk.ts_ns)

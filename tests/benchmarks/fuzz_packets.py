@@ -23,9 +23,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import Packet, WireEvent
+from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.modbus import mbap_adu
-from mbtool.workflows.decoding import Decoder
 from tests.packets.building import (
     MASTER,
     SLAVE,

@@ -24,7 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from mbtool.core import SerialFormat, WireEvent
-from mbtool.modbus import Adu, Bus, RtuSplitter, Transaction
+from mbtool.decode import Bus
+from mbtool.modbus import Adu, Transaction
+from mbtool.serial_line import RtuSplitter
 from tests.benchmarks.adapters import Column, Damage, Read, Wire, damaged, delivered
 from tests.benchmarks.bus_traffic import LINE, bus_traffic
 from tests.benchmarks.figures import SURE, Figures, Heard, figures

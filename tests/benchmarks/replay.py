@@ -30,9 +30,9 @@ from typing import TYPE_CHECKING
 from mbtool.core import SerialFormat, SerialLink, Silence, TcpLink
 from mbtool.modbus import mbap_adu
 from mbtool.sources.priority import run_promptly
-from mbtool.workflows.bus_playing import BusOptions, BusRun
-from mbtool.workflows.mastering import MasterOptions, MasterRun
-from mbtool.workflows.reading import ReadingOptions
+from mbtool.workflows.replay_bus import BusOptions, BusRun
+from mbtool.workflows.replay_master import MasterOptions, MasterRun
+from mbtool.workflows.shared.reading import ReadingOptions
 from tests.cli.program import Program, endpoint_in
 from tests.packets.building import Talk, pcap
 

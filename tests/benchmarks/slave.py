@@ -45,7 +45,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, TcpLink
 from mbtool.devices import load_profile
-from mbtool.slave import DeviceResponder, RegisterImage, TcpSlave, units_on
+from mbtool.slave.device import RegisterImage, units_on
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import TcpSlave
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -306,7 +308,7 @@ def _serve_profiled() -> None:
     """mbtool's slave under a profiler, until the end of its input tells it to stop."""
     link = TcpLink(Endpoint("127.0.0.1", 0))
     device_profile = load_profile("idec-ft1a-touch")
-    device = DeviceResponder(device_profile, RegisterImage.of(device_profile))
+    device = make_device(device_profile, RegisterImage.of(device_profile))
     slave = TcpSlave(link, units_on(link, device_profile, 1, device))
     slave._open()
     profiler = cProfile.Profile()

@@ -5,9 +5,9 @@ from itertools import pairwise
 import pytest
 
 from mbtool.core import Direction, SerialFormat
+from mbtool.decode.pairing import Pairing
+from mbtool.decode.transactions import Ends
 from mbtool.modbus import Adu, DirectionBy, Outcome, Transport, crc, parse_pdu
-from mbtool.modbus.joining import Ends
-from mbtool.modbus.pairing import Pairing
 from tests.benchmarks.bus_traffic import (
     EXCEPTIONS,
     RATES,

@@ -9,7 +9,9 @@ import pytest
 
 from mbtool.core import Endpoint, TcpLink
 from mbtool.devices import load_profile
-from mbtool.slave import DeviceResponder, RegisterImage, TcpSlave, units_on
+from mbtool.slave.device import RegisterImage, units_on
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import TcpSlave
 from tests.benchmarks.slave import (
     FA3,
     FT1A,
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 
 def _slave() -> TcpSlave:
     profile = load_profile("idec-ft1a-touch")
-    device = DeviceResponder(profile, RegisterImage.of(profile))
+    device = make_device(profile, RegisterImage.of(profile))
     link = TcpLink(Endpoint("127.0.0.1", 0))
     return TcpSlave(link, units_on(link, profile, 1, device))
 

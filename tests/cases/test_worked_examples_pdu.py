@@ -12,12 +12,9 @@ import msgspec
 import pytest
 
 from mbtool.core import Direction, SerialFormat
+from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import (
     Adu,
-    AsciiSplitter,
-    MbapSplitter,
-    RtuSplitter,
-    RtuStreamSplitter,
     Transport,
     ascii_adu,
     encode_pdu,
@@ -26,6 +23,7 @@ from mbtool.modbus import (
     pdu_of,
     rtu_adu,
 )
+from mbtool.serial_line import AsciiSplitter, RtuSplitter
 from tests.cases.worked_examples import worked_examples
 from tests.feeding import Line, every_way, feed_all
 from tests.modbus.reading import adus

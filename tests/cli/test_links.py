@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.core.here import Holder, InterfaceHere, SerialPortHere, Trouble
+from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
 from mbtool.workflows import listing
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
 
-PORT = SerialPortHere(
+PORT = LocalSerialPort(
     device="/dev/ttyUSB0",
     driver="ftdi_sio",
     latency_timer_ms=16,
@@ -23,14 +23,14 @@ PORT = SerialPortHere(
     unseen_processes=3,
     troubles=(Trouble("glued", "echo 1"), Trouble("held")),
 )
-INTERFACE = InterfaceHere(name="eth0", is_up=False)
+INTERFACE = LocalInterface(name="eth0", is_up=False)
 
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with one of each."""
-    monkeypatch.setattr(listing, "ports_here", lambda: [PORT])
-    monkeypatch.setattr(listing, "interfaces_here", lambda: [INTERFACE])
+    monkeypatch.setattr(listing, "local_ports", lambda: [PORT])
+    monkeypatch.setattr(listing, "local_interfaces", lambda: [INTERFACE])
 
 
 @pytest.mark.usefixtures("machine")
@@ -84,8 +84,8 @@ def test_json_lines_leave_out_what_is_not_known(mbtool: CommandLine) -> None:
 def test_without_a_port_it_says_how_to_do_without(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, format_: str
 ) -> None:
-    monkeypatch.setattr(listing, "ports_here", list)
-    monkeypatch.setattr(listing, "interfaces_here", lambda: [INTERFACE])
+    monkeypatch.setattr(listing, "local_ports", list)
+    monkeypatch.setattr(listing, "local_interfaces", lambda: [INTERFACE])
     told = mbtool("links", "--format", format_)
     assert told.code == exit_codes.DONE
     assert told.err == (
@@ -98,9 +98,9 @@ def test_without_a_port_it_says_how_to_do_without(
 def test_a_name_that_is_no_text_is_told_nevertheless(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listing, "ports_here", list)
-    odd = [InterfaceHere(name="eth\udcff")]
-    monkeypatch.setattr(listing, "interfaces_here", lambda: odd)
+    monkeypatch.setattr(listing, "local_ports", list)
+    odd = [LocalInterface(name="eth\udcff")]
+    monkeypatch.setattr(listing, "local_interfaces", lambda: odd)
     assert json.loads(mbtool("links", "--format", "jsonl").out)["name"] == "eth\udcff"
     assert "net:eth?" in mbtool("links").out
 

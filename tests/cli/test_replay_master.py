@@ -9,8 +9,8 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.core import parse_link
-from mbtool.modbus import Answer
-from mbtool.slave import open_shell
+from mbtool.modbus import Response
+from mbtool.slave.shells import open_shell
 from tests.slave.scripted import Scripted
 from tests.workflows.evidence import VALUES
 
@@ -25,13 +25,13 @@ WRONG = bytes.fromhex("03 04 1234 0001")
 
 @pytest.fixture
 def right() -> Iterator[str]:
-    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda *_: Answer(VALUES))) as shell:
+    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda *_: Response(VALUES))) as shell:
         yield shell.place
 
 
 @pytest.fixture
 def wrong() -> Iterator[str]:
-    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda *_: Answer(WRONG))) as shell:
+    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda *_: Response(WRONG))) as shell:
         yield shell.place
 
 
@@ -110,7 +110,7 @@ def test_wrong_usage_is_told(
 def test_what_cannot_be_written_is_told_before_the_first_request(
     mbtool: CommandLine, capture: Path, tmp_path: Path, option: str
 ) -> None:
-    scripted = Scripted(lambda *_: Answer(VALUES))
+    scripted = Scripted(lambda *_: Response(VALUES))
     for file, why in (
         (tmp_path / "absent" / "x.json", "No such file or directory"),
         (tmp_path / "folder.json", "Is a directory"),

@@ -11,7 +11,7 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.serve import _SILENT_LOOKS, serve
 from mbtool.core import LinkError
-from mbtool.slave import Shell
+from mbtool.slave.shells import Shell
 
 
 class _Shell(Shell):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import (
+from mbtool.core.errors import (
     CutError,
     DamageError,
     InputError,

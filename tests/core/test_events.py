@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core.events import EventKind, WireEvent
 
 
 def test_kinds_keep_the_values_that_stand_in_logs() -> None:

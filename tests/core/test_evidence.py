@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mbtool.core import Connection, Direction, Endpoint, Stamp
-from mbtool.core.evidence import Chunk
+from mbtool.core.evidence import Chunk, Connection, Direction, Endpoint, Stamp
 
 
 def test_endpoint_writes_an_ipv6_address_in_brackets() -> None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import LineSettings, SerialFormat, SerialLink, UsageError, parse_line
+from mbtool.core.errors import UsageError
+from mbtool.core.line_settings import LineSettings, parse_line
+from mbtool.core.link_spec import SerialLink
+from mbtool.core.serial_format import SerialFormat
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import (
+from mbtool.core.errors import UsageError
+from mbtool.core.evidence import Endpoint
+from mbtool.core.link_spec import (
+    HEARD,
     AutoLink,
-    Endpoint,
     InterfaceLink,
     LinkSpec,
     ListenTls,
-    SerialFormat,
     SerialLink,
-    Silence,
     TapLink,
     TargetTls,
     TcpLink,
-    UsageError,
     parse_link,
 )
-from mbtool.core.link_spec import HEARD
+from mbtool.core.serial_format import SerialFormat
+from mbtool.core.silence import Silence
 
 E8 = SerialFormat(19200, 8, "E", 1)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import SerialFormat, Silence, UsageError
+from mbtool.core.errors import UsageError
+from mbtool.core.serial_format import SerialFormat
+from mbtool.core.silence import Silence
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core import Silence, UsageError
+from mbtool.core.errors import UsageError
+from mbtool.core.silence import Silence
 
 
 @pytest.mark.parametrize(

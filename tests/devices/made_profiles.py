@@ -7,10 +7,11 @@ from typing import Any
 import msgspec
 from hypothesis import strategies as st
 
-from mbtool.devices import (
+from mbtool.devices.model import (
     Access,
     AnswerWord,
     Area,
+    BehaviourName,
     ByteOrder,
     Exceptions,
     FunctionRule,
@@ -21,7 +22,6 @@ from mbtool.devices import (
     Timing,
     WordOrder,
 )
-from mbtool.devices.model import BehaviourName
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table

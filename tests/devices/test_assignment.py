@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import UsageError
-from mbtool.devices import Assignments, Who, load_profile, parse_assignment, parse_who
 from mbtool.devices import assignment as module
+from mbtool.devices.assignment import Assignments, Who, parse_assignment, parse_who
+from mbtool.devices.loading import load_profile
 from mbtool.modbus.adu import Transport
 from tests.devices.transactions import transaction
 

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices import load_profile
 from mbtool.devices.blocks import can_be_read
 from mbtool.devices.findings import request_findings
+from mbtool.devices.loading import load_profile
 from mbtool.modbus import Table
 from tests.devices.transactions import transaction
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import msgspec
 
-from mbtool.devices import Difference, DifferenceKind, Side
+from mbtool.devices.difference import Difference, DifferenceKind, Side
 
 VALUE = Difference(
     kind=DifferenceKind.VALUE,

@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given, settings
 from jsonschema import Draft7Validator
 
-from mbtool.devices import (
+from mbtool.devices.dumping import dump_profile
+from mbtool.devices.loading import (
     builtin_profiles,
-    dump_profile,
     load_profile,
     profile_from_json,
-    profile_schema,
     profile_to_json,
 )
+from mbtool.devices.schema import profile_schema
 from tests.devices.made_profiles import profiles
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mbtool.devices import Profile
+    from mbtool.devices.model import Profile
 
 WRITTEN = """\
 name = "pump-7"

@@ -3,16 +3,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from mbtool.devices import (
-    Access,
-    Area,
-    FunctionRule,
-    Profile,
-    finding_text,
-    load_profile,
-)
 from mbtool.devices.checking.rules import RULES
-from mbtool.devices.findings import exception_finding, request_findings
+from mbtool.devices.findings import exception_finding, finding_text, request_findings
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import Access, Area, FunctionRule, Profile
 from mbtool.modbus import Table, Transport
 from tests.devices.checking import talk
 from tests.devices.transactions import transaction

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mbtool.devices import PointValue
 from mbtool.devices.identity import answer_word, identity_points
+from mbtool.devices.named import PointValue
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction

@@ -8,20 +8,17 @@ from pathlib import Path
 import pytest
 
 from mbtool.core import InputError, ProfileError, UsageError
-from mbtool.devices import (
-    Assignment,
-    Assignments,
-    Namer,
-    PointType,
-    Profile,
-    Who,
+from mbtool.devices.assignment import Assignment, Assignments, Who
+from mbtool.devices.loading import (
+    MAX_EXTENDED,
     builtin_profiles,
-    describe,
     load_profile,
     profile_from_json,
     profile_to_json,
 )
-from mbtool.devices.loading import MAX_EXTENDED
+from mbtool.devices.model import PointType, Profile
+from mbtool.devices.naming import Namer
+from mbtool.devices.wording import describe
 from tests.devices.pump import PUMP
 from tests.devices.transactions import transaction
 

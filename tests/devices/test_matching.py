@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from mbtool.devices import builtin_profiles, load_profile
-from mbtool.devices.matching import Match, Verdict, match, model_function, models_of
-from mbtool.devices.seen import Seen
+from mbtool.devices.loading import builtin_profiles, load_profile
+from mbtool.devices.matching import MatchResult, ProfileMatch, match, model_function, models_of
+from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -27,18 +27,18 @@ def model_answer(code: int) -> Transaction:
     return on_tcp(0x42, response_raw=mbap_adu(0, 0, b"\x42" + code.to_bytes(2)))
 
 
-def verdict(*transactions: Transaction) -> Verdict:
-    seen = Seen("line", transactions[0].destination, transactions[0].unit)
+def verdict(*transactions: Transaction) -> MatchResult:
+    seen = ObservedSlave("line", transactions[0].destination, transactions[0].unit)
     for one in transactions:
         seen.note(one)
     return match(seen, PROFILES)
 
 
-def best(found: Verdict) -> list[str]:
+def best(found: MatchResult) -> list[str]:
     return [one.profile for one in found.best]
 
 
-def of(found: Verdict, name: str) -> Match:
+def of(found: MatchResult, name: str) -> ProfileMatch:
     return next(one for one in found.matches if one.profile == name)
 
 

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import Access, Area, Exceptions, Point, PointType, Radix, load_profile
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import Access, Area, Exceptions, Point, PointType, Radix
 from mbtool.modbus.tables import Table
 
 

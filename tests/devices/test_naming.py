@@ -1,28 +1,24 @@
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mbtool.devices import (
-    Assignments,
-    FunctionRule,
-    NamedTransaction,
-    Namer,
-    Point,
-    describe,
-    describe_points,
-    load_profile,
-)
-from mbtool.devices.assignment import Assignment, Who
-from mbtool.devices.naming import _MAX_REMEMBERED
+from mbtool.devices.assignment import Assignment, Assignments, Who
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import FunctionRule, Point
+from mbtool.devices.naming import _MAX_REMEMBERED, Namer
+from mbtool.devices.wording import describe, describe_points
 from mbtool.modbus.adu import Transport, Verdict
-from mbtool.modbus.framing import mbap_adu
+from mbtool.modbus.adu_bytes import mbap_adu
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome, Transaction
 from tests.devices.transactions import transaction
+
+if TYPE_CHECKING:
+    from mbtool.devices.named import NamedTransaction
 
 
 def _namer(device: str) -> Namer:

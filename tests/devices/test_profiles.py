@@ -6,18 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from mbtool.devices import (
-    AnswerWord,
-    Area,
-    Exceptions,
-    FunctionRule,
-    Point,
-    Profile,
-    builtin_profiles,
-    load_profile,
-    parse_reference,
-    write_reference,
-)
+from mbtool.devices.loading import builtin_profiles, load_profile
+from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile
+from mbtool.devices.references import parse_reference, write_reference
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.tables import Table
 

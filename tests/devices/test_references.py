@@ -9,16 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import UsageError
-from mbtool.devices import (
-    Access,
-    Area,
-    Profile,
-    Radix,
-    builtin_profiles,
-    load_profile,
-    parse_reference,
-    write_reference,
-)
+from mbtool.devices.loading import builtin_profiles, load_profile
+from mbtool.devices.model import Access, Area, Profile, Radix
+from mbtool.devices.references import parse_reference, write_reference
 from mbtool.modbus.tables import Table
 
 

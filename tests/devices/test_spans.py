@@ -3,7 +3,9 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import UsageError
-from mbtool.devices import Span, load_profile, parse_span, write_reference
+from mbtool.devices.loading import load_profile
+from mbtool.devices.references import write_reference
+from mbtool.devices.spans import Span, parse_span
 from mbtool.modbus import Table
 
 FT1A = load_profile("idec-ft1a-touch")

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import PointType, load_profile
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import PointType
 from mbtool.devices.starting import name_for, starting_profile
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from mbtool.core import ProfileError
-from mbtool.devices import (
+from mbtool.devices.model import (
     Access,
     AnswerWord,
     Area,

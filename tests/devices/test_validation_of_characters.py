@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import ProfileError
-from mbtool.devices import builtin_profiles, load_profile
+from mbtool.devices.loading import builtin_profiles, load_profile
 from mbtool.devices.validation_of_characters import validate_characters
 
 TOUCH = load_profile("idec-ft1a-touch")

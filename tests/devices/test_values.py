@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -10,19 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import UsageError
-from mbtool.devices import (
-    Access,
-    ByteOrder,
-    Place,
-    Point,
-    PointType,
-    PointValue,
-    WordOrder,
-    load_profile,
-    registers_of,
-)
-from mbtool.devices.values import _MAX_REMEMBERED, places_of, values_of
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import Access, ByteOrder, Point, PointType, WordOrder
+from mbtool.devices.values import _MAX_REMEMBERED, PointInstance, places_of, registers_of, values_of
 from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from mbtool.devices.named import PointValue
 
 WORDS = st.integers(0, 0xFFFF)
 
@@ -32,7 +26,7 @@ def _point(type_: PointType, **fields: Any) -> Point:
 
 
 def _value(type_: PointType, *raw: int, **fields: Any) -> PointValue:
-    return Place(_point(type_, **fields), 0, "R0").value(raw)
+    return PointInstance(_point(type_, **fields), 0, "R0").value(raw)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +296,7 @@ def test_place_among_several_has_its_own_name() -> None:
     several = Point(
         name="CH{n} at {reference}", table=Table.HOLDING_REGISTERS, address=8, count=4, stride=2
     )
-    assert Place(several, 12, "R12").name == "CH3 at R12"
+    assert PointInstance(several, 12, "R12").name == "CH3 at R12"
 
 
 @given(
@@ -324,7 +318,7 @@ def test_any_registers_have_a_text(
     ("scale", "most"), [(1.0, 0), (0.1, _MAX_REMEMBERED)], ids=["plain", "scaled"]
 )
 def test_memory_is_bounded(scale: float, most: int) -> None:
-    place = Place(_point(PointType.UINT16, scale=scale), 0, "R0")
+    place = PointInstance(_point(PointType.UINT16, scale=scale), 0, "R0")
     for word in range(3 * _MAX_REMEMBERED):
         assert place.value([word]).value == pytest.approx(word * scale)
     assert len(place._remembered) <= most
@@ -340,9 +334,9 @@ def test_what_was_said_before_changes_nothing(
 ) -> None:
     size = type_.words or 4
     point = _point(type_, scale=scale, length=size)
-    place = Place(point, 0, "R0")
+    place = PointInstance(point, 0, "R0")
     for raw in readings:
-        assert place.value(raw[:size]) == Place(point, 0, "R0").value(raw[:size])
+        assert place.value(raw[:size]) == PointInstance(point, 0, "R0").value(raw[:size])
 
 
 @given(
@@ -357,15 +351,17 @@ def test_the_short_way_for_plain_numbers_says_the_same(
     plain = _point(type_, scale=scale, offset=offset, unit="V")
     # Texts for what the register does not hold change nothing but the way.
     other = _point(type_, scale=scale, offset=offset, unit="V", texts={word ^ 1: "other"})
-    assert Place(plain, 0, "R0").value([word]) == Place(other, 0, "R0").value([word])
+    assert PointInstance(plain, 0, "R0").value([word]) == PointInstance(other, 0, "R0").value(
+        [word]
+    )
 
 
 @given(st.lists(WORDS, max_size=5), st.integers(0, 3), st.integers(0, 3))
 def test_each_place_among_others_says_its_own_value_if_it_is_all_there(
     words: list[int], first: int, second: int
 ) -> None:
-    long = Place(_point(PointType.UINT32), 0, "R0")
-    short = Place(_point(PointType.INT16), 0, "R1")
+    long = PointInstance(_point(PointType.UINT32), 0, "R0")
+    short = PointInstance(_point(PointType.INT16), 0, "R1")
     said = values_of([(first, long), (second, short)], words)
     assert said == [
         *([long.value(words[first : first + 2])] if first + 2 <= len(words) else []),
@@ -383,9 +379,9 @@ def test_value_a_little_below_zero_is_not_minus_zero() -> None:
         unit="l/h",
     )
     registers = [int.from_bytes(part) for part in _halves(struct.pack(">f", -0.004))]
-    assert Place(point, 0, "").value(registers).text == "0.00 l/h"
+    assert PointInstance(point, 0, "").value(registers).text == "0.00 l/h"
     registers = [int.from_bytes(part) for part in _halves(struct.pack(">f", -0.006))]
-    assert Place(point, 0, "").value(registers).text == "-0.01 l/h"
+    assert PointInstance(point, 0, "").value(registers).text == "-0.01 l/h"
 
 
 def _halves(data: bytes) -> tuple[bytes, bytes]:

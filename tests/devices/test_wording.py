@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices import Assignments, Namer, PointValue, describe, describe_points, load_profile
-from mbtool.devices.assignment import Assignment, Who
+from mbtool.devices.assignment import Assignment, Assignments, Who
+from mbtool.devices.loading import load_profile
+from mbtool.devices.named import PointValue
+from mbtool.devices.naming import Namer
+from mbtool.devices.wording import describe, describe_points
 from tests.devices.transactions import transaction
 
 

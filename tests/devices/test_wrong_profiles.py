@@ -12,19 +12,9 @@ import pytest
 from jsonschema import Draft7Validator
 
 from mbtool.core import MbtoolError, ProfileError
-from mbtool.devices import (
-    AnswerWord,
-    Area,
-    Exceptions,
-    FunctionRule,
-    Point,
-    Profile,
-    Timing,
-    load_profile,
-    profile_from_json,
-    profile_schema,
-)
-from mbtool.devices.loading import MAX_FILE_BYTES
+from mbtool.devices.loading import MAX_FILE_BYTES, load_profile, profile_from_json
+from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
+from mbtool.devices.schema import profile_schema
 from tests.devices.pump import PUMP
 
 if TYPE_CHECKING:

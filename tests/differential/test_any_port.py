@@ -9,13 +9,13 @@ import pytest
 
 from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.devices import NamedTransaction
-from mbtool.workflows.reading import Reading, ReadingOptions
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.differential.truth import PORTS, RTU_PORTS, captures_with_truth
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mbtool.workflows.decoding import Record
+    from mbtool.decode.decoder import Record
 
 MAX_SIZE = 500_000
 """Larger captures are load, of connections like those of the smaller ones."""

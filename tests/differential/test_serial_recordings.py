@@ -13,7 +13,7 @@ import pytest
 
 from mbtool.core import WireEvent, parse_line
 from mbtool.modbus import Outcome
-from mbtool.workflows.reading import Reading, ReadingOptions
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
     from pathlib import Path

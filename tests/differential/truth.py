@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, CutError, Direction
-from mbtool.modbus import Adu, Conversation, parse_pdu
+from mbtool.decode import ConnectionDecoder
+from mbtool.modbus import Adu, parse_pdu
 from mbtool.packets import StreamClosed, StreamGap, StreamItem, TcpReassembler
 from tests.captures import FOLDER, public_folder, read_packets
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from mbtool.core import Connection
-    from mbtool.modbus import Decoded
+    from mbtool.decode import Decoded
 
 EXPLAINED = Path(__file__).with_name("explained.toml")
 
@@ -118,11 +119,11 @@ def _adus(path: Path) -> Iterator[tuple[Connection, Adu]]:
     ports = PORTS.get(path.name, (502,))
     rtu_ports = RTU_PORTS.get(path.name, ())
     reassembler = TcpReassembler(frozenset((*ports, *rtu_ports)))
-    conversations: dict[Connection, Conversation] = {}
+    conversations: dict[Connection, ConnectionDecoder] = {}
 
-    def conversation(connection: Connection) -> Conversation:
+    def conversation(connection: Connection) -> ConnectionDecoder:
         rtu = connection.slave.port in rtu_ports
-        return conversations.setdefault(connection, Conversation(connection, rtu=rtu))
+        return conversations.setdefault(connection, ConnectionDecoder(connection, rtu=rtu))
 
     def decoded(
         connection: Connection, events: Iterable[Decoded]

@@ -12,20 +12,20 @@ import pytest
 from mbtool.core import WireEvent, parse_line, parse_link
 from mbtool.devices import DifferenceKind, Span
 from mbtool.modbus import Outcome, Table
-from mbtool.replay import Match, OnMiss, RecordedSlave
-from mbtool.slave import open_shell
-from mbtool.slave.faults import Fault, FaultKind, FaultySlave
-from mbtool.slave.faults import Match as FaultMatch
+from mbtool.query.where import parse_where
+from mbtool.replay import MatchStrategy, OnMiss, RecordedSlave
+from mbtool.slave.faults.faults import Fault, FaultKind, FaultySlave
+from mbtool.slave.faults.faults import FaultCondition as FaultMatch
+from mbtool.slave.shells import open_shell
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.mastering import MasterOptions, MasterRun
-from mbtool.workflows.reading import Reading, ReadingOptions
-from mbtool.workflows.replaying import SlaveOptions, SlaveRun
-from mbtool.workflows.where import parse_where
+from mbtool.workflows.replay_master import MasterOptions, MasterRun
+from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.modbus import Responder
-    from mbtool.workflows.mastering import Report
+    from mbtool.workflows.replay_master import Report
 
 LOOPBACK = parse_link("tcp:127.0.0.1:0")
 OURS = Path(__file__).resolve().parents[2] / "captures"
@@ -65,7 +65,7 @@ def _played(
     to: LinkSpec | None = None,
     options: ReadingOptions | None = None,
     faults: list[Fault] | None = None,
-    match: Match = Match.AUTO,
+    match: MatchStrategy = MatchStrategy.AUTO,
     rate: Fraction | None = None,
 ) -> tuple[Report, int]:
     """Both sides of a recording's main unit, and how many requests it was asked."""
@@ -91,15 +91,15 @@ def test_our_recordings_answer_themselves(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OURS_ON_A_LINE)
-@pytest.mark.parametrize("match", [Match.SEQUENCE, Match.KEY])
-def test_our_recordings_answer_themselves_by_other_ways(name: str, match: Match) -> None:
+@pytest.mark.parametrize("match", [MatchStrategy.SEQUENCE, MatchStrategy.KEY])
+def test_our_recordings_answer_themselves_by_other_ways(name: str, match: MatchStrategy) -> None:
     report, count = _played(OURS / name, LOOPBACK, match=match)
     assert (report.requests, report.different, report.differences) == (count, 0, [])
 
 
 def test_a_recording_answers_itself_by_time() -> None:
     name = "retry-after-silence.mcap"
-    report, count = _played(OURS / name, LOOPBACK, match=Match.TIME, rate=Fraction(1))
+    report, count = _played(OURS / name, LOOPBACK, match=MatchStrategy.TIME, rate=Fraction(1))
     assert (report.requests, report.different, report.differences) == (count, 0, [])
 
 

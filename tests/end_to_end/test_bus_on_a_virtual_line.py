@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import SerialFormat, SerialLink, WireEvent, parse_line
+from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.modbus import Outcome
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.bus_playing import BusOptions, BusRun
-from mbtool.workflows.decoding import Decoder
-from mbtool.workflows.mastering import MasterOptions, MasterRun
-from mbtool.workflows.reading import Reading, ReadingOptions
-from mbtool.workflows.replaying import SlaveOptions, SlaveRun
-from mbtool.workflows.sniffing import Sniffer, serial_lines
+from mbtool.workflows.replay_bus import BusOptions, BusRun
+from mbtool.workflows.replay_master import MasterOptions, MasterRun
+from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.sniff import Sniffer, serial_lines
 
 if TYPE_CHECKING:
     from mbtool.core import LineSettings
-    from mbtool.workflows.bus_playing import BusReport
-    from mbtool.workflows.decoding import Record
+    from mbtool.decode.decoder import Record
+    from mbtool.workflows.replay_bus import BusReport
 
 pytestmark = pytest.mark.skipif(
     sys.platform == "win32", reason="pseudo-terminals need Linux or macOS"

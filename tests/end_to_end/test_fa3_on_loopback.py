@@ -16,12 +16,14 @@ import pytest
 from mbtool.core import Endpoint, TcpLink
 from mbtool.devices import load_profile
 from mbtool.modbus import mbap_adu
-from mbtool.slave import DeviceResponder, RegisterImage, TcpSlave, units_on
+from mbtool.slave.device import RegisterImage, units_on
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import TcpSlave
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mbtool.slave import Behaviour
+    from mbtool.slave.device import Behaviour
 
 LOOPBACK = TcpLink(Endpoint("127.0.0.1", 0))
 PATIENCE_S = 30.0
@@ -34,7 +36,7 @@ RESET = bytes.fromhex("41 00")
 @contextmanager
 def _module(name: str) -> Iterator[tuple[TcpSlave, Behaviour]]:
     profile = load_profile(name)
-    device = DeviceResponder(profile, RegisterImage.of(profile))
+    device = make_device(profile, RegisterImage.of(profile))
     units = units_on(LOOPBACK, profile, 0, device)
     with TcpSlave(LOOPBACK, units, rules=device.behaviour.rules) as slave:
         yield slave, device.behaviour

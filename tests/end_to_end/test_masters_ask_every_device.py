@@ -25,9 +25,11 @@ from pymodbus.pdu.file_message import ReadFifoQueueRequest
 from mbtool.core import Endpoint, SerialFormat, SerialLink, TcpLink
 from mbtool.devices import builtin_profiles, load_profile
 from mbtool.modbus import FUNCTIONS, Table, Transport
-from mbtool.slave import DeviceResponder, RegisterImage, SerialSlave, TcpSlave, units_on
+from mbtool.slave.device import DeviceResponder, RegisterImage, units_on
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.serving import Station, device_slave
+from mbtool.workflows.slave import Station, device_slave
 from tests.end_to_end.programs import PATIENCE_S, required
 
 if TYPE_CHECKING:
@@ -282,7 +284,7 @@ def _table(code: int) -> Table:
 @contextmanager
 def _slave(name: str, transport: Transport) -> Iterator[tuple[DeviceResponder, Place]]:
     profile = load_profile(name).in_mode(transport)
-    device = DeviceResponder(profile, RegisterImage.of(profile))
+    device = make_device(profile, RegisterImage.of(profile))
     for area in profile.areas:
         if area.last - area.first >= SETTLED:
             ends = (range(area.first, area.first + MOST), range(area.last - MOST, area.last + 1))

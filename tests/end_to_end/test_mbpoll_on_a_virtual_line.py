@@ -9,14 +9,7 @@ import pytest
 
 from mbtool.core import SerialFormat
 from mbtool.sources.virtual_line import VirtualLine
-from tests.end_to_end.programs import (
-    Program,
-    answering,
-    decoded,
-    required,
-    sniffing,
-    wanted,
-)
+from tests.end_to_end.programs import Program, answering, decoded, required, sniffing, wanted
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import SerialLink, parse_link
+from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
+from mbtool.logs.links import SPEC
+from mbtool.logs.opening import begin_log
 from mbtool.modbus import rtu_adu
-from mbtool.workflows.decoding import Decoder
-from mbtool.workflows.log_links import SPEC
-from mbtool.workflows.reading import Reading, ReadingOptions
-from mbtool.workflows.recording import begin_log
-from mbtool.workflows.sniffing import Sniffer, serial_lines
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.sniff import Sniffer, serial_lines
 from tests.sources.live_helpers import read_exactly
 from tests.workflows.bench import FAST, Bench, speak, until
 from tests.workflows.evidence import READ, VALUES, WRITE
@@ -25,7 +25,7 @@ from tests.workflows.evidence import READ, VALUES, WRITE
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mbtool.workflows.decoding import Record
+    from mbtool.decode.decoder import Record
 
 pytestmark = pytest.mark.skipif(
     sys.platform == "win32", reason="pseudo-terminals need Linux or macOS"

@@ -21,19 +21,13 @@ from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient
 
 from mbtool.core import Direction, Endpoint, SerialFormat, SerialLink
-from mbtool.modbus import Answer, encode_pdu, rtu_adu
-from mbtool.slave import SerialSlave, Units
-from mbtool.workflows.asking import TcpMaster
+from mbtool.master.poll import TcpPoller
+from mbtool.modbus import Response, encode_pdu, rtu_adu
+from mbtool.slave.device import Units
+from mbtool.slave.shells import SerialSlave
 from mbtool.workflows.demo import MODULE_UNIT, module_requests
 from tests.end_to_end.peers import ask_twenty, pymodbus_server, tcp_client
-from tests.end_to_end.programs import (
-    Program,
-    answering,
-    mbtool,
-    required,
-    sniffing,
-    tcp_port,
-)
+from tests.end_to_end.programs import Program, answering, mbtool, required, sniffing, tcp_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -120,7 +114,7 @@ def fa3_at1m8x_setup(name: str) -> None:
         stack.enter_context(recording(*log))
         log = (f"{name}.mcap", len(requests), "tap:127.0.0.1:0=127.0.0.1:502", *device)
         sniffer = stack.enter_context(recording(*log))
-        with TcpMaster(Endpoint("127.0.0.1", tcp_port(sniffer))) as master:
+        with TcpPoller(Endpoint("127.0.0.1", tcp_port(sniffer))) as master:
             for pdu in requests:
                 assert master.ask(MODULE_UNIT, pdu)
         threading.Event().wait(SETTLE_S)
@@ -160,11 +154,11 @@ class _DeafAtTheSecond:
     def __init__(self) -> None:
         self._asked = 0
 
-    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._asked += 1
         if self._asked == 2:
             return None
-        return Answer(encode_pdu(pdu[0], Direction.RESPONSE, values=(self._asked, 22136)))
+        return Response(encode_pdu(pdu[0], Direction.RESPONSE, values=(self._asked, 22136)))
 
 
 def broadcast_write(log: str) -> None:

@@ -14,16 +14,17 @@ from mbtool.cli import exit_codes
 from mbtool.cli.main import run
 from mbtool.core import Connection, Direction, Endpoint, InputError, SerialFormat
 from mbtool.core.line_settings import parse_line
+from mbtool.decode import Bus, ConnectionDecoder, Decoded
 from mbtool.devices import Assignments, builtin_profiles, load_profile
 from mbtool.devices.assignment import Assignment, Who
+from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import RULES, DeviceCode, Rule, rule_of
-from mbtool.devices.checking.surroundings import Surroundings
 from mbtool.devices.findings import finding_prefix
 from mbtool.devices.naming import Namer
-from mbtool.modbus import Adu, Bus, Conversation, Decoded, Transaction
-from mbtool.workflows.checking import Checking
-from mbtool.workflows.reading import ReadingOptions
+from mbtool.modbus import Adu, Transaction
+from mbtool.workflows.check import Checking
+from mbtool.workflows.shared.reading import ReadingOptions
 from tests.cases.worked_examples import WorkedExample, worked_examples
 from tests.devices.transactions import transaction_of
 from tests.feeding import START_NS, Line, feed_all
@@ -110,7 +111,7 @@ def test_the_docs_name_the_prefix_of_every_device() -> None:
 )
 def test_a_worked_example_of_a_manual_breaks_no_rule(example: WorkedExample, device: str) -> None:
     assignments = Assignments([Assignment(Who(), load_profile(device))])
-    checker = Checker(Surroundings(assignments))
+    checker = Checker(CaptureContext(assignments))
     named = Namer(assignments).name(transaction_of(example))
     found = {one.code for one in (*checker.feed(named), *checker.close())}
     expected = set(example.findings or ())
@@ -155,7 +156,7 @@ def found_on_the_wire(transport: str, sides: dict[str, bytes]) -> list[Finding]:
     """What is found in a request and its answer, sent as they stand."""
     decoded: list[Decoded]
     if transport == "tcp":
-        talk = Conversation(Connection(Endpoint("10.0.0.1", 50000), Endpoint("10.0.0.2", 502)))
+        talk = ConnectionDecoder(Connection(Endpoint("10.0.0.1", 50000), Endpoint("10.0.0.2", 502)))
         decoded = talk.feed(Direction.REQUEST, sides["request"], START_NS)
         decoded += talk.feed(Direction.RESPONSE, sides.get("response", b""), START_NS + 10**6)
         decoded += talk.close()

@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 
-from mbtool.logs import LogWriter
+from mbtool.logs.writer import LogWriter
 from tests.logs.samples import chunk, transaction
 
 

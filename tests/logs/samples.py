@@ -8,25 +8,18 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from mbtool.core import (
-    Chunk,
-    Connection,
-    Direction,
-    Endpoint,
-    EventKind,
-    Packet,
-    Stamp,
-    WireEvent,
-)
+from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Packet, Stamp, WireEvent
 from mbtool.devices import NamedTransaction, PointValue
-from mbtool.logs import LogItem, LogWriter
 from mbtool.logs.layout import Opcode
 from mbtool.logs.records import RecordStream
+from mbtool.logs.writer import LogWriter
 from mbtool.modbus import DirectionBy, Outcome, Transport, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    from mbtool.logs.messages import LogItem
 
 START_NS = 1_700_000_000_000_000_000
 

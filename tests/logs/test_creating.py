@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from mbtool.core import OutputError, UsageError
-from mbtool.logs import LogWriter, RotatingLog, Rotation, read_log
 from mbtool.logs.creating import create_file, demand_place
+from mbtool.logs.reader import read_log
+from mbtool.logs.rotation import RotatingLog, Rotation
+from mbtool.logs.writer import LogWriter
 from tests.logs.samples import chunk
 
 needs_locks = pytest.mark.skipif(sys.platform == "win32", reason="needs flock")

@@ -8,7 +8,7 @@ import msgspec
 from hypothesis import given
 
 from mbtool.devices import NamedTransaction
-from mbtool.logs import CSV_COLUMNS, CsvWriter, event_to_jsonl, transaction_to_jsonl
+from mbtool.logs.exports import CSV_COLUMNS, CsvWriter, event_to_jsonl, transaction_to_jsonl
 from tests.logs.samples import EVENT, NAMED, transaction, transactions
 
 

@@ -15,8 +15,9 @@ from mcap.writer import Writer
 
 from mbtool.core import CutError, DamageError, EventKind, InputError, WireEvent
 from mbtool.devices import NamedTransaction
-from mbtool.logs import LogReader, LogWriter, follow, read_log
 from mbtool.logs.layout import FOOTER_SIZE, Opcode
+from mbtool.logs.reader import LogReader, follow, read_log
+from mbtool.logs.writer import LogWriter
 from tests.logs.samples import (
     ONE_OF_EACH,
     changed,
@@ -30,7 +31,7 @@ from tests.logs.samples import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.logs import LogItem
+    from mbtool.logs.messages import LogItem
 
 
 @settings(deadline=None)  # It waits for a disk.

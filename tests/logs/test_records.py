@@ -10,14 +10,14 @@ from mcap.records import Chunk, Metadata
 
 from mbtool.core import CutError, InputError
 from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD, Opcode, data_end, footer, packed
-from mbtool.logs.records import Record, RecordStream
+from mbtool.logs.records import McapRecord, RecordStream
 
 
 def test_records_come_with_their_place() -> None:
     stream = opened(MAGIC + packed(Metadata("a", {})) + data_end(0))
     stream.read_magic()
     assert stream.read()[:2] == (8, Opcode.METADATA)
-    assert stream.read() == Record(8 + 9 + 4 + 1 + 4, Opcode.DATA_END, bytes(4))
+    assert stream.read() == McapRecord(8 + 9 + 4 + 1 + 4, Opcode.DATA_END, bytes(4))
 
 
 def test_an_empty_file_is_said_to_be_empty() -> None:
@@ -66,14 +66,14 @@ def test_a_data_section_of_another_crc_is_told() -> None:
 @pytest.mark.parametrize("content", [b"", b"\x05", b"\xff\xff\xff\xff", b"\x01\x00\x00\x00\xff"])
 def test_a_record_that_ends_too_early_is_damage(content: bytes) -> None:
     with pytest.raises(InputError, match="damaged at byte 5"):
-        opened(b"").parse(Record(5, Opcode.METADATA, content), Metadata.read)
+        opened(b"").parse(McapRecord(5, Opcode.METADATA, content), Metadata.read)
 
 
 def test_a_short_data_end_or_footer_is_damage() -> None:
     with pytest.raises(InputError, match="ends too early"):
-        opened(b"").check_crc(Record(0, Opcode.DATA_END, b"\x01"))
+        opened(b"").check_crc(McapRecord(0, Opcode.DATA_END, b"\x01"))
     with pytest.raises(InputError, match="ends too early"):
-        opened(b"").summary_start(Record(0, Opcode.FOOTER, b"\x01"))
+        opened(b"").summary_start(McapRecord(0, Opcode.FOOTER, b"\x01"))
 
 
 def test_a_footer_tells_where_the_summary_starts() -> None:
@@ -144,7 +144,7 @@ def chunk_of(
     data: bytes | None = None,
     size: int | None = None,
     crc: int | None = None,
-) -> Record:
+) -> McapRecord:
     if data is None:
         data = zstandard.compress(content) if compression == "zstd" else content
     chunk = Chunk(
@@ -155,4 +155,4 @@ def chunk_of(
         uncompressed_crc=zlib.crc32(content) if crc is None else crc,
         uncompressed_size=len(content) if size is None else size,
     )
-    return Record(7, Opcode.CHUNK, packed(chunk)[RECORD_HEAD.size :])
+    return McapRecord(7, Opcode.CHUNK, packed(chunk)[RECORD_HEAD.size :])

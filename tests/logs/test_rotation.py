@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import UsageError
-from mbtool.logs import LogReader, RotatingLog, Rotation, read_log
+from mbtool.logs.reader import LogReader, read_log
+from mbtool.logs.rotation import RotatingLog, Rotation
 from tests.logs.samples import chunk
 
 if TYPE_CHECKING:

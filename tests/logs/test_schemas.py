@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from mbtool.logs import LogItem
+    from mbtool.logs.messages import LogItem
 
 ALLOWED = {
     "type",

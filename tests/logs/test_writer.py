@@ -15,7 +15,9 @@ from mcap.reader import make_reader
 
 import mbtool
 from mbtool.core import UsageError, WireEvent
-from mbtool.logs import FLUSH_AFTER_NS, LogReader, LogWriter, read_log, writer
+from mbtool.logs import writer
+from mbtool.logs.reader import LogReader, read_log
+from mbtool.logs.writer import FLUSH_AFTER_NS, LogWriter
 from tests.logs.samples import (
     EVENT,
     NAMED,

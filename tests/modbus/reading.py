@@ -5,10 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import WireEvent
-from mbtool.modbus import Adu, Decoded, Skipped, Transaction
+from mbtool.modbus.adu import Adu, Skipped
+from mbtool.modbus.transaction import Transaction
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from mbtool.decode import Decoded
 
 
 def raw(events: Iterable[Adu | Skipped]) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.modbus import Checksum
+from mbtool.modbus.adu import Checksum
 from mbtool.modbus.ascii_frame import AsciiFrame, read_frame, why_unreadable
 from tests.modbus.reading import with_parity
 

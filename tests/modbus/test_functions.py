@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.modbus import FUNCTIONS, ExceptionCode, Table, exception_name, function_name, short_name
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    ExceptionCode,
+    exception_name,
+    function_name,
+    short_name,
+)
+from mbtool.modbus.tables import Table
 
 # V1.1b3, section 6: code, table, the largest quantity, whether it writes.
 STANDARD = [

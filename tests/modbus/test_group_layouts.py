@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus import encode_pdu, parse_pdu, pdu_length
+from mbtool.modbus.pdu import encode_pdu, parse_pdu, pdu_length
 
 if TYPE_CHECKING:
     from mbtool.modbus.layouts import Value

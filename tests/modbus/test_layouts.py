@@ -12,8 +12,8 @@ from mbtool.modbus.layouts import (
     CoilValue,
     Layout,
     Registers,
+    UncountedRegisters,
     Value,
-    Words,
 )
 
 FIXED = Layout(("first", 1), ("second", 2))
@@ -89,7 +89,7 @@ def test_length_needs_the_byte_count() -> None:
 
 
 def test_words_are_all_that_is_left_and_at_least_one() -> None:
-    layout = Layout(tail=Words())
+    layout = Layout(tail=UncountedRegisters())
     assert layout.parse(b"\x08\x00\x01\x00\x02") == ({"values": (1, 2)}, None)
     assert layout.parse(b"\x08")[1] == "its data is missing"
     assert layout.parse(b"\x08\x00")[1] == "an odd number of bytes for registers"
@@ -130,7 +130,7 @@ def test_choice_keeps_what_it_does_not_know_as_bytes() -> None:
         (Layout(tail=Bits()), {"values": (2,)}, "bits are 0 or 1"),
         (Layout(tail=Bytes()), {}, "'data' is missing"),
         (Layout(tail=Bytes()), {"data": 5}, "must be bytes"),
-        (Layout(tail=Words()), {}, "'values' is missing"),
+        (Layout(tail=UncountedRegisters()), {}, "'values' is missing"),
         (Layout(tail=CoilValue()), {"value": b""}, "must be an integer"),
         (Layout(tail=Choice("kind", {})), {"kind": b""}, "must be an integer"),
     ],

@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus import (
-    Transport,
-    encode_pdu,
-    exception_pdu,
-    parse_pdu,
-    pdu_length,
-    pdu_of,
-    whole_pdu,
-)
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.pdu import encode_pdu, exception_pdu, parse_pdu, pdu_length, pdu_of, whole_pdu
 from tests.modbus.reading import with_parity
 
 if TYPE_CHECKING:

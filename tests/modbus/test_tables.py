@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbtool.modbus import Table
+from mbtool.modbus.tables import Table
 
 
 def test_tables_differ_in_what_they_hold_and_who_may_write() -> None:

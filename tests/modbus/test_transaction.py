@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from mbtool.modbus import DirectionBy, Outcome, Transaction, Transport
+from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.modbus.transaction import Outcome, Transaction
 
 
 def test_field_that_does_not_apply_is_absent_in_json() -> None:

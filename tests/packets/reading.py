@@ -6,13 +6,13 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, WireEvent
-from mbtool.packets import (
+from mbtool.packets.reassembler import TcpReassembler
+from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,
     StreamEvent,
     StreamGap,
     StreamItem,
-    TcpReassembler,
 )
 
 if TYPE_CHECKING:

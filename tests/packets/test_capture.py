@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import CutError, InputError, Packet
-from mbtool.packets import CAPTURE_MAGICS, read_capture
+from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
 from mbtool.packets.pcapng import MAX_INTERFACES
 from tests.captures import read_packets
 from tests.packets.building import Pcapng, Talk, erspan, ethernet, ipv6, packet, pcap, vxlan

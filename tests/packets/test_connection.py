@@ -8,25 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind
-from mbtool.packets import (
-    CloseReason,
-    StreamClosed,
-    StreamGap,
-    StreamOpened,
-    TcpReassembler,
-)
 from mbtool.packets.connection import HOLE_NS, PATIENCE, PATIENCE_NS, WINDOW
+from mbtool.packets.reassembler import TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
 from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES
-from tests.packets.building import (
-    MASTER,
-    MASTER_PORT,
-    SLAVE,
-    SLAVE_PORT,
-    End,
-    Talk,
-    cut,
-)
+from mbtool.packets.stream_events import CloseReason, StreamClosed, StreamGap, StreamOpened
+from tests.packets.building import MASTER, MASTER_PORT, SLAVE, SLAVE_PORT, End, Talk, cut
 from tests.packets.reading import close_reasons, run_packets, wire_events, words_of
 
 if TYPE_CHECKING:

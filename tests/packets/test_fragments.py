@@ -12,7 +12,7 @@ from mbtool.packets.fragments import (
     MAX_FRAGMENT_BYTES,
     PIECE_COST,
     Datagram,
-    Ending,
+    DatagramEnd,
     Fragment,
     Fragments,
     Overlap,
@@ -110,7 +110,7 @@ def test_any_cuts_order_and_copies_give_the_packet_once(
 
     (whole,) = _feed(parts)
 
-    assert whole.ending is Ending.WHOLE
+    assert whole.ending is DatagramEnd.WHOLE
     assert whole.payload == _PAYLOAD
     assert whole.overlap is Overlap.NONE
 
@@ -180,7 +180,7 @@ def test_a_packet_that_is_not_whole_in_time_is_given_up() -> None:
 
     assert held.advance(FRAGMENT_NS - 1) == []
     (given_up,) = held.advance(FRAGMENT_NS)
-    assert (given_up.ending, given_up.payload) == (Ending.INCOMPLETE, _PAYLOAD[:8])
+    assert (given_up.ending, given_up.payload) == (DatagramEnd.INCOMPLETE, _PAYLOAD[:8])
     assert held.close() == []
 
 
@@ -198,7 +198,7 @@ def test_the_number_of_packets_is_bounded() -> None:
 
     (given_up,) = _feed([_fragment(0, b"12345678", number=MAX_DATAGRAMS)], held)
 
-    assert (given_up.ending, given_up.key[3]) == (Ending.DISCARDED, 0)
+    assert (given_up.ending, given_up.key[3]) == (DatagramEnd.DISCARDED, 0)
 
 
 def test_a_packet_that_was_whole_is_forgotten_silently() -> None:

@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from mbtool.core import CutError, InputError
-from mbtool.packets import read_capture
+from mbtool.packets.capture import read_capture
 from mbtool.packets.pcap import MAX_CAPTURED
 from tests.packets.building import packet, pcap
 

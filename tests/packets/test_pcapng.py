@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from mbtool.core import CutError, InputError, Packet
-from mbtool.packets import read_capture
+from mbtool.packets.capture import read_capture
 from mbtool.packets.pcapng import MAX_BLOCK, MAX_INTERFACES
 from tests.packets.building import Pcapng
 

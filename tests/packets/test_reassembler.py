@@ -9,15 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
-from mbtool.packets import (
-    CloseReason,
-    StreamClosed,
-    StreamGap,
-    StreamOpened,
-    TcpReassembler,
-)
-from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_WAITING
+from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_WAITING, TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
+from mbtool.packets.stream_events import CloseReason, StreamClosed, StreamGap, StreamOpened
 from tests.captures import read_packets
 from tests.packets.building import (
     MASTER,

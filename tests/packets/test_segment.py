@@ -2,20 +2,20 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.packets.segment import SYN, Segment, find_tcp, read_segment
+from mbtool.packets.segment import SYN, TcpSegment, find_tcp, read_segment
 from tests.packets.building import ethernet, ipv4, ipv6, tcp
 
 _TCP = tcp(49152, 502, 1000, 5000, payload=b"payload")
 
 
-def _read(data: bytes, at: int = 0, original_length: int | None = None) -> Segment | None:
+def _read(data: bytes, at: int = 0, original_length: int | None = None) -> TcpSegment | None:
     length = len(data) if original_length is None else original_length
     place = find_tcp(data, at, length)
     return None if place is None else read_segment(data, at, place, length)
 
 
 def test_reads_a_segment_from_ipv4() -> None:
-    assert _read(ipv4(_TCP)) == Segment(
+    assert _read(ipv4(_TCP)) == TcpSegment(
         source=bytes([10, 0, 0, 1]),
         source_port=49152,
         destination=bytes([10, 0, 0, 2]),

@@ -11,7 +11,7 @@ from mbtool.packets.stream import (
     MAX_HELD_BYTES,
     MAX_HELD_PIECES,
     RECENT_BYTES,
-    Piece,
+    HeldBytes,
     Stream,
 )
 
@@ -22,8 +22,8 @@ def _stream(first: int = 0) -> Stream:
     return stream
 
 
-def _piece(start: int, data: bytes) -> Piece:
-    return Piece(start, start + len(data), data, after=0, ts_ns=0, arrival=0)
+def _piece(start: int, data: bytes) -> HeldBytes:
+    return HeldBytes(start, start + len(data), data, after=0, ts_ns=0, arrival=0)
 
 
 @given(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import EventKind
-from mbtool.packets import StreamOpened
 from mbtool.packets.link_layer import NOT_IP
+from mbtool.packets.stream_events import StreamOpened
 from mbtool.packets.tunnels import MAX_TUNNELS, find_inner
 from tests.packets.building import (
     ERSPAN_II,

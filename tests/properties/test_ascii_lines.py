@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction, SerialFormat
-from mbtool.modbus import Adu, AsciiSplitter, Skipped, ascii_adu, pdu_of
+from mbtool.framing.skips import MAX_RUN
+from mbtool.modbus import Adu, Skipped, ascii_adu, pdu_of
 from mbtool.modbus.adu import MAX_ASCII_ADU, Transport, Verdict
-from mbtool.modbus.ascii import CHARACTER_TIMEOUT_NS
-from mbtool.modbus.skips import MAX_RUN
+from mbtool.serial_line import AsciiSplitter
+from mbtool.serial_line.ascii import CHARACTER_TIMEOUT_NS
 from tests.feeding import Line, feed_all
 from tests.modbus.reading import adus, raw, skipped, with_parity
 from tests.strategies import SIZES, UNIT, messages

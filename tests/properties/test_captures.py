@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 from msgspec.structs import replace as replace_fields
 
 from mbtool.core import Packet, WireEvent
+from mbtool.decode.decoder import Decoder
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.packets.connection import PATIENCE
 from mbtool.packets.link_layer import IP_FINDERS
-from mbtool.packets.segment import ACK, FIN, RST, Segment, find_tcp, read_segment
-from mbtool.workflows.decoding import Decoder
+from mbtool.packets.segment import ACK, FIN, RST, TcpSegment, find_tcp, read_segment
 from tests.captures import read_packets
 from tests.packets.building import ethernet, in_fragments, ipv4, tcp
 from tests.packets.reading import host
@@ -99,7 +99,7 @@ def _packets(path: Path) -> tuple[Packet, ...]:
     )
 
 
-def _segment(packet: Packet) -> Segment | None:
+def _segment(packet: Packet) -> TcpSegment | None:
     at = IP_FINDERS[packet.link_type](packet.data)
     place = find_tcp(packet.data, at, packet.original_length) if at >= 0 else None
     if place is None:

@@ -6,17 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Connection, Direction, Endpoint, SerialFormat
-from mbtool.modbus import (
-    Bus,
-    Conversation,
-    Decoded,
-    Outcome,
-    Transaction,
-    ascii_adu,
-    mbap_adu,
-    rtu_adu,
-)
-from mbtool.modbus.turns import TURN_NS
+from mbtool.decode import Bus, ConnectionDecoder, Decoded
+from mbtool.modbus import Outcome, Transaction, ascii_adu, mbap_adu, rtu_adu
+from mbtool.serial_line.bus_model import TURN_NS
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import transactions, wire_events
 from tests.strategies import SIZES, Exchange, exchanges
@@ -46,7 +38,7 @@ def test_bus_gives_the_transactions_that_were_on_it(
 def test_conversation_gives_the_transactions_that_were_in_it(
     script: list[Exchange], sizes: list[int], in_step: bool
 ) -> None:
-    conversation = Conversation(CONNECTION)
+    conversation = ConnectionDecoder(CONNECTION)
     decoded: list[Decoded] = []
     now_ns = START_NS
     for number, exchange in enumerate(script):
@@ -72,7 +64,7 @@ def test_conversation_gives_the_transactions_that_were_in_it(
 def test_pipelined_answers_in_any_order_find_their_requests(
     script: list[Exchange], data: st.DataObject
 ) -> None:
-    conversation = Conversation(CONNECTION)
+    conversation = ConnectionDecoder(CONNECTION)
     decoded: list[Decoded] = []
     for number, exchange in enumerate(script):
         adu = mbap_adu(number, exchange.unit, exchange.request)

@@ -7,19 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import MbtoolError, WireEvent
-from mbtool.devices import (
-    Assignment,
-    Assignments,
-    Namer,
-    Who,
-    builtin_profiles,
-    load_profile,
-)
+from mbtool.devices import Assignment, Assignments, Namer, Who, builtin_profiles, load_profile
 from mbtool.devices.drafting.draft import draft_profile
 from mbtool.devices.matching import match
 from mbtool.modbus import Outcome
-from mbtool.workflows.reading import Reading, ReadingOptions
-from mbtool.workflows.surveying import Survey
+from mbtool.workflows.shared.observed_slaves import ObservedSlaves
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,7 +43,7 @@ def test_every_slave_gives_a_draft_that_loads_and_allows_what_it_did(
     drafted = 0
     for path in captures:
         found = records(path)
-        survey = Survey(with_values=True)
+        survey = ObservedSlaves(with_values=True)
         survey.add(found)
         for seen in survey.slaves[:MAX_SLAVES]:
             draft = draft_profile(seen, "draft", path.name)
@@ -74,7 +67,7 @@ def test_every_slave_gives_a_draft_that_loads_and_allows_what_it_did(
 def test_every_slave_can_be_matched_and_scores_are_in_order(captures: list[Path]) -> None:
     profiles = [load_profile(name) for name in builtin_profiles()]
     for path in captures:
-        survey = Survey()
+        survey = ObservedSlaves()
         survey.add(records(path))
         for seen in survey.slaves[:MAX_SLAVES]:
             verdict = match(seen, profiles)

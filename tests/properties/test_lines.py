@@ -13,19 +13,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction, SerialFormat
-from mbtool.modbus import (
-    Adu,
-    AsciiSplitter,
-    DirectionBy,
-    RtuSplitter,
-    Skipped,
-    Verdict,
-    ascii_adu,
-    crc,
-    rtu_adu,
-)
-from mbtool.modbus.rtu import HOLD_NS, WINDOW
-from mbtool.modbus.turns import SURE, Judgement, Turns
+from mbtool.modbus import Adu, DirectionBy, Skipped, Verdict, ascii_adu, crc, rtu_adu
+from mbtool.serial_line import AsciiSplitter, RtuSplitter
+from mbtool.serial_line.bus_model import SURE, BusModel, Classification
+from mbtool.serial_line.rtu import HOLD_NS, WINDOW
 from tests.benchmarks.adapters import Column, Damage, damaged, delivered
 from tests.benchmarks.bus_traffic import bus_traffic
 from tests.feeding import START_NS, Line, Read, feed_all
@@ -366,7 +357,7 @@ def test_what_is_sure_of_an_undamaged_line_is_right(column: Column, seed: int) -
     assert found >= 0.98 * len(traffic.frames)
 
 
-class CountingTurns(Turns):
+class CountingTurns(BusModel):
     """Counts how often a frame is weighed."""
 
     weighed = 0
@@ -375,7 +366,7 @@ class CountingTurns(Turns):
         self.weighed += 1
         return super().weigh(*arguments)
 
-    def judge(self, *arguments: Any) -> Judgement:
+    def judge(self, *arguments: Any) -> Classification:
         self.weighed += 1
         return super().judge(*arguments)
 

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus import MbapSplitter, RtuStreamSplitter, mbap_adu, rtu_adu
+from mbtool.framing import MbapSplitter, RtuStreamSplitter
+from mbtool.modbus import mbap_adu, rtu_adu
 from tests.feeding import byte_by_byte, in_cuts, whole
 from tests.modbus.reading import adus, raw, skipped
 from tests.strategies import SIZES, UNIT, WORD, Message, messages

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
 from mbtool.modbus import Adu, DirectionBy, Transport, ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.joining import Ends, broadcast, no_answer, together, unsolicited
 
 if TYPE_CHECKING:
     from mbtool.modbus import Transaction

@@ -5,8 +5,8 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.replay import BusPlayer, Piece, PlayClock
-from mbtool.replay.bus import AHEAD_NS
+from mbtool.replay.bus import AHEAD_NS, BusPlayer, ByteRun
+from mbtool.replay.clock import PlayClock
 
 MS = 1_000_000
 CHARACTER_NS = MS // 2
@@ -18,7 +18,7 @@ class Played:
     """A player whose clock stands where a test puts it."""
 
     def __init__(
-        self, *pieces: Piece, rate: Fraction | None = Fraction(1), is_loop: bool = False
+        self, *pieces: ByteRun, rate: Fraction | None = Fraction(1), is_loop: bool = False
     ) -> None:
         length_ns = pieces[-1].place_ns if pieces else 0
         self.clock = PlayClock(length_ns, rate=rate, gap_ns=100 * MS, is_loop=is_loop)
@@ -40,7 +40,7 @@ class Played:
 
 
 def test_pieces_leave_at_their_times() -> None:
-    played = Played(Piece(0, b"a"), Piece(10 * MS, b"b"), Piece(20 * MS, b"c"))
+    played = Played(ByteRun(0, b"a"), ByteRun(10 * MS, b"b"), ByteRun(20 * MS, b"c"))
     assert played.sent(0) == [b"a"]
     assert (played.wake(1), played.sent(9.9), played.sent(10)) == (10, [], [b"b"])
     assert (played.player.has_ended, played.sent(25)) == (False, [b"c"])
@@ -50,7 +50,7 @@ def test_pieces_leave_at_their_times() -> None:
 
 
 def test_a_frame_waits_for_the_line_and_its_silence() -> None:
-    played = Played(Piece(0, b"1234", after_silence=True), Piece(MS, b"5", after_silence=True))
+    played = Played(ByteRun(0, b"1234", after_silence=True), ByteRun(MS, b"5", after_silence=True))
     assert played.sent(0) == [b"1234"]
     assert (played.sent(3.9), played.wake(1), played.sent(4)) == ([], 4, [b"5"])
     assert (played.player.held, list(played.player.lateness.values)) == (1, [0])
@@ -58,14 +58,14 @@ def test_a_frame_waits_for_the_line_and_its_silence() -> None:
 
 
 def test_bytes_that_follow_without_a_silence_are_not_held_back() -> None:
-    played = Played(Piece(0, b"12"), Piece(MS, b"34"))
+    played = Played(ByteRun(0, b"12"), ByteRun(MS, b"34"))
     assert played.sent(1.2) == [b"12", b"34"]  # Both late: the port sends one behind the other.
     assert played.player.passed_ns == BEGIN + round(1.2 * MS) + 4 * CHARACTER_NS
 
 
 def test_a_line_that_is_too_slow_is_not_flooded() -> None:
     size = 2 * AHEAD_NS // CHARACTER_NS
-    played = Played(Piece(0, bytes(size)), Piece(MS, b"b"))
+    played = Played(ByteRun(0, bytes(size)), ByteRun(MS, b"b"))
     played.sent(0)
     assert (played.sent(1), played.wake(1)) == ([], AHEAD_NS / MS)
     assert played.sent(AHEAD_NS / MS) == [b"b"]
@@ -74,14 +74,16 @@ def test_a_line_that_is_too_slow_is_not_flooded() -> None:
 
 def test_as_fast_as_can_be_leaves_the_silences_of_frames() -> None:
     played = Played(
-        Piece(0, b"ab", after_silence=True), Piece(900 * MS, b"c", after_silence=True), rate=None
+        ByteRun(0, b"ab", after_silence=True),
+        ByteRun(900 * MS, b"c", after_silence=True),
+        rate=None,
     )
     assert played.sent(0) == [b"ab"]
     assert (played.sent(2.9), played.sent(3)) == ([], [b"c"])
 
 
 def test_a_pause_holds_back_and_a_step_lets_one_go() -> None:
-    played = Played(Piece(0, b"a"), Piece(10 * MS, b"b"), Piece(20 * MS, b"c"))
+    played = Played(ByteRun(0, b"a"), ByteRun(10 * MS, b"b"), ByteRun(20 * MS, b"c"))
     played.sent(0)
     played.clock.pause(BEGIN + MS)
     assert (played.sent(50), played.wake(50)) == ([], None)
@@ -93,7 +95,7 @@ def test_a_pause_holds_back_and_a_step_lets_one_go() -> None:
 
 
 def test_a_loop_begins_again_behind_a_gap() -> None:
-    played = Played(Piece(0, b"a"), Piece(10 * MS, b"b"), is_loop=True)
+    played = Played(ByteRun(0, b"a"), ByteRun(10 * MS, b"b"), is_loop=True)
     assert [played.sent(at) for at in (0, 10, 109, 110, 120)] == [
         [b"a"],
         [b"b"],
@@ -122,7 +124,7 @@ def test_every_byte_is_sent_once_in_order_and_none_early(
     pieces, place = [], 0
     for step, data, silence in steps:
         place += step
-        pieces.append(Piece(place, data, silence))
+        pieces.append(ByteRun(place, data, silence))
     played = Played(*pieces, rate=rate)
     now_ns, sent = BEGIN, []
     while not played.player.has_ended:
@@ -142,7 +144,7 @@ def test_every_byte_is_sent_once_in_order_and_none_early(
 
 def test_an_hour_is_played_without_a_drift() -> None:
     every = 997 * MS
-    pieces = [Piece(number * every, b"x") for number in range(3611)]
+    pieces = [ByteRun(number * every, b"x") for number in range(3611)]
     played = Played(*pieces, rate=Fraction(1, 3))
     now_ns = BEGIN
     while not played.player.has_ended:

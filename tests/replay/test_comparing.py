@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from mbtool.devices import Assignments, Difference, Namer, Span, load_profile, parse_assignment
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import Table
-from mbtool.replay import Ignored, Traffic, differences
+from mbtool.replay.comparing import Ignored, differences
+from mbtool.replay.traffic import Traffic
 from tests.replay.recorded import MS, answered, unanswered
 
 if TYPE_CHECKING:

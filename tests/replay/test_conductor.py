@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mbtool.core.limits import RESPONSE_TIMEOUT_NS, TURNAROUND_NS, LinkLimits
 from mbtool.devices import Namer
 from mbtool.replay.clock import PlayClock
-from mbtool.replay.conductor import TIMEOUT_NS, TURNAROUND_NS, Conductor, Manners
+from mbtool.replay.conductor import Conductor
 from mbtool.replay.judging import Judge, Tolerance
 from mbtool.replay.script import Script
 from tests.replay.recorded import MS, answered, to_all, unanswered
@@ -29,7 +30,7 @@ class Played:
         self,
         *transactions: Transaction,
         rate: Fraction | None = Fraction(1),
-        manners: Manners | None = None,
+        limits: LinkLimits | None = None,
         is_loop: bool = False,
     ) -> None:
         namer = Namer()
@@ -37,7 +38,7 @@ class Played:
         self.judge = Judge()
         self.clock = PlayClock(script.length_ns, rate=rate, gap_ns=MS, is_loop=is_loop)
         self.clock.run(BEGIN)
-        self.conductor = Conductor(script, self.clock, self.judge, manners or Manners())
+        self.conductor = Conductor(script, self.clock, self.judge, limits or LinkLimits())
 
     def sent(self, at_ms: float) -> list[int]:
         """The numbers of the steps that are sent at a moment."""
@@ -78,7 +79,7 @@ def test_a_step_waits_for_a_late_answer() -> None:
     played = Played(*(answered(at, READ, VALUE) for at in (0, 100)))
     played.sent(0)
     assert played.sent(150) == []
-    assert played.wake(150) == TIMEOUT_NS / MS
+    assert played.wake(150) == RESPONSE_TIMEOUT_NS / MS
     played.answer(0, 160)
     assert played.sent(160) == [1]
 
@@ -105,7 +106,7 @@ def test_nobody_waits_for_what_was_never_answered() -> None:
     assert [played.sent(at) for at in (0, 5, 10)] == [[0], [1], [2]]
     played.answer(2, 15)
     assert not played.conductor.has_ended
-    given_up = played.conductor.expire(BEGIN + TIMEOUT_NS + 5 * MS)
+    given_up = played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS + 5 * MS)
     assert [(step.number, is_right) for step, is_right in given_up] == [(0, True), (1, True)]
     assert played.conductor.has_ended
 
@@ -113,10 +114,10 @@ def test_nobody_waits_for_what_was_never_answered() -> None:
 def test_an_answer_that_does_not_come_is_given_up() -> None:
     played = Played(answered(0, READ, VALUE), answered(10, READ, VALUE))
     played.sent(0)
-    assert played.conductor.expire(BEGIN + TIMEOUT_NS - 1) == []
-    ((step, is_right),) = played.conductor.expire(BEGIN + TIMEOUT_NS)
+    assert played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS - 1) == []
+    ((step, is_right),) = played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS)
     assert (step.number, is_right) == (0, False)
-    assert played.sent(TIMEOUT_NS / MS) == [1]
+    assert played.sent(RESPONSE_TIMEOUT_NS / MS) == [1]
 
 
 def test_what_cannot_be_answered_any_more_is_given_up_at_once() -> None:
@@ -131,12 +132,12 @@ def test_what_cannot_be_answered_any_more_is_given_up_at_once() -> None:
 
 
 def test_a_serial_line_carries_one_request_at_a_time() -> None:
-    manners = Manners(one_at_a_time=True, pause_ns=4 * MS)
-    played = Played(unanswered(0, READ), answered(1, READ, VALUE), manners=manners)
+    limits = LinkLimits(one_at_a_time=True, pause_ns=4 * MS)
+    played = Played(unanswered(0, READ), answered(1, READ, VALUE), limits=limits)
     played.sent(0)
     assert played.sent(1) == []
-    played.conductor.expire(BEGIN + TIMEOUT_NS)
-    after = TIMEOUT_NS / MS
+    played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS)
+    after = RESPONSE_TIMEOUT_NS / MS
     assert (played.sent(after), played.wake(after)) == ([], after + 4)
     assert played.sent(after + 4) == [1]
 

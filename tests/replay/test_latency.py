@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import random
 
-from mbtool.replay import FixedLatency, RecordedLatency, Recording, SampledLatency
+from mbtool.replay.latency import FixedLatency, RecordedLatency, SampledLatency
+from mbtool.replay.recording import Recording
 from tests.replay.recorded import MS, answered
 
 READ = "03 0000 0001"

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.replay import Recording
 from mbtool.replay.matching import (
     ImageMatcher,
     KeyMatcher,
-    Match,
     Matcher,
+    MatchStrategy,
     Moment,
+    NoAnswer,
     OnEnd,
     SequenceMatcher,
     TimeMatcher,
-    Word,
     matcher_for,
 )
+from mbtool.replay.recording import Recording
 from tests.replay.recorded import MS, answered, unanswered
 
 READ, OTHER = "03 0000 0001", "03 0005 0001"
@@ -38,7 +38,7 @@ def _recording() -> Recording:
 def _find(matcher: Matcher, request: str, moment: Moment = NOW) -> int | str | None:
     """The last byte of the answer, None for a recorded silence, or the word."""
     found = matcher.find((1, bytes.fromhex(request)), moment)
-    if isinstance(found, Word):
+    if isinstance(found, NoAnswer):
         return found.value
     return found.pdu[-1] if found.pdu is not None else None
 
@@ -136,19 +136,22 @@ def test_while_it_stands_still_the_last_answer_stays(
 
 
 def test_there_is_a_matcher_for_each_way() -> None:
-    kinds = {match: type(matcher_for(match, _recording(), OnEnd.LAST)) for match in Match}
+    kinds = {match: type(matcher_for(match, _recording(), OnEnd.LAST)) for match in MatchStrategy}
     assert kinds == {
-        Match.AUTO: KeyMatcher,
-        Match.KEY: KeyMatcher,
-        Match.SEQUENCE: SequenceMatcher,
-        Match.TIME: TimeMatcher,
-        Match.IMAGE: ImageMatcher,
+        MatchStrategy.AUTO: KeyMatcher,
+        MatchStrategy.KEY: KeyMatcher,
+        MatchStrategy.SEQUENCE: SequenceMatcher,
+        MatchStrategy.TIME: TimeMatcher,
+        MatchStrategy.IMAGE: ImageMatcher,
     }
-    assert [match for match in Match if match.by_clock] == [Match.TIME, Match.IMAGE]
+    assert [match for match in MatchStrategy if match.by_clock] == [
+        MatchStrategy.TIME,
+        MatchStrategy.IMAGE,
+    ]
 
 
-@pytest.mark.parametrize("match", list(Match))
+@pytest.mark.parametrize("match", list(MatchStrategy))
 @pytest.mark.parametrize("request_", [b"", b"\x03", b"\x83\x02", bytes(253)])
-def test_finds_nothing_for_what_is_no_request(match: Match, request_: bytes) -> None:
+def test_finds_nothing_for_what_is_no_request(match: MatchStrategy, request_: bytes) -> None:
     found = matcher_for(match, _recording(), OnEnd.LAST).find((1, request_), NOW)
-    assert found in (Word.MISS, Word.IMAGE)
+    assert found in (NoAnswer.MISS, NoAnswer.IMAGE)

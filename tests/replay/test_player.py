@@ -12,18 +12,22 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.modbus import (
-    Answer,
+    Response,
     Table,
     Transport,
     encode_pdu,
     parse_pdu,
-    reach_of,
+    register_access,
     response_to,
     rtu_adu,
     values_after,
 )
-from mbtool.modbus.spoiling import wire_pieces
-from mbtool.replay import Control, Match, OnEnd, OnMiss, RecordedSlave, Recording, Window
+from mbtool.modbus.distortion import wire_pieces
+from mbtool.replay.matching import MatchStrategy, OnEnd
+from mbtool.replay.player import OnMiss, RecordedSlave
+from mbtool.replay.recording import Recording
+from mbtool.replay.steering import Control
+from mbtool.replay.window import TimeRange
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:
@@ -278,9 +282,9 @@ def test_the_rate_scales_the_recorded_latency(rate: Fraction | None, delay_ns: i
     recording = Recording.of([answered(0, "03 0000 0002", "03 04 0001 0002")])
     slave = RecordedSlave(recording, rate=rate)
     recorded = slave.respond(1, bytes.fromhex("03 0000 0002"), 0)
-    assert recorded == Answer(bytes.fromhex("03 04 0001 0002"), delay_ns)
+    assert recorded == Response(bytes.fromhex("03 04 0001 0002"), delay_ns)
     from_image = slave.respond(1, bytes.fromhex(READ), 0)
-    assert from_image == Answer(bytes.fromhex("03 02 0001"), delay_ns)
+    assert from_image == Response(bytes.fromhex("03 02 0001"), delay_ns)
 
 
 @pytest.mark.parametrize("rate", [Fraction(0), Fraction(-1)])
@@ -289,8 +293,8 @@ def test_a_rate_that_is_none_is_refused(rate: Fraction) -> None:
         RecordedSlave(Recording(), rate=rate)
 
 
-@pytest.mark.parametrize("match", [Match.TIME, Match.IMAGE])
-def test_a_clock_without_a_rate_is_refused(match: Match) -> None:
+@pytest.mark.parametrize("match", [MatchStrategy.TIME, MatchStrategy.IMAGE])
+def test_a_clock_without_a_rate_is_refused(match: MatchStrategy) -> None:
     with pytest.raises(ValueError, match="needs a rate"):
         RecordedSlave(Recording(), match=match, rate=None)
 
@@ -310,7 +314,7 @@ def _at(slave: RecordedSlave, at_ms: float, request: str, unit: int = 1) -> str 
     return None if answer is None else answer.pdu.hex(" ")
 
 
-def _by_clock(match: Match, **options: object) -> RecordedSlave:
+def _by_clock(match: MatchStrategy, **options: object) -> RecordedSlave:
     """Two registers that change after 100 and 300 ms of half a second."""
     transactions = [
         answered(at, "03 0000 0002", f"03 04 {value:04x} {value:04x}", latency_ns=0)
@@ -319,8 +323,8 @@ def _by_clock(match: Match, **options: object) -> RecordedSlave:
     return RecordedSlave(Recording.of(transactions), match=match, **options)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("match", [Match.TIME, Match.IMAGE])
-def test_the_clock_starts_with_the_first_request(match: Match) -> None:
+@pytest.mark.parametrize("match", [MatchStrategy.TIME, MatchStrategy.IMAGE])
+def test_the_clock_starts_with_the_first_request(match: MatchStrategy) -> None:
     slave = _by_clock(match)
     whole = "03 0000 0002"
     answers = [_at(slave, at, whole) for at in (5000, 5049, 5101, 5310, 9999)]
@@ -328,13 +332,13 @@ def test_the_clock_starts_with_the_first_request(match: Match) -> None:
 
 
 def test_parts_come_from_the_image_at_the_clocks_moment() -> None:
-    slave = _by_clock(Match.IMAGE, rate=Fraction(2))
+    slave = _by_clock(MatchStrategy.IMAGE, rate=Fraction(2))
     values = [_at(slave, at, READ) for at in (0, 49, 50, 149, 150)]
     assert values == [f"03 02 00 0{value}" for value in (1, 1, 2, 2, 3)]
 
 
 def test_a_write_lasts_until_the_recording_changes_and_no_longer_than_a_round() -> None:
-    slave = _by_clock(Match.IMAGE, on_end=OnEnd.LOOP)
+    slave = _by_clock(MatchStrategy.IMAGE, on_end=OnEnd.LOOP)
     _at(slave, 0, READ)
     _at(slave, 310, "06 0000 0077")
     assert [_at(slave, at, READ) for at in (320, 499)] == ["03 02 00 77"] * 2
@@ -344,13 +348,13 @@ def test_a_write_lasts_until_the_recording_changes_and_no_longer_than_a_round() 
 
 
 def test_the_end_of_the_clock_can_be_silence() -> None:
-    slave = _by_clock(Match.IMAGE, on_end=OnEnd.SILENT)
+    slave = _by_clock(MatchStrategy.IMAGE, on_end=OnEnd.SILENT)
     assert _at(slave, 0, READ) == "03 02 00 01"
     assert _at(slave, 501, READ) is SILENCE
 
 
 def test_a_pause_stops_the_clock_and_a_step_goes_to_the_next_request() -> None:
-    slave = _by_clock(Match.IMAGE)
+    slave = _by_clock(MatchStrategy.IMAGE)
     _at(slave, 0, READ)
     slave.control(Control.PAUSE, BEGIN + 10 * MS)
     assert _at(slave, 9999, READ) == "03 02 00 01"
@@ -363,7 +367,7 @@ def test_a_pause_stops_the_clock_and_a_step_goes_to_the_next_request() -> None:
 
 def test_a_step_behind_the_last_request_begins_the_next_round() -> None:
     transactions = [answered(at, READ, f"03 02 000{at}") for at in (1, 2, 3)]
-    slave = RecordedSlave(Recording.of(transactions), match=Match.TIME, on_end=OnEnd.LOOP)
+    slave = RecordedSlave(Recording.of(transactions), match=MatchStrategy.TIME, on_end=OnEnd.LOOP)
     _at(slave, 0, READ)
     slave.control(Control.PAUSE, BEGIN)
     shown = []
@@ -389,7 +393,9 @@ def test_without_a_clock_a_pause_repeats_and_a_step_uses_up_one_answer() -> None
 def test_faster_shortens_the_latencies() -> None:
     slave = _slave(answered(0, READ, "03 02 0001"))
     slave.control(Control.FASTER, 0)
-    assert slave.respond(1, bytes.fromhex(READ), 0) == Answer(b"\x03\x02\x00\x01", LATENCY_NS // 2)
+    assert slave.respond(1, bytes.fromhex(READ), 0) == Response(
+        b"\x03\x02\x00\x01", LATENCY_NS // 2
+    )
 
 
 def test_an_hour_drifts_less_than_a_millisecond() -> None:
@@ -399,7 +405,7 @@ def test_an_hour_drifts_less_than_a_millisecond() -> None:
         Recording.of(
             [answered(0, READ, "03 02 0001"), answered(hour, READ, "03 02 0002", latency_ns=0)]
         ),
-        match=Match.IMAGE,
+        match=MatchStrategy.IMAGE,
         rate=Fraction(1, 3),
     )
     at_ns = 0
@@ -417,7 +423,7 @@ def test_a_window_begins_with_what_stood_there() -> None:
         answered(200, "03 0000 0002", "03 04 0002 0005", latency_ns=0),
         answered(300, "03 0000 0002", "03 04 0003 0005", latency_ns=0),
     ]
-    recording = Recording.of(transactions, Window(150 * MS, 250 * MS))
+    recording = Recording.of(transactions, TimeRange(150 * MS, 250 * MS))
     assert recording.length_ns == 100 * MS
     slave = RecordedSlave(recording)
     assert _ask(slave, "03 0001 0001") == "03 02 00 05"
@@ -437,14 +443,14 @@ class _Device:
         assert table is Table.HOLDING_REGISTERS
         self.values[address] = value
 
-    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = reach_of(request)
+        reach = register_access(request)
         if reach is None:
             return None
         for address in reach.writes:
             self.values[address] = values_after(request, [0])[address - reach.writes.start]
-        return Answer(response_to(request, pdu, [self.values[each] for each in reach.reads]))
+        return Response(response_to(request, pdu, [self.values[each] for each in reach.reads]))
 
 
 def test_a_device_answers_what_the_recording_does_not_know_and_only_that() -> None:
@@ -457,7 +463,7 @@ def test_a_device_answers_what_the_recording_does_not_know_and_only_that() -> No
     assert _ask(slave, "03 0001 0001") == "03 02 00 11"
     assert _ask(slave, "11") is SILENCE
     assert _ask(slave, READ, unit=2) is SILENCE
-    assert slave.respond(1, bytes.fromhex("03 0002 0001"), 0) == Answer(
+    assert slave.respond(1, bytes.fromhex("03 0002 0001"), 0) == Response(
         bytes.fromhex("03 02 0022"), LATENCY_NS
     )
 
@@ -545,7 +551,7 @@ def test_the_image_is_a_dictionary_that_the_recording_and_the_master_write(
             _ask(slave, f"06 {address:04x} {value:04x}")
             model[address] = value
         read = slave.respond(1, _read(0, _ADDRESSES - 1), 0)
-        assert read == Answer(_registers([model[at] for at in range(_ADDRESSES - 1)]), LATENCY_NS)
+        assert read == Response(_registers([model[at] for at in range(_ADDRESSES - 1)]), LATENCY_NS)
 
 
 @given(st.lists(st.binary(max_size=260), max_size=5), st.sampled_from(OnMiss))
@@ -601,7 +607,7 @@ class ImageMachine(RuleBasedStateMachine):
         self.is_loop = is_loop
         self.slave = RecordedSlave(
             Recording.of(transactions),
-            match=Match.IMAGE,
+            match=MatchStrategy.IMAGE,
             on_end=OnEnd.LOOP if is_loop else OnEnd.LAST,
         )
         self.now_ms = 0

@@ -6,16 +6,9 @@ import msgspec
 import pytest
 
 from mbtool.modbus import Table, Transport
-from mbtool.replay import Window
 from mbtool.replay.recording import RecordedAnswer, Recording
-from tests.replay.recorded import (
-    LATENCY_NS,
-    MS,
-    answered,
-    to_all,
-    unanswered,
-    unasked,
-)
+from mbtool.replay.window import TimeRange
+from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered, unasked
 
 HOLDING = Table.HOLDING_REGISTERS
 READ = "03 0000 0001"
@@ -149,11 +142,11 @@ def test_a_window_has_the_answers_in_it_and_all_values() -> None:
     transactions = [
         answered(at, READ, f"03 02 000{at // 100}", latency_ns=0) for at in (0, 100, 200, 300)
     ]
-    recording = Recording.of(transactions, Window(100 * MS, 300 * MS))
+    recording = Recording.of(transactions, TimeRange(100 * MS, 300 * MS))
     assert [answer.asked_ns for _, answer in recording.order] == [100 * MS, 200 * MS]
     assert (recording.begin_ns, recording.length_ns) == (100 * MS, 200 * MS)
     assert [_value(recording, 0, at) for at in (0, 150, 400)] == [0, 1, 3]
-    until_the_end = Recording.of(transactions, Window(100 * MS))
+    until_the_end = Recording.of(transactions, TimeRange(100 * MS))
     assert until_the_end.length_ns == 200 * MS
     assert [recording.next_ns(at * MS) for at in (0, 100, 200)] == [100 * MS, 200 * MS, None]
 

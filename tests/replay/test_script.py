@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.devices import Namer
-from mbtool.replay.script import MAX_OPEN, Script, Step
+from mbtool.replay.script import Script, Step
 from tests.replay.recorded import MS, answered, to_all, unanswered, unasked
 
 if TYPE_CHECKING:
@@ -70,8 +71,8 @@ def test_nobody_waits_for_what_was_never_answered() -> None:
 
 
 def test_no_more_are_open_than_the_bound() -> None:
-    many = [answered(at, READ, VALUE, latency_ns=10**12) for at in range(MAX_OPEN + 9)]
-    assert max(len(step.open_before) for step in _steps(*many)) == MAX_OPEN
+    many = [answered(at, READ, VALUE, latency_ns=10**12) for at in range(MAX_OPEN_REQUESTS + 9)]
+    assert max(len(step.open_before) for step in _steps(*many)) == MAX_OPEN_REQUESTS
 
 
 @given(st.lists(st.tuples(st.integers(0, 99), st.integers(0, 99)), max_size=30))

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from mbtool.replay import Control, PlayClock, Progress, Steering
-from mbtool.replay.steering import Gate
+from mbtool.replay.clock import PlayClock
+from mbtool.replay.steering import Control, Gate, Progress, Steering
 
 S = 1_000_000_000
 

@@ -10,10 +10,10 @@ from mbtool.replay.traffic import (
     MAX_VALUES,
     NO_ANSWER,
     Held,
-    Place,
     Sample,
     SlaveTraffic,
     Traffic,
+    ValueKey,
 )
 from tests.replay.recorded import answered, to_all, unanswered
 
@@ -46,15 +46,15 @@ def test_reads_and_acknowledged_writes_tell_values() -> None:
         unanswered(30, "06 0001 0009"),
     )
     assert {place: list(held.values) for place, held in slave.registers.items()} == {
-        Place(Table.HOLDING_REGISTERS, 1, is_written=False): [5],
-        Place(Table.HOLDING_REGISTERS, 2, is_written=False): [6],
-        Place(Table.HOLDING_REGISTERS, 1, is_written=True): [7],
+        ValueKey(Table.HOLDING_REGISTERS, 1, is_written=False): [5],
+        ValueKey(Table.HOLDING_REGISTERS, 2, is_written=False): [6],
+        ValueKey(Table.HOLDING_REGISTERS, 1, is_written=True): [7],
     }
 
 
 def test_a_broadcast_tells_what_was_written() -> None:
     slave = _only_slave(to_all(0, "06 0001 0007"))
-    assert list(slave.registers) == [Place(Table.HOLDING_REGISTERS, 1, is_written=True)]
+    assert list(slave.registers) == [ValueKey(Table.HOLDING_REGISTERS, 1, is_written=True)]
 
 
 def test_read_and_write_of_one_request_are_kept_apart() -> None:

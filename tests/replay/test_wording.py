@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from mbtool.devices import load_profile
 from mbtool.modbus import Table
-from mbtool.replay.traffic import Held, Place, Sample
-from mbtool.replay.wording import Words, function_text, held_text, latency_side
+from mbtool.replay.traffic import Held, Sample, ValueKey
+from mbtool.replay.wording import DeviceWording, function_text, held_text, latency_side
 
 AT1M8X = load_profile("fa3-at1m8x")
 
@@ -16,14 +16,16 @@ def _held(*values: int) -> Held:
 
 
 def test_a_register_has_the_name_and_the_texts_of_its_device() -> None:
-    name, named = Words(AT1M8X).of(Place(Table.HOLDING_REGISTERS, 0x102, is_written=False))
+    name, named = DeviceWording(AT1M8X).of(
+        ValueKey(Table.HOLDING_REGISTERS, 0x102, is_written=False)
+    )
     assert name == "A/D conversion enable/disable setting"
     assert held_text(_held(0x5C), named) == "CH1 CH2 CH6 CH8 enabled"
 
 
 def test_without_a_profile_there_are_numbers() -> None:
-    words = Words(None)
-    assert words.of(Place(Table.COILS, 5, is_written=False)) == (None, None)
+    words = DeviceWording(None)
+    assert words.of(ValueKey(Table.COILS, 5, is_written=False)) == (None, None)
     assert words.reference(Table.COILS, 5, 3) == "coil 5..7"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from mbtool.modbus import Answer
+from mbtool.modbus import Response
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,12 +16,12 @@ PATIENCE_S = 10.0
 class Scripted:
     """Answers by a function of unit and PDU, and keeps what it was asked."""
 
-    def __init__(self, script: Callable[[int, bytes], Answer | None]) -> None:
+    def __init__(self, script: Callable[[int, bytes], Response | None]) -> None:
         self._script = script
         self.asked: list[tuple[int, bytes]] = []
         self._was_asked = threading.Condition()
 
-    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Answer | None:
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._was_asked:
             self.asked.append((unit, pdu))
             self._was_asked.notify_all()
@@ -33,5 +33,5 @@ class Scripted:
             assert self._was_asked.wait_for(lambda: len(self.asked) >= count, PATIENCE_S)
 
 
-def echo(unit: int, pdu: bytes) -> Answer | None:
-    return Answer(pdu)
+def echo(unit: int, pdu: bytes) -> Response | None:
+    return Response(pdu)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.ports.serial_records import RecordKind, RecordReader
 from mbtool.sources import child
 from mbtool.sources.child import see_off, start_child
-from mbtool.sources.serial_records import Kind, RecordReader
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,7 @@ def test_a_module_in_the_current_folder_does_not_get_in_the_way(
     reader = start_child("mbtool.sources.serial_reader", "/dev/tty-no", "9600-8N1")
     assert reader.stdout is not None
     (record,) = RecordReader().feed(reader.stdout.read())
-    assert record.kind is Kind.ERROR
+    assert record.kind is RecordKind.ERROR
     assert record.data.startswith(b"serial port /dev/tty-no: is not there")
     assert see_off(reader) == 0
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import LinkError, SerialFormat
-from mbtool.sources.line_errors import ErrorCounts
-from mbtool.sources.serial_port import IDLE_S
+from mbtool.ports.line_errors import ErrorCounts
+from mbtool.ports.serial_port import IDLE_S
+from mbtool.ports.serial_records import RecordKind, RecordReader, RecordWriter, SerialRecord
 from mbtool.sources.serial_reader import read_until
-from mbtool.sources.serial_records import Kind, Record, RecordReader, RecordWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +54,7 @@ class ScriptedPort:
         pass
 
 
-def run_loop(script: list[bytes]) -> tuple[list[Record], list[float]]:
+def run_loop(script: list[bytes]) -> tuple[list[SerialRecord], list[float]]:
     told_to_end = Event()
     port = ScriptedPort(script, told_to_end)
     reading, writing = os.pipe()
@@ -64,7 +64,7 @@ def run_loop(script: list[bytes]) -> tuple[list[Record], list[float]]:
             # The last piece is read after the loop was told to end.
             read_until(told_to_end, port, writer, LINE)
         except LinkError:
-            writer.put(Kind.ERROR, 0)
+            writer.put(RecordKind.ERROR, 0)
         os.set_blocking(reading, False)
         return RecordReader().feed(os.read(reading, 2**16)), port.waits
     finally:
@@ -74,7 +74,7 @@ def run_loop(script: list[bytes]) -> tuple[list[Record], list[float]]:
 
 def test_every_read_is_a_record_of_its_own_with_a_time_that_does_not_go_back() -> None:
     records, _ = run_loop([b"\x01", b"\x03\x00", b"\x6b", b""])
-    data = [record for record in records if record.kind is Kind.DATA]
+    data = [record for record in records if record.kind is RecordKind.DATA]
     assert [record.data for record in data] == [b"\x01", b"\x03\x00", b"\x6b"]
     assert sorted(record.ts_ns for record in data) == [record.ts_ns for record in data]
 
@@ -82,14 +82,14 @@ def test_every_read_is_a_record_of_its_own_with_a_time_that_does_not_go_back() -
 def test_a_silence_is_told_only_after_a_look_that_waits_for_nothing() -> None:
     records, waits = run_loop([b"\x01", b"", b"", b"\x02", b""])
     kinds = [record.kind for record in records]
-    assert kinds[:3] == [Kind.DATA, Kind.QUIET, Kind.DATA]
+    assert kinds[:3] == [RecordKind.DATA, RecordKind.QUIET, RecordKind.DATA]
     # First the long wait, after data the short one, then the look, then the long wait again.
     assert waits[:4] == [IDLE_S, pytest.approx(0.00401, rel=0.01), 0, IDLE_S]
 
 
 def test_a_byte_that_comes_while_looking_prevents_the_silence() -> None:
     records, _ = run_loop([b"\x01", b"", b"\x02", b""])
-    assert [record.kind for record in records][:2] == [Kind.DATA, Kind.DATA]
+    assert [record.kind for record in records][:2] == [RecordKind.DATA, RecordKind.DATA]
 
 
 def test_a_lost_port_ends_the_loop_after_what_came() -> None:
@@ -100,7 +100,7 @@ def test_a_lost_port_ends_the_loop_after_what_came() -> None:
         with pytest.raises(LinkError, match="unplugged"):
             read_until(told_never, port, RecordWriter(writing), LINE)
         records = RecordReader().feed(os.read(reading, 2**16))
-        data = [record.data for record in records if record.kind is Kind.DATA]
+        data = [record.data for record in records if record.kind is RecordKind.DATA]
         assert data == [b"\x01", b"\x02"]
     finally:
         os.close(reading)
@@ -109,7 +109,7 @@ def test_a_lost_port_ends_the_loop_after_what_came() -> None:
 
 def test_damaged_bytes_are_told_behind_the_bytes_themselves() -> None:
     records, _ = run_loop([b"\x01\xda\x02", b""])
-    assert [record.kind for record in records][:2] == [Kind.DATA, Kind.DAMAGE]
+    assert [record.kind for record in records][:2] == [RecordKind.DATA, RecordKind.DAMAGE]
     assert records[0].data == b"\x01\xda\x02"
     assert records[1].data == b"parity or framing error at byte DAH"
     assert records[1].ts_ns == records[0].ts_ns - LINE.character_ns
@@ -117,13 +117,13 @@ def test_damaged_bytes_are_told_behind_the_bytes_themselves() -> None:
 
 def test_what_the_driver_lost_is_told_at_the_end_at_the_latest() -> None:
     records, _ = run_loop([b"\x01", b""])
-    assert [(record.kind, record.lost) for record in records if record.kind is Kind.OVERRUN] == [
-        (Kind.OVERRUN, 2)
-    ]
+    assert [
+        (record.kind, record.lost) for record in records if record.kind is RecordKind.OVERRUN
+    ] == [(RecordKind.OVERRUN, 2)]
 
 
 def test_damage_on_a_port_that_goes_away_is_told() -> None:
     records, _ = run_loop([b"\xda", b"\xda"])
-    told = [record.data for record in records if record.kind is Kind.DAMAGE]
+    told = [record.data for record in records if record.kind is RecordKind.DAMAGE]
     assert told[0] == b"parity or framing error at byte DAH"
     assert len(told) == 2

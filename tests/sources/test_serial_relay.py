@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Chunk, Direction, EventKind, LinkError, SerialFormat, SerialLink, WireEvent
+from mbtool.ports.serial_port import lost
+from mbtool.ports.serial_records import RecordKind, RecordReader, RecordWriter, SerialRecord
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.live import live_source
-from mbtool.sources.serial_line import SerialSource
-from mbtool.sources.serial_port import lost
-from mbtool.sources.serial_records import Kind, Record, RecordReader, RecordWriter
-from mbtool.sources.serial_relay import Relay
+from mbtool.sources.serial_capture import SerialSource
+from mbtool.sources.serial_relay import SerialRelay
 from tests.sources.live_helpers import drain, read_exactly, stop_marking, take_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.sources.line_errors import ErrorCounts
+    from mbtool.ports.line_errors import ErrorCounts
 
 pytestmark = pytest.mark.skipif(
     sys.platform == "win32", reason="pseudo-terminals need Linux or macOS"
@@ -215,7 +215,7 @@ def test_what_finds_no_room_waits_and_nothing_more_is_read() -> None:
     talking = Half([b"abcdef", b"gh"], [])
     pipe_out, pipe_in = os.pipe()
     writer = RecordWriter(pipe_in)
-    relay = Relay(talking, stuck, writer, FORMAT)
+    relay = SerialRelay(talking, stuck, writer, FORMAT)
     try:
         with pytest.raises(LinkError, match="lost"):
             relay.run_until(Event())
@@ -229,5 +229,5 @@ def test_what_finds_no_room_waits_and_nothing_more_is_read() -> None:
     assert _data(records) == b"abcdefgh"
 
 
-def _data(records: list[Record]) -> bytes:
-    return b"".join(one.data for one in records if one.kind is Kind.DATA)
+def _data(records: list[SerialRecord]) -> bytes:
+    return b"".join(one.data for one in records if one.kind is RecordKind.DATA)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from mbtool.core import SerialFormat
-    from mbtool.sources.line_errors import ErrorCounts
+    from mbtool.ports.line_errors import ErrorCounts
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from rich.console import Console
 
-from mbtool.core.here import Holder, InterfaceHere, SerialPortHere, Trouble
+from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
 from mbtool.views.links import print_interfaces, print_ports
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 STABLE = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A50285BI-if00-port0"
 TEE = "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
-ADAPTER = SerialPortHere(
+ADAPTER = LocalSerialPort(
     device="/dev/ttyUSB0",
     stable=STABLE,
     description="FTDI FT232R USB UART",
@@ -28,19 +28,19 @@ ADAPTER = SerialPortHere(
     holders=(Holder(412, "picocom"), Holder(77, "cat")),
     troubles=(Trouble("FTDI latency timer 16 ms: frames arrive glued", TEE),),
 )
-UART = SerialPortHere(device="/dev/ttyS0", fifo_bytes=1, low_latency=True, unseen_processes=3)
-CH340 = SerialPortHere(device="/dev/ttyUSB1", driver="ch341-uart", low_latency_support=False)
-UNKNOWN = SerialPortHere(device="COM3")
+UART = LocalSerialPort(device="/dev/ttyS0", fifo_bytes=1, low_latency=True, unseen_processes=3)
+CH340 = LocalSerialPort(device="/dev/ttyUSB1", driver="ch341-uart", low_latency_support=False)
+UNKNOWN = LocalSerialPort(device="COM3")
 FORBIDDEN = Trouble("listening needs the capability cap_net_raw", "sudo setcap python")
 
 
-def ports(*shown: SerialPortHere, width: int = 100) -> list[str]:
+def ports(*shown: LocalSerialPort, width: int = 100) -> list[str]:
     file = io.StringIO()
     print_ports(Console(file=file, width=width), shown)
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 
-def interfaces(*shown: InterfaceHere, width: int = 100) -> list[str]:
+def interfaces(*shown: LocalInterface, width: int = 100) -> list[str]:
     file = io.StringIO()
     print_interfaces(Console(file=file, width=width), shown)
     return [line.rstrip() for line in file.getvalue().splitlines()]
@@ -77,7 +77,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 @pytest.mark.parametrize("width", [20, 40, 60, 80, 100])
 def test_what_is_to_be_copied_is_whole_on_any_terminal(width: int) -> None:
     wordy = Trouble("a long story of what is wrong " * 5, "sudo " + "very " * 30 + "long")
-    lines = ports(ADAPTER, SerialPortHere(device="/dev/ttyS1", troubles=(wordy,)), width=width)
+    lines = ports(ADAPTER, LocalSerialPort(device="/dev/ttyS1", troubles=(wordy,)), width=width)
     copied = [f"rtu:{STABLE}@19200-8E1", f"    {TEE}", f"    {wordy.mend}"]
     assert [line for line in lines if line in copied] == copied
     others = [line for line in lines if line not in [*copied, "rtu:/dev/ttyS1@19200-8E1"]]
@@ -86,10 +86,10 @@ def test_what_is_to_be_copied_is_whole_on_any_terminal(width: int) -> None:
 
 def test_an_interface_is_a_row_that_begins_with_its_link() -> None:
     assert interfaces(
-        InterfaceHere(name="eth0", description="Ethernet", is_up=True, has_carrier=True),
-        InterfaceHere(name="eth1", description="Ethernet", is_up=True, has_carrier=False),
-        InterfaceHere(name="eth2", description="Ethernet", is_up=False),
-        InterfaceHere(name="en0"),
+        LocalInterface(name="eth0", description="Ethernet", is_up=True, has_carrier=True),
+        LocalInterface(name="eth1", description="Ethernet", is_up=True, has_carrier=False),
+        LocalInterface(name="eth2", description="Ethernet", is_up=False),
+        LocalInterface(name="en0"),
     ) == [
         "interface  what it is  state         capture",
         "net:eth0   Ethernet    up            permitted",
@@ -102,8 +102,8 @@ def test_an_interface_is_a_row_that_begins_with_its_link() -> None:
 def test_what_all_interfaces_lack_is_said_once_and_what_one_lacks_with_its_name() -> None:
     can = Trouble("it carries no IP")
     lines = interfaces(
-        InterfaceHere(name="can0", troubles=(can, FORBIDDEN)),
-        InterfaceHere(name="eth0", troubles=(FORBIDDEN,)),
+        LocalInterface(name="can0", troubles=(can, FORBIDDEN)),
+        LocalInterface(name="eth0", troubles=(FORBIDDEN,)),
     )
     assert lines[3:] == [
         "  ! can0: it carries no IP",
@@ -114,5 +114,5 @@ def test_what_all_interfaces_lack_is_said_once_and_what_one_lacks_with_its_name(
 
 
 def test_an_adapters_words_are_neither_markup_nor_orders_to_the_terminal() -> None:
-    adapter = SerialPortHere(device="/dev/ttyUSB0", description="[red]a\x1b[2Jb[/red]")
+    adapter = LocalSerialPort(device="/dev/ttyUSB0", description="[red]a\x1b[2Jb[/red]")
     assert "[red]a?[2Jb[/red]" in ports(adapter)[1]

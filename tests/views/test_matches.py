@@ -7,8 +7,8 @@ import io
 from rich.console import Console
 
 from mbtool.devices import load_profile
-from mbtool.devices.matching import Verdict, match
-from mbtool.devices.seen import Seen
+from mbtool.devices.matching import MatchResult, match
+from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.views.matches import SHOWN, print_verdicts, shown_matches, verdict_record
 from tests.devices.transactions import transaction
@@ -16,14 +16,14 @@ from tests.devices.transactions import transaction
 NAMES = ("fa3-at1m8x", "fa3-at1m8y", "fa3-th1m16y", "idec-ft1a-touch")
 
 
-def verdict(*transactions: Transaction, link: str = "rs485") -> Verdict:
-    seen = Seen(link, None, 5)
+def verdict(*transactions: Transaction, link: str = "rs485") -> MatchResult:
+    seen = ObservedSlave(link, None, 5)
     for one in transactions:
         seen.note(one)
     return match(seen, [load_profile(name) for name in NAMES])
 
 
-def printed(*verdicts: Verdict) -> str:
+def printed(*verdicts: MatchResult) -> str:
     out = io.StringIO()
     print_verdicts(Console(file=out, width=100), verdicts)
     return out.getvalue()

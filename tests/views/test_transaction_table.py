@@ -10,7 +10,7 @@ from rich.console import Console
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
-from mbtool.views.cells import Row, day, event_row, transaction_row
+from mbtool.views.cells import TransactionRow, day, event_row, transaction_row
 from mbtool.views.transaction_table import SAMPLE, TransactionTable
 from tests.logs.samples import transaction
 
@@ -253,6 +253,6 @@ def test_any_row_can_be_printed() -> None:
     cells = ("1", "", "", "", "", "", "", "")
     for terminal in (True, False):
         screen = Screen(terminal=terminal)
-        screen.table.add(Row(*cells, trouble=False), "")
+        screen.table.add(TransactionRow(*cells, trouble=False), "")
         screen.table.flush()
         assert screen.lines[-1] == " 1"

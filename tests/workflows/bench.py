@@ -9,19 +9,19 @@ from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Endpoint, SerialFormat, SerialLink, TapLink, TcpLink
+from mbtool.master.poll import TcpPoller
 from mbtool.modbus import rtu_adu
-from mbtool.slave import TcpSlave
+from mbtool.slave.shells import TcpSlave
 from mbtool.sources.tap import TapSource
 from mbtool.sources.virtual_line import VirtualLine
-from mbtool.workflows.asking import TcpMaster
 from tests.slave.scripted import Scripted, echo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from mbtool.workflows.decoding import Record
-    from mbtool.workflows.sniffing import Sniffer
+    from mbtool.decode.decoder import Record
+    from mbtool.workflows.sniff import Sniffer
 
 PATIENCE_S = 20.0
 ANY = Endpoint("127.0.0.1", 0)
@@ -72,7 +72,7 @@ class Bench:
 def ask(sniffer: Sniffer, pdu: bytes, count: int = 1, tap: int = 0) -> None:
     """Ask the slave behind a sniffer's tap, and get its answers."""
     taps = [source for source in sniffer.sources if isinstance(source, TapSource)]
-    with TcpMaster(taps[tap].endpoint) as master:
+    with TcpPoller(taps[tap].endpoint) as master:
         for _ in range(count):
             assert master.ask(1, pdu) == pdu
 

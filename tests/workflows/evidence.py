@@ -14,11 +14,11 @@ from mbtool.core import (
     SerialLink,
     Stamp,
 )
+from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.logs import LogWriter
 from mbtool.logs.layout import Opcode
 from mbtool.modbus import mbap_adu, rtu_adu
-from mbtool.workflows.decoding import Decoder
 from tests.logs.samples import changed, records_of
 from tests.packets.building import Talk, pcap
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mbtool.core import Packet
-    from mbtool.workflows.decoding import Evidence, Record
+    from mbtool.decode.decoder import Evidence, Record
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import UsageError, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.workflows.demo import MODULE_UNIT, TOUCH_UNIT, Demo, module_requests, touch_requests
-from mbtool.workflows.reading import Reading, ReadingOptions
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
     from pathlib import Path

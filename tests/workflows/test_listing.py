@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.here import InterfaceHere, SerialPortHere
+from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 from mbtool.workflows import listing
 
 if TYPE_CHECKING:
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def test_ports_and_interfaces_are_found_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    port, interface = SerialPortHere(device="/dev/ttyUSB0"), InterfaceHere(name="eth0")
-    monkeypatch.setattr(listing, "ports_here", lambda: [port])
-    monkeypatch.setattr(listing, "interfaces_here", lambda: [interface])
+    port, interface = LocalSerialPort(device="/dev/ttyUSB0"), LocalInterface(name="eth0")
+    monkeypatch.setattr(listing, "local_ports", lambda: [port])
+    monkeypatch.setattr(listing, "local_interfaces", lambda: [interface])
     assert listing.links_here() == ([port], [interface])

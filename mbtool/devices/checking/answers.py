@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, found, is_joined
-from mbtool.devices.checking.kept import Kept
+from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
 from mbtool.modbus.adu import Transport, Verdict
@@ -81,12 +81,14 @@ class AnswerRules:
     """Records in, in the order in which they are decoded; findings out."""
 
     def __init__(self) -> None:
-        self._states: Kept[_Party, _State] = Kept(_State)
-        self._heard: Kept[tuple[str, int], list[bool]] = Kept(lambda: [False])
+        self._states: LruDict[_Party, _State] = LruDict(_State)
+        self._heard: LruDict[tuple[str, int], list[bool]] = LruDict(lambda: [False])
         """Slaves, by whether they have said anything."""
         self._held: OrderedDict[_Question, deque[NamedTransaction]] = OrderedDict()
         self._number_held = 0
-        self._retries: Kept[_Question, deque[_Retry]] = Kept(lambda: deque(maxlen=MAX_RETRIES))
+        self._retries: LruDict[_Question, deque[_Retry]] = LruDict(
+            lambda: deque(maxlen=MAX_RETRIES)
+        )
         """Answered requests that an equal one without an answer went before."""
         self._last_ns = 0
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
 from mbtool.devices.checking.answers import AnswerRules
+from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.connections import ConnectionRules, is_foreign_message
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
-from mbtool.devices.checking.surroundings import Surroundings
 from mbtool.devices.checking.transactions import TransactionRules
 from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.modbus.adu import Verdict
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 class Checker:
     """All rules, for one capture."""
 
-    def __init__(self, surroundings: Surroundings | None = None) -> None:
-        self._around = surroundings or Surroundings()
+    def __init__(self, surroundings: CaptureContext | None = None) -> None:
+        self._around = surroundings or CaptureContext()
         self._each = TransactionRules()
         self._answers = AnswerRules()
         self._polls = PollRules()

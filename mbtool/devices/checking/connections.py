@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
-from mbtool.devices.checking.kept import Kept
+from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.modbus.adu import Verdict
 
@@ -54,7 +54,7 @@ class ConnectionRules:
     def __init__(self, ports: frozenset[int] | None) -> None:
         """`ports` are those at which Modbus is expected; None for all."""
         self._ports = ports
-        self._connections: Kept[tuple[str, str | None], _Connection] = Kept(_Connection)
+        self._connections: LruDict[tuple[str, str | None], _Connection] = LruDict(_Connection)
         self._waiting: deque[WireEvent] = deque()
         self._last_ns = 0
 

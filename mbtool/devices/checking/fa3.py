@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.connections import foreign_text, is_foreign_message
 from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
-from mbtool.devices.checking.kept import Kept
+from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.findings import has_other_data
 from mbtool.devices.model import BehaviourName
@@ -66,7 +66,7 @@ class Fa3Rules:
     """Records about modules with this behaviour in; findings out."""
 
     def __init__(self) -> None:
-        self._modules: Kept[str, _Module] = Kept(_Module)
+        self._modules: LruDict[str, _Module] = LruDict(_Module)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
         """Take the next transaction of a module."""

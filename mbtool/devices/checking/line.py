@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, Silence, WireEvent
 from mbtool.devices.checking.finding import Finding, found, found_in
-from mbtool.devices.checking.kept import Kept
+from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
 from mbtool.modbus.adu import Verdict
@@ -64,7 +64,7 @@ _ECHOED_WHOLE = frozenset((0x05, 0x06, 0x16))
 
 
 @dataclass(slots=True)
-class _Count:
+class _Occurrences:
     """How often something happened, and the first time."""
 
     first: NamedTransaction
@@ -82,9 +82,9 @@ class _Line:
     in_blocks: int = 0
     of_unit: Counter[int] = field(default_factory=Counter)
     """Transactions, by unit."""
-    silences: dict[tuple[Verdict, int], _Count] = field(default_factory=dict)
+    silences: dict[tuple[Verdict, int], _Occurrences] = field(default_factory=dict)
     """By kind and unit: at most 256 units."""
-    pace: dict[tuple[str, int], _Count] = field(default_factory=dict)
+    pace: dict[tuple[str, int], _Occurrences] = field(default_factory=dict)
     """By code and unit: at most 256 units."""
     stray: WireEvent | None = None
     """Bytes that are a finding if a frame follows."""
@@ -98,7 +98,7 @@ class LineRules:
     """Records of serial lines in; findings out, those with figures at the end."""
 
     def __init__(self) -> None:
-        self._lines: Kept[str, _Line] = Kept(_Line)
+        self._lines: LruDict[str, _Line] = LruDict(_Line)
         self.remarks: list[str] = []
         """Silences that are too few for a finding, once the capture has ended."""
 
@@ -189,7 +189,7 @@ class LineRules:
         for sign in _SILENCES:
             if sign in transaction.verdicts:
                 key = (sign, transaction.unit)
-                line.silences.setdefault(key, _Count(transaction)).number += 1
+                line.silences.setdefault(key, _Occurrences(transaction)).number += 1
         line.in_blocks += not _BLOCK_SIGNS.isdisjoint(transaction.verdicts)
 
     def _note_pace(
@@ -227,13 +227,13 @@ def _note_least(
     if silence_ns >= least_ns:
         return
     count = line.pace.setdefault(
-        (code, transaction.unit), _Count(transaction, 0, silence_ns, wanted)
+        (code, transaction.unit), _Occurrences(transaction, 0, silence_ns, wanted)
     )
     count.number += 1
     count.least_ns = min(count.least_ns, silence_ns)
 
 
-def _pace_text(code: str, count: _Count) -> str:
+def _pace_text(code: str, count: _Occurrences) -> str:
     requests = "1 request" if count.number == 1 else f"{count.number} requests"
     behind = "a broadcast" if code == "RTU-302" else "the frame before"
     return (
@@ -242,7 +242,7 @@ def _pace_text(code: str, count: _Count) -> str:
     )
 
 
-def _of_many(code: str, count: _Count, text: str) -> Finding:
+def _of_many(code: str, count: _Occurrences, text: str) -> Finding:
     one = found(code, count.first, text)
     unit = None if code == "RTU-302" else one.unit
     return replace(one, unit=unit, function=None, reference=None, count=count.number)

@@ -18,7 +18,7 @@ from statistics import median, quantiles
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, found
-from mbtool.devices.checking.kept import Kept
+from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
 
@@ -72,7 +72,7 @@ class PollRules:
     """Transactions in; what is to be said of their times out at the end."""
 
     def __init__(self) -> None:
-        self._polls: Kept[tuple[object, ...], _Poll] = Kept(_Poll, MAX_POLLS)
+        self._polls: LruDict[tuple[object, ...], _Poll] = LruDict(_Poll, MAX_POLLS)
 
     def transaction(self, transaction: NamedTransaction) -> None:
         """Take the next transaction whose times are known."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, found
-from mbtool.devices.checking.kept import Kept
+from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.model import BehaviourName
 from mbtool.devices.named import NamedTransaction
@@ -35,7 +35,7 @@ class WagoRules:
     """Transactions of couplers in; findings out."""
 
     def __init__(self) -> None:
-        self._couplers: Kept[str, _Coupler] = Kept(_Coupler)
+        self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
         """Take the next transaction of a coupler."""

@@ -36,7 +36,7 @@ from mbtool.modbus.tables import Table
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.devices.seen import Ask, Replies, Seen
+    from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 
 MAX_POINTS = 1000
 MAX_LISTED = 24
@@ -63,7 +63,7 @@ class Draft:
     text: str
 
 
-def draft_profile(seen: Seen, name: str, file: str) -> Draft:
+def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
     """Draft a profile of the slave; `file` is where it was seen. Any traffic gives one."""
     file = PurePath(file).name
     maps = _maps(seen)
@@ -88,12 +88,12 @@ def draft_profile(seen: Seen, name: str, file: str) -> Draft:
     return Draft(profile, dump_profile(profile, comments))
 
 
-def _title(seen: Seen) -> str:
+def _title(seen: ObservedSlave) -> str:
     names = ("product", "model", "product code")
     return next((seen.identity[one] for one in names if seen.identity.get(one)), _who(seen))
 
 
-def _who(seen: Seen) -> str:
+def _who(seen: ObservedSlave) -> str:
     at = f" at {seen.who.host}" if seen.who.host is not None else ""
     return f"unit {seen.unit}{at}"
 
@@ -102,7 +102,7 @@ def _times(count: int, what: str = "time") -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _head(seen: Seen, file: str, left_out: int) -> list[str]:
+def _head(seen: ObservedSlave, file: str, left_out: int) -> list[str]:
     head = [
         f"Drafted by mbtool from what {_who(seen)} was asked and answered in {file}, "
         f"{_times(seen.transactions, 'transaction')}. It knows no more than that: an address or "
@@ -121,7 +121,7 @@ def _head(seen: Seen, file: str, left_out: int) -> list[str]:
     return head
 
 
-def _maps(seen: Seen) -> dict[Table, bytearray]:
+def _maps(seen: ObservedSlave) -> dict[Table, bytearray]:
     """What is known of each address."""
     maps = {table: bytearray(1 << 16) for table in Table}
     for ask, replies in seen.asked.items():
@@ -147,7 +147,7 @@ def _joined(known: int, flag: int) -> int:
 
 
 def _areas(
-    table: Table, known: bytearray, seen: Seen, comments: dict[str, list[str]]
+    table: Table, known: bytearray, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> Iterator[Area]:
     refused = [
         (ask, replies)
@@ -183,7 +183,7 @@ def _runs(known: bytearray) -> Iterator[tuple[int, int]]:
 
 
 def _about_area(
-    area: Area, rights: bytearray, refused: Sequence[tuple[Ask, Replies]]
+    area: Area, rights: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
 ) -> Iterator[str]:
     if rights[0] & _UNKNOWN:
         yield "Asked for, but never answered: perhaps there is nothing here."
@@ -228,7 +228,7 @@ class _Function:
     """The least quantity that was refused as a wrong value though its addresses are there."""
 
 
-def _functions(seen: Seen) -> tuple[dict[str, FunctionRule], list[str]]:
+def _functions(seen: ObservedSlave) -> tuple[dict[str, FunctionRule], list[str]]:
     """A rule for each function that the slave may have, and a sentence on each that was asked."""
     rules: dict[str, FunctionRule] = {}
     said: list[str] = []
@@ -245,7 +245,7 @@ def _functions(seen: Seen) -> tuple[dict[str, FunctionRule], list[str]]:
     return rules, said
 
 
-def _found(seen: Seen) -> dict[int, _Function]:
+def _found(seen: ObservedSlave) -> dict[int, _Function]:
     found: dict[int, _Function] = {}
     for ask, replies in seen.asked.items():
         one = found.setdefault(ask.function, _Function())
@@ -283,12 +283,12 @@ def _limit(code: int, one: _Function) -> int | None:
     return one.most
 
 
-def _exceptions(seen: Seen) -> set[int]:
+def _exceptions(seen: ObservedSlave) -> set[int]:
     return {code for one in seen.asked.values() for code in one.exceptions if 1 <= code <= 0xFF}
 
 
 def _points(
-    profile: Profile, seen: Seen, comments: dict[str, list[str]]
+    profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> tuple[list[Point], int]:
     """Points for the registers whose values were seen, and how many registers had no room."""
     points: list[Point] = []

@@ -24,7 +24,7 @@ from mbtool.devices.model import PointType, WordOrder
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from mbtool.devices.seen import Samples
+    from mbtool.devices.observed_slave import Samples
 
 MAGNITUDES = (1e-4, 1e8)
 _DIGITS = 5

@@ -231,7 +231,7 @@ def numbering(written: Written, counting: Counting, table: Table | None) -> Numb
 
 
 @dataclass(frozen=True, slots=True)
-class Pairing:
+class ColumnPair:
     """What two columns of addresses say together."""
 
     base: int
@@ -241,7 +241,7 @@ class Pairing:
     """The second number less the first, without the ten thousands that stand for a table."""
 
 
-def pair(numbers: Sequence[tuple[int, int]]) -> Pairing | None:
+def pair(numbers: Sequence[tuple[int, int]]) -> ColumnPair | None:
     """How two columns of numbers belong together; None where they do not, or are the same."""
     if not numbers or all(first == second for first, second in numbers):
         return None
@@ -251,7 +251,7 @@ def pair(numbers: Sequence[tuple[int, int]]) -> Pairing | None:
         return None
     # 40001 beside 0, or 1 more: the smaller is the wire's. 40001 beside 1: both count from 1.
     smaller_first = sum(first < second for first, second in numbers)
-    return Pairing(int(difference == 0), 2 * smaller_first > len(numbers), difference)
+    return ColumnPair(int(difference == 0), 2 * smaller_first > len(numbers), difference)
 
 
 def difference_of(first: int, second: int) -> int:

@@ -119,25 +119,25 @@ _DIGIT_TABLES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class CellAccess:
     """What a cell says about where a value stands and by which functions it is reached."""
 
     table: Table
     functions: tuple[int, ...] = ()
 
 
-def parse_table(text: str) -> Reach | None:
+def parse_table(text: str) -> CellAccess | None:
     """`Holding register`, `4x`, `HR`, `03`, `FC03/06/16`, `3,16`, `0x04`, `coil`."""
     lowered = " ".join(re.sub(r"[_\-]", " ", text.lower()).split())
     digit = re.fullmatch(r"([0134])\s?x+", lowered)
     if digit:
-        return Reach(_DIGIT_TABLES[digit[1]])
+        return CellAccess(_DIGIT_TABLES[digit[1]])
     numbers = _functions(lowered)
     if numbers is not None:
         return numbers
     for pattern, table in _TABLE_WORDS:
         if re.search(pattern, lowered):
-            return Reach(table)
+            return CellAccess(table)
     return None
 
 
@@ -146,7 +146,7 @@ _FUNCTION_WORDS = re.compile(
 )
 
 
-def _functions(text: str) -> Reach | None:
+def _functions(text: str) -> CellAccess | None:
     plain = _FUNCTION_WORDS.sub(" ", text)
     tokens = [token for token in re.split(r"[\s,;/+&|()=:]+", plain) if token]
     codes = []
@@ -160,7 +160,7 @@ def _functions(text: str) -> Reach | None:
     known = [FUNCTIONS.get(code) for code in codes]
     tables = {one.table if one is not None else None for one in known}
     table = tables.pop() if len(tables) == 1 else None
-    return Reach(table, tuple(dict.fromkeys(codes))) if table is not None else None
+    return CellAccess(table, tuple(dict.fromkeys(codes))) if table is not None else None
 
 
 _PAIR = re.compile(

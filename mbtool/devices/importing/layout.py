@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.devices.importing.rows import Item
-from mbtool.devices.importing.spellings import HIGH_LOW, Kind
+from mbtool.devices.importing.spellings import HIGH_LOW, TypeSpelling
 from mbtool.devices.model import Access, Area, FunctionRule, Point, PointType, Radix
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
@@ -41,7 +41,7 @@ Notation = tuple[str, int, Radix, int, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedRow:
     """A row whose table and address are known."""
 
     item: Item
@@ -56,12 +56,14 @@ class Laid:
     """A point, and the row that it came from."""
 
     point: Point
-    placed: Placed
+    placed: PlacedRow
 
 
-def lay_points(rows: Sequence[Placed], complaints: Complaints, column: Column | None) -> list[Laid]:
+def lay_points(
+    rows: Sequence[PlacedRow], complaints: Complaints, column: Column | None
+) -> list[Laid]:
     """Make the points, in the order of their tables and addresses; `column` has the addresses."""
-    bits: dict[tuple[Table, int], list[Placed]] = {}
+    bits: dict[tuple[Table, int], list[PlacedRow]] = {}
     laid: list[Laid] = []
     for row in rows:
         if row.item.written.bit is not None and not row.table.is_bits:
@@ -82,7 +84,7 @@ def lay_points(rows: Sequence[Placed], complaints: Complaints, column: Column | 
     return _named_apart(laid)
 
 
-def _laid(row: Placed, complaints: Complaints, column: Column | None) -> list[Laid]:
+def _laid(row: PlacedRow, complaints: Complaints, column: Column | None) -> list[Laid]:
     item = row.item
     kind = _kind(row, complaints, column)
     if kind is None:
@@ -121,7 +123,7 @@ def _laid(row: Placed, complaints: Complaints, column: Column | None) -> list[La
     return [Laid(_with(point, **limits), row)]
 
 
-def _kind(row: Placed, complaints: Complaints, column: Column | None) -> Kind | None:
+def _kind(row: PlacedRow, complaints: Complaints, column: Column | None) -> TypeSpelling | None:
     """The type as it stands in its table."""
     kind, item = row.item.kind, row.item
     if row.table.is_bits:
@@ -131,15 +133,15 @@ def _kind(row: Placed, complaints: Complaints, column: Column | None) -> Kind | 
                 f"is in {row.table}, which hold bits, not {kind.type}; BOOL would be right",
             )  # fmt: skip
             return None
-        return Kind(PointType.BIT)
+        return TypeSpelling(PointType.BIT)
     if kind is None:
         types = {None: PointType.UINT16, 1: PointType.UINT16, 2: PointType.UINT32}
-        return Kind(types.get(item.registers, PointType.UINT16))
+        return TypeSpelling(types.get(item.registers, PointType.UINT16))
     # A yes or no that has a register to itself.
     return replace(kind, type=PointType.UINT16) if kind.type is PointType.BIT else kind
 
 
-def _string_words(item: Item, kind: Kind) -> int:
+def _string_words(item: Item, kind: TypeSpelling) -> int:
     if item.registers is not None:
         return item.registers
     if item.written.last is not None:
@@ -149,7 +151,7 @@ def _string_words(item: Item, kind: Kind) -> int:
     return kind.length if kind.length_is_registers else -(-kind.length // 2)
 
 
-def _count(row: Placed, words: int, complaints: Complaints, column: Column | None) -> int:
+def _count(row: PlacedRow, words: int, complaints: Complaints, column: Column | None) -> int:
     item = row.item
     last = item.written.last
     size = last - item.written.number + 1 if last is not None else item.registers
@@ -164,7 +166,7 @@ def _count(row: Placed, words: int, complaints: Complaints, column: Column | Non
     return size // words
 
 
-def _texts(row: Placed, kind: Kind) -> tuple[dict[int, str], str]:
+def _texts(row: PlacedRow, kind: TypeSpelling) -> tuple[dict[int, str], str]:
     """The texts that fit the type, else a note."""
     texts = dict(row.item.texts)
     if row.item.kind is not None and row.item.kind.is_switch and not row.table.is_bits:
@@ -209,7 +211,7 @@ def _limits(
 
 
 def _flags(
-    rows: Sequence[Placed], whole: Laid | None, complaints: Complaints, column: Column | None
+    rows: Sequence[PlacedRow], whole: Laid | None, complaints: Complaints, column: Column | None
 ) -> list[Laid]:
     """One point for the bits of one register; a row for the whole register gives it its name."""
     names: dict[int, str] = {}

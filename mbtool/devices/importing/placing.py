@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.importing.addresses import (
+    ColumnPair,
     Counting,
     Numbering,
-    Pairing,
     Written,
     decide,
     difference_of,
     numbering,
     pair,
 )
-from mbtool.devices.importing.layout import Notation, Placed
+from mbtool.devices.importing.layout import Notation, PlacedRow
 from mbtool.devices.importing.rows import Scaling
 from mbtool.devices.model import Access, Radix
 from mbtool.modbus.functions import FUNCTIONS
@@ -69,7 +69,7 @@ class Placer:
             [one for one in items if _has_letters(one.written) and _is_decimal(one.written)]
         )
 
-    def place_all(self) -> list[Placed]:
+    def place_all(self) -> list[PlacedRow]:
         """The rows that have a place; the others are complaints."""
         placed = [one for item in self._items if (one := self._place(item)) is not None]
         self.remarks += [
@@ -80,7 +80,7 @@ class Placer:
             self.remarks.append("what the list does not call read-only is taken as read and write")
         return placed
 
-    def _pair(self) -> Pairing | None:
+    def _pair(self) -> ColumnPair | None:
         numbers = [
             (item.written.number, item.other.number)
             for item in self._items
@@ -126,7 +126,7 @@ class Placer:
     def _said_table(self, item: Item) -> Table | None:
         return item.reach.table if item.reach is not None else self._options.table
 
-    def _place(self, item: Item) -> Placed | None:
+    def _place(self, item: Item) -> PlacedRow | None:
         shown, address, how = self._address(item)
         if not 0 <= address <= 0xFFFF:
             problem = f"would be address {address} on the wire; addresses are 0 to 65535"
@@ -143,7 +143,7 @@ class Placer:
             )
             return None
         notation = self._notation(shown, address)
-        return Placed(item, table, address, notation, item.access or _usual_access(item, table))
+        return PlacedRow(item, table, address, notation, item.access or _usual_access(item, table))
 
     def _complain(self, item: Item, problem: str) -> None:
         written = item.written
@@ -178,7 +178,7 @@ class Placer:
         return table
 
 
-def _in_order(first: Written, second: Written, pairing: Pairing) -> tuple[Written, Written]:
+def _in_order(first: Written, second: Written, pairing: ColumnPair) -> tuple[Written, Written]:
     """The wire's, and the vendor's."""
     return (first, second) if pairing.wire_is_first else (second, first)
 

@@ -25,12 +25,12 @@ from mbtool.devices.importing.addresses import (
     parse_address,
     without_false_bits,
 )
-from mbtool.devices.importing.cells import Reach, is_nothing, parse_table
+from mbtool.devices.importing.cells import CellAccess, is_nothing, parse_table
 from mbtool.devices.importing.columns import Column, Meaning, Sheet, find_sheet, meaning_of
 from mbtool.devices.importing.layout import MAX_HOLE, lay_areas, lay_points
 from mbtool.devices.importing.placing import ImportOptions, Placer
 from mbtool.devices.importing.rows import Complaints, Item, RowReader
-from mbtool.devices.importing.spellings import Kind, parse_type
+from mbtool.devices.importing.spellings import TypeSpelling, parse_type
 from mbtool.devices.loading import MAX_FILE_BYTES
 from mbtool.devices.model import PointType, Profile
 from mbtool.devices.starting import name_for
@@ -166,7 +166,7 @@ class _Import:
     def _items(self, sheet: Sheet, addresses: Sequence[Column], reader: RowReader) -> list[Item]:
         read = [_read_all([column.of(row) for row in sheet.body]) for column in addresses]
         width = len(sheet.headings)
-        section: Reach | None = None
+        section: CellAccess | None = None
         items: list[Item] = []
         left_out: dict[str, list[int]] = {_WITHOUT: [], _RESERVED: [], _REPEATED: []}
         for number, (row, *written) in enumerate(
@@ -260,7 +260,7 @@ _TOO_LONG = (
 _ADDRESS_WANTED = "is no address; 40001, 4x0001, 12, 0x0102, 0102H and HR12 are"
 
 
-def _has_no_length(item: Item, kind: Kind) -> bool:
+def _has_no_length(item: Item, kind: TypeSpelling) -> bool:
     return (
         kind.type is PointType.STRING and kind.length is item.registers is item.written.last is None
     )
@@ -302,7 +302,7 @@ def _is_heading_again(row: Sequence[str], sheet: Sheet, addresses: Iterable[Colu
     return sum(meaning_of(one.of(row)) is not None for one in known) * 2 > len(known)
 
 
-def _section(texts: Sequence[str]) -> Reach | None:
+def _section(texts: Sequence[str]) -> CellAccess | None:
     """The table that a heading between the rows names."""
     return parse_table(texts[0]) if len(texts) == 1 and not texts[0].strip().isdigit() else None
 

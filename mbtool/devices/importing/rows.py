@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.devices.importing.addresses import Written
 from mbtool.devices.importing.cells import (
+    CellAccess,
     Factor,
-    Reach,
     is_nothing,
     parse_access,
     parse_factor,
@@ -27,7 +27,7 @@ from mbtool.devices.importing.cells import (
     parse_unit,
 )
 from mbtool.devices.importing.columns import Column, Meaning
-from mbtool.devices.importing.spellings import Kind, Order, parse_order, parse_type
+from mbtool.devices.importing.spellings import Order, TypeSpelling, parse_order, parse_type
 from mbtool.devices.model import Access, PointType
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ class Item:
     written: Written
     other: Written | None
     """What a second column of addresses has."""
-    reach: Reach | None
-    kind: Kind | None
+    reach: CellAccess | None
+    kind: TypeSpelling | None
     """None where the list gives no type."""
     registers: int | None
     order: Order | None
@@ -132,7 +132,7 @@ class RowReader:
         row: Sequence[str],
         written: Written,
         other: Written | None,
-        section: Reach | None,
+        section: CellAccess | None,
     ) -> Item:
         """Read the row behind its address."""
         registers = self._registers(number, row)
@@ -230,7 +230,7 @@ class RowReader:
             return None
         return int(registers)
 
-    def _kind(self, number: int, row: Sequence[str], registers: int | None) -> Kind | None:
+    def _kind(self, number: int, row: Sequence[str], registers: int | None) -> TypeSpelling | None:
         return self._read(
             number, row, Meaning.TYPE, lambda text: parse_type(text, registers), _TYPE_WANTED
         )
@@ -262,7 +262,7 @@ class RowReader:
         return self._read(number, row, Meaning.ACCESS, parse, _ACCESS_WANTED)
 
     def _scale(
-        self, number: int, row: Sequence[str], kind: Kind | None, unit_factor: float | None
+        self, number: int, row: Sequence[str], kind: TypeSpelling | None, unit_factor: float | None
     ) -> tuple[float, int | None]:
         places = self._number(number, row, Meaning.DECIMALS)
         decimals = int(places) if places is not None and 0 <= places <= 15 else None

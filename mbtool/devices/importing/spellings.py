@@ -20,7 +20,7 @@ Order = tuple[WordOrder, ByteOrder]
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class TypeSpelling:
     """What a type's spelling says."""
 
     type: PointType
@@ -123,7 +123,7 @@ def parse_order(text: str) -> Order | None:
     return LOW_SWAPPED if _LITTLE.fullmatch(phrase) else None
 
 
-def parse_type(text: str, registers: int | None = None) -> Kind | None:
+def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
     """What a spelling stands for; `registers` is how many the list gives the value, if it does."""
     lowered = text.lower().strip()
     order: Order | None = None
@@ -145,32 +145,34 @@ def parse_type(text: str, registers: int | None = None) -> Kind | None:
     )
 
 
-def _plain(name: str, bits: int | None, order: Order | None) -> Kind | None:
+def _plain(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     if name in _SWITCHES:
-        return Kind(PointType.BIT, is_switch=True)
+        return TypeSpelling(PointType.BIT, is_switch=True)
     if name in _HEX:
-        return Kind(_CODES[bits or 16], order)
+        return TypeSpelling(_CODES[bits or 16], order)
     return None
 
 
-def _string(name: str, order: Order | None) -> Kind | None:
+def _string(name: str, order: Order | None) -> TypeSpelling | None:
     match = _STRING.fullmatch(name)
     if match is None:
         return None
     length = int(match["length"]) if match["length"] else None
-    return Kind(PointType.STRING, order, length, (match["unit"] or "").startswith(("reg", "word")))
+    return TypeSpelling(
+        PointType.STRING, order, length, (match["unit"] or "").startswith(("reg", "word"))
+    )
 
 
-def _float(name: str, bits: int | None, order: Order | None) -> Kind | None:
+def _float(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     match = _FLOAT.fullmatch(name)
     if match is None or not (match["word"] or "ieee" in name):
         return None
     said = _width(match, bits, 64 if match["word"] in ("double", "lreal") else None)
     point_type = {32: PointType.FLOAT32, 64: PointType.FLOAT64}.get(said or 32)
-    return None if point_type is None else Kind(point_type, order)
+    return None if point_type is None else TypeSpelling(point_type, order)
 
 
-def _bcd(name: str, bits: int | None, order: Order | None) -> Kind | None:
+def _bcd(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     match = _BCD.fullmatch(name)
     if match is None:
         return None
@@ -178,21 +180,21 @@ def _bcd(name: str, bits: int | None, order: Order | None) -> Kind | None:
     number = {"4": 16, "8": 32, "16": 16, "32": 32}.get(match["number"] or "")
     said = number or _width(match, bits, None)
     point_type = {16: PointType.BCD16, 32: PointType.BCD32}.get(said or 16)
-    return None if point_type is None else Kind(point_type, order)
+    return None if point_type is None else TypeSpelling(point_type, order)
 
 
-def _flags(name: str, bits: int | None, order: Order | None) -> Kind | None:
+def _flags(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     match = _FLAGS.fullmatch(name)
     if match is None:
         return None
     said = _width(match, bits, None) or 16
-    return Kind(_CODES[said], order, is_bits=True)
+    return TypeSpelling(_CODES[said], order, is_bits=True)
 
 
-def _integer(name: str, bits: int | None, order: Order | None) -> Kind | None:
+def _integer(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     if name in _NAMED:
         width, signed = _NAMED[name]
-        return Kind(_INTEGERS[max(width or bits or 16, 16), signed], order)
+        return TypeSpelling(_INTEGERS[max(width or bits or 16, 16), signed], order)
     match = _INTEGER.fullmatch(name)
     if match is None or (match["sign1"] and match["sign2"]):
         return None
@@ -206,7 +208,7 @@ def _integer(name: str, bits: int | None, order: Order | None) -> Kind | None:
     said = _width(match, bits if usual is None else None, usual) or 16
     signed = sign in ("s", "signed") or (sign is None and word is not None)
     # Eight bits stand in a register of their own.
-    return Kind(_INTEGERS[max(said, 16), signed], order)
+    return TypeSpelling(_INTEGERS[max(said, 16), signed], order)
 
 
 def _width(match: re.Match[str], bits: int | None, usual: int | None) -> int | None:

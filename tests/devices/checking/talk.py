@@ -6,14 +6,15 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from mbtool.core import CONNECTION_JOINED, CONNECTION_OPENED, Direction, EventKind, WireEvent
-from mbtool.devices import Assignments, Namer, load_profile
-from mbtool.devices.assignment import Assignment, Who
+from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.devices.assignment import Assignment, Assignments, Who
+from mbtool.devices.loading import load_profile
+from mbtool.devices.naming import Namer
 from mbtool.modbus import Transport, mbap_adu, rtu_adu
 from mbtool.modbus.adu import Adu, DirectionBy, Verdict
-from mbtool.modbus.joining import Ends, broadcast, no_answer, together, unsolicited
 
 if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices.named import NamedTransaction
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -6,7 +6,7 @@ import msgspec
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.answers import MAX_HELD, AnswerRules
-from mbtool.devices.checking.kept import MAX_KEPT
+from mbtool.devices.checking.lru_dict import MAX_KEPT
 from mbtool.modbus.adu import Transport, Verdict
 from tests.devices.checking.talk import (
     MASTER,
@@ -21,8 +21,8 @@ from tests.devices.checking.talk import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.named import NamedTransaction
 
 OTHER = "04 0000 0001"
 OTHER_ANSWER = "04 02 0007"

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
-from mbtool.devices import NamedTransaction, builtin_profiles
+from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import rule_of
-from mbtool.devices.checking.surroundings import Surroundings
+from mbtool.devices.loading import builtin_profiles
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.transaction import Outcome
 from tests.devices.checking.talk import (
@@ -29,11 +29,13 @@ from tests.devices.transactions import transaction as bare
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from mbtool.devices.named import NamedTransaction
+
 FOREIGN_MESSAGE = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
 
 
 def codes(*records: NamedTransaction | WireEvent, profile: str | None = None) -> list[str]:
-    checker = Checker(Surroundings(assigned(profile), lambda _: SerialFormat(19200)))
+    checker = Checker(CaptureContext(assigned(profile), lambda _: SerialFormat(19200)))
     found = [one for record in records for one in checker.feed(record)]
     return [one.code for one in (*found, *checker.close())]
 
@@ -66,7 +68,7 @@ def test_a_frame_that_may_be_another_breaks_no_rule_of_content() -> None:
 
 
 def test_what_is_too_little_for_a_finding_is_a_remark() -> None:
-    checker = Checker(Surroundings(assigned(None), lambda _: SerialFormat(19200)))
+    checker = Checker(CaptureContext(assigned(None), lambda _: SerialFormat(19200)))
     doubtful = bare(3, 0, quantity=0, link=LINE, verdicts=[Verdict.AMBIGUOUS])
     late = transaction(on_a_line=True, verdicts=(Verdict.T1_5_BROKEN,))
     for one in (named_by(None).name(doubtful), late, *[transaction(on_a_line=True)] * 9):

@@ -15,8 +15,8 @@ from mbtool.modbus.adu import Verdict
 from tests.devices.checking.talk import MASTER, SLAVE, event, opened, transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.named import NamedTransaction
 
 FOREIGN_MESSAGE = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
 

@@ -7,13 +7,13 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.devices.checking.finding import Finding
-from mbtool.devices.checking.kept import MAX_KEPT
 from mbtool.devices.checking.line import ENOUGH, LineRules
+from mbtool.devices.checking.lru_dict import MAX_KEPT
 from mbtool.modbus.adu import Verdict
 from tests.devices.checking.talk import assigned, line_event, transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices.named import NamedTransaction
 
 FORMAT = SerialFormat(19200)
 PATIENT = str(

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import msgspec
 
-from mbtool.devices import NamedTransaction, load_profile
-from mbtool.devices.checking.kept import MAX_KEPT
+from mbtool.devices.checking.lru_dict import MAX_KEPT
 from mbtool.devices.checking.wago import WagoRules, is_wago
+from mbtool.devices.loading import load_profile
 from tests.devices.checking.talk import transaction
+
+if TYPE_CHECKING:
+    from mbtool.devices.named import NamedTransaction
 
 
 def found(*transactions: NamedTransaction) -> list[str]:

@@ -7,17 +7,12 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbtool.devices import (
-    Access,
-    Assignment,
-    Assignments,
-    Namer,
-    Profile,
-    Who,
-    load_profile,
-)
+from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.drafting.draft import MAX_POINTS, draft_profile
-from mbtool.devices.seen import Seen
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import Access, Profile
+from mbtool.devices.naming import Namer
+from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.modbus.transaction import Outcome, Transaction
 from tests.devices.transactions import transaction
 
@@ -25,8 +20,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def seen(*transactions: Transaction) -> Seen:
-    found = Seen("line", None, 5, with_values=True)
+def seen(*transactions: Transaction) -> ObservedSlave:
+    found = ObservedSlave("line", None, 5, with_values=True)
     for one in transactions:
         found.note(one)
     return found

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import PointType, WordOrder
 from mbtool.devices.drafting.guesses import Guess, guess_registers
-from mbtool.devices.seen import Samples
+from mbtool.devices.model import PointType, WordOrder
+from mbtool.devices.observed_slave import Samples
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

@@ -10,7 +10,7 @@ from mbtool.devices.importing.placing import ImportOptions, Placer
 from mbtool.devices.importing.rows import Complaints, Item, RowReader, Scaling
 
 if TYPE_CHECKING:
-    from mbtool.devices.importing.layout import Placed
+    from mbtool.devices.importing.layout import PlacedRow
 
 
 def read_items(
@@ -28,7 +28,7 @@ def read_items(
     return items, complaints, reader
 
 
-def place(text: str, **options: Any) -> tuple[list[Placed], Complaints, Placer]:
+def place(text: str, **options: Any) -> tuple[list[PlacedRow], Complaints, Placer]:
     """The rows of such a list in their places."""
     items, complaints, _ = read_items(text)
     chosen = ImportOptions(**options)

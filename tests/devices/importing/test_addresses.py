@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import Radix
 from mbtool.devices.importing.addresses import (
+    ColumnPair,
     Counting,
     Numbering,
-    Pairing,
     Written,
     decide,
     difference_of,
@@ -22,6 +21,7 @@ from mbtool.devices.importing.addresses import (
     reference_table,
     without_false_bits,
 )
+from mbtool.devices.model import Radix
 from mbtool.modbus.tables import Table
 
 
@@ -143,17 +143,17 @@ def test_a_number_counts_by_its_notation(text: str, counting: Counting, how: Num
 @pytest.mark.parametrize(
     ("numbers", "pairing"),
     [
-        ([(2999, 3000), (3001, 3002)], Pairing(0, True, 1)),
-        ([(3000, 2999), (3002, 3001)], Pairing(0, False, -1)),
-        ([(40001, 0), (40002, 1), (30001, 0)], Pairing(0, False, -1)),
-        ([(40001, 1), (40002, 2)], Pairing(1, False, 0)),
+        ([(2999, 3000), (3001, 3002)], ColumnPair(0, True, 1)),
+        ([(3000, 2999), (3002, 3001)], ColumnPair(0, False, -1)),
+        ([(40001, 0), (40002, 1), (30001, 0)], ColumnPair(0, False, -1)),
+        ([(40001, 1), (40002, 2)], ColumnPair(1, False, 0)),
         ([(5, 5), (6, 6)], None),
         ([(5, 100), (6, 200)], None),
         ([], None),
     ],
 )
 def test_two_columns_tell_which_is_the_wires(
-    numbers: list[tuple[int, int]], pairing: Pairing | None
+    numbers: list[tuple[int, int]], pairing: ColumnPair | None
 ) -> None:
     assert pair(numbers) == pairing
 

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import Access
 from mbtool.devices.importing.cells import (
     Factor,
     is_nothing,
@@ -20,6 +19,7 @@ from mbtool.devices.importing.cells import (
     parse_texts,
     parse_unit,
 )
+from mbtool.devices.model import Access
 from mbtool.modbus.tables import Table
 
 

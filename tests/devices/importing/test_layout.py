@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.devices import Access, PointType
 from mbtool.devices.importing.layout import MAX_HOLE, Laid, lay_areas, lay_points
+from mbtool.devices.model import Access, PointType
 from tests.devices.importing.listing import place
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices import Access, Radix
+from mbtool.devices.model import Access, Radix
 from mbtool.modbus.tables import Table
 from tests.devices.importing.listing import place
 

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbtool.core.errors import ProfileError, UsageError
-from mbtool.devices import Access, ByteOrder, Point, PointType, Radix, WordOrder, load_profile
 from mbtool.devices.importing.addresses import Counting
 from mbtool.devices.importing.columns import Meaning
 from mbtool.devices.importing.placing import ImportOptions
@@ -24,6 +23,8 @@ from mbtool.devices.importing.register_list import (
     import_register_list,
 )
 from mbtool.devices.importing.rows import MAX_COMPLAINTS, Scaling
+from mbtool.devices.loading import load_profile
+from mbtool.devices.model import Access, ByteOrder, Point, PointType, Radix, WordOrder
 from mbtool.modbus.tables import Table
 
 EUROPEAN = """\

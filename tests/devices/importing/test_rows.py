@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices import Access
 from mbtool.devices.importing.rows import MAX_COMPLAINTS, MAX_NAME, Complaints, Scaling
+from mbtool.devices.model import Access
 from tests.devices.importing.listing import read_items
 
 

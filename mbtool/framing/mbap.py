@@ -1,0 +1,148 @@
+"""Cuts one direction of a Modbus/TCP stream into ADUs."""
+
+# Layout (TCP/IP Implementation Guide V1.0b, 3.1.3):
+#
+#     transaction id   protocol id   length   unit id   PDU
+#     2 bytes          2 bytes       2 bytes  1 byte    length - 1 bytes
+#
+# Length counts the unit id and the PDU, so a useful ADU has length 2..254.
+#
+# In step, a plausible header is believed; one with another protocol id is one foreign ADU. A header
+# that cannot be puts the splitter out of step: it drops one byte and looks again, and then believes
+# only a header whose length agrees with the structure of the PDU behind it, since zeros in
+# register data look like headers. An ADU of a function that no table knows has no structure to
+# agree with; it is believed only right behind a gap, where a segment and so most likely an ADU
+# begins.
+# Whether to drop depends only on bytes, never on where a chunk ended.
+#
+# Holds at most one incomplete ADU (260 bytes) and a run of skipped bytes (skips.MAX_RUN).
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind
+from mbtool.framing.skips import SkipRun
+from mbtool.framing.timed_buffer import TimedBuffer
+from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.pdu import pdu_length
+
+if TYPE_CHECKING:
+    from mbtool.core import Direction
+
+MIN_LENGTH = 2
+MAX_LENGTH = 254
+
+_MODBUS = b"\x00\x00"
+_HEADER = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
+"""A transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
+
+
+class MbapSplitter:
+    """Bytes of one direction in, `Adu` and `Skipped` out, in order."""
+
+    def __init__(self, direction: Direction) -> None:
+        self._direction = direction
+        self._buffer = TimedBuffer()
+        self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header", None))
+        self._in_step = True
+        self._behind_gap = False
+        """Out of step, and no byte has been looked at since the gap."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it is in step and holds nothing: what comes next begins with a header."""
+        return self._in_step and not self._buffer
+
+    def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
+        """Take the bytes of one segment."""
+        self._buffer.append(data, ts_ns)
+        events: list[Adu | Skipped] = []
+        while self._step(events):
+            pass
+        return events
+
+    def gap(self) -> list[Adu | Skipped]:
+        """Bytes are missing here: what is held cannot be completed."""
+        events = self.close()
+        self._in_step = False
+        self._behind_gap = True
+        return events
+
+    def close(self) -> list[Adu | Skipped]:
+        """The stream ends; what is held comes out as skipped."""
+        events: list[Adu | Skipped] = []
+        self._skips.end(events)
+        if self._buffer:
+            ts_ns = self._buffer.first_ns
+            held = self._buffer.take(len(self._buffer))
+            events.append(Skipped(ts_ns, EventKind.SKIPPED, "an ADU that never ends", held))
+        return events
+
+    def _step(self, events: list[Adu | Skipped]) -> bool:
+        """Consume one ADU or what is none; False where more bytes are needed to decide."""
+        size = self._size_here()
+        if size is None or size > len(self._buffer):
+            return False
+        if size:
+            self._skips.end(events)
+            self._give(size, events)
+        else:
+            self._drop(events)
+        return True
+
+    def _size_here(self) -> int | None:
+        """The size of the ADU at the front; 0 where there is none, None where bytes are needed."""
+        head = self._buffer.peek(MBAP_BYTES)
+        if len(head) < MBAP_BYTES:
+            return None
+        length = head[4] << 8 | head[5]
+        size = MBAP_BYTES - 1 + length
+        if not MIN_LENGTH <= length <= MAX_LENGTH:
+            return 0
+        if self._in_step:
+            return size
+        if head[2:4] != _MODBUS:
+            return 0
+        pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
+        if pdu_size is None:
+            return None if len(self._buffer) < size else 0
+        if not pdu_size:
+            return size if self._behind_gap else 0
+        return size if pdu_size == length - 1 else 0
+
+    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
+        start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
+        raw = self._buffer.take(size)
+        if raw[2:4] != _MODBUS:
+            reason = f"protocol id {raw[2:4].hex().upper()}H, where Modbus has 0000H"
+            events.append(Skipped(start_ns, EventKind.FOREIGN, reason, raw))
+            return
+        events.append(
+            Adu(
+                start_ns=start_ns,
+                end_ns=end_ns,
+                transport=Transport.TCP,
+                direction=self._direction,
+                direction_by=DirectionBy.PORT,
+                confidence=1.0,
+                unit=raw[6],
+                pdu=raw[MBAP_BYTES:],
+                raw=raw,
+                transaction_id=raw[0] << 8 | raw[1],
+                verdicts=() if self._in_step else (Verdict.RESYNCHRONISED,),
+            )
+        )
+        self._in_step = True
+        self._behind_gap = False
+
+    def _drop(self, events: list[Adu | Skipped]) -> None:
+        """Drop the bytes before the next place where a whole header may stand."""
+        undecided = len(self._buffer) - MBAP_BYTES + 1
+        place = self._buffer.find(_HEADER, 1)
+        for piece, ts_ns in self._buffer.drain(min(place or undecided, undecided)):
+            self._skips.add(piece, ts_ns, events)
+        self._in_step = False
+        self._behind_gap = False

@@ -1,0 +1,120 @@
+"""Cuts one direction of RTU over TCP into frames."""
+
+# A stream has no silences, but its direction is known, so a frame's length follows from its
+# structure, and its CRC confirms it. Where it does not, one byte is skipped and the next tried.
+# A function that no table knows has no length here, and its bytes are skipped: a place where none
+# stands that is known is passed over without a further look, since others' bytes cost as much.
+#
+# Holds at most one incomplete frame (256 bytes) and a run of skipped bytes (skips.MAX_RUN).
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from typing import TYPE_CHECKING
+
+from mbtool.framing.rtu_lengths import frame_size, why_skipped
+from mbtool.framing.skips import SkipRun
+from mbtool.framing.timed_buffer import TimedBuffer
+from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.pdu import LAYOUTS
+
+if TYPE_CHECKING:
+    from mbtool.core import Direction
+
+
+def _beginnings(direction: Direction) -> re.Pattern[bytes]:
+    """Where a frame may begin: a unit before a function with a length, or the last byte."""
+    known = bytes(code for code in range(256) if frame_size(bytes((0, code)), direction) != 0)
+    return re.compile(rb"(?s).(?:[" + re.escape(known) + rb"]|\Z)")
+
+
+_BEGINNINGS = {direction: _beginnings(direction) for direction in LAYOUTS}
+
+
+class RtuStreamSplitter:
+    """Bytes of one direction in, `Adu` and `Skipped` out, in order."""
+
+    def __init__(self, direction: Direction) -> None:
+        self._direction = direction
+        self._beginnings = _BEGINNINGS[direction]
+        self._buffer = TimedBuffer()
+        self._skips = SkipRun(partial(why_skipped, directions=(direction,)))
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it holds no beginning of a frame."""
+        return not self._buffer
+
+    def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
+        """Take the bytes of one segment."""
+        self._buffer.append(data, ts_ns)
+        return self._frames(ended=False)
+
+    def gap(self) -> list[Adu | Skipped]:
+        """Bytes are missing here: what is held cannot be completed."""
+        return self.close()
+
+    def close(self) -> list[Adu | Skipped]:
+        """The stream ends; what is held comes out, frames behind a false beginning too."""
+        events = self._frames(ended=True)
+        self._skips.end(events)
+        return events
+
+    def _frames(self, *, ended: bool) -> list[Adu | Skipped]:
+        """Consume frames and what parts them, up to one that can still become whole."""
+        events: list[Adu | Skipped] = []
+        place = 0
+        while (found := self._buffer.find(self._beginnings, place)) is not None:
+            place = found
+            size = self._size_at(place)
+            if size is None and not ended:
+                break
+            if size:
+                self._skip(place, events)
+                self._give(size, events)
+                place = 0
+            else:
+                place += 1
+        else:
+            place = len(self._buffer)
+        self._skip(place, events)
+        return events
+
+    def _size_at(self, place: int) -> int | None:
+        """The size of the frame at a place; 0 where there is none, None where there may be."""
+        head = self._buffer.peek(MAX_RTU_ADU, place)
+        size = frame_size(head, self._direction)
+        if size is None:
+            return None if len(head) < MAX_RTU_ADU else 0
+        if size > MAX_RTU_ADU:
+            return 0
+        if size > len(head):
+            return None
+        return size if size and crc(head[:size]) == 0 else 0
+
+    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
+        verdicts = (Verdict.RESYNCHRONISED,) if self._skips else ()
+        self._skips.end(events)
+        start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
+        raw = self._buffer.take(size)
+        events.append(
+            Adu(
+                start_ns=start_ns,
+                end_ns=end_ns,
+                transport=Transport.RTU_TCP,
+                direction=self._direction,
+                direction_by=DirectionBy.PORT,
+                confidence=1.0,
+                unit=raw[0],
+                pdu=raw[1:-2],
+                raw=raw,
+                checksum=Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2])),
+                verdicts=verdicts,
+            )
+        )
+
+    def _skip(self, size: int, events: list[Adu | Skipped]) -> None:
+        for piece, ts_ns in self._buffer.drain(size):
+            self._skips.add(piece, ts_ns, events)

@@ -1,0 +1,46 @@
+"""What a log says of its links and devices, for decoding it as the run did that made it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import SerialLink, parse_link
+from mbtool.devices import Assignment, Assignments, parse_who, profile_from_json
+
+if TYPE_CHECKING:
+    from mbtool.logs.reader import LogReader
+
+SPEC = "spec"
+PORTS = "ports"
+RTU_PORTS = "rtu_ports"
+ANY_PORT = "any"
+"""What a log says of a link beside its name: the keys of its metadata."""
+
+
+def all_assignments(log: LogReader, given: Assignments) -> Assignments:
+    """What the user gives, and for all others the log's own profiles."""
+    named = {str(assignment.who) for assignment in given}
+    of_log = (
+        Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))
+        for who, name in log.devices.items()
+        if who not in named and name in log.profiles
+    )
+    return Assignments([*given, *of_log])
+
+
+def serial_lines(log: LogReader) -> dict[str, SerialLink]:
+    """The serial links by name. Raises UsageError for one that cannot be read."""
+    links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
+    return {name: link for name, link in links if isinstance(link, SerialLink)}
+
+
+def names_any_port(log: LogReader) -> bool:
+    """Whether Modbus was looked for at all ports."""
+    return any(ANY_PORT in one.get(PORTS, "").split() for one in log.links.values())
+
+
+def ports_of(log: LogReader, key: str) -> tuple[int, ...]:
+    """The numbers that PORTS or RTU_PORTS of any link hold."""
+    texts = (one.get(key, "") for one in log.links.values())
+    ports = {port for text in texts for port in text.split()}
+    return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

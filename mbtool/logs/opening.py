@@ -1,0 +1,87 @@
+"""Begins the log of a run: what it says of the run, its links, devices and profiles."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING
+
+from mbtool.core import InterfaceLink, TapLink, UsageError
+from mbtool.devices import profile_to_json
+from mbtool.logs.creating import demand_place
+from mbtool.logs.links import ANY_PORT, PORTS, RTU_PORTS, SPEC
+from mbtool.logs.rotation import RotatingLog
+from mbtool.logs.writer import LogWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import LinkSpec
+    from mbtool.devices import Assignments
+    from mbtool.logs.rotation import Rotation
+
+
+_OTHER_KINDS = frozenset({".pcap", ".pcapng", ".jsonl", ".csv"})
+"""Endings of names that say of a file what no log is."""
+
+
+def begin_log(
+    path: str,
+    links: Sequence[LinkSpec],
+    assignments: Assignments,
+    *,
+    ports: Sequence[int] = (),
+    rtu_ports: Sequence[int] = (),
+    any_port: bool = False,
+    rotation: Rotation | None = None,
+    overwrite: bool = False,
+) -> LogWriter | RotatingLog:
+    """Create a log and say in it all that decoding it again needs.
+
+    Raises UsageError, and OutputError where another recorder has the file.
+    """
+    _demand_name(path)
+    capture = {
+        "host": platform.node(),
+        "system": platform.platform(),
+        "command": shlex.join(["mbtool", *sys.argv[1:]]),
+        "clock": "the host's system clock, UTC nanoseconds, read right after each read",
+    }
+    log: LogWriter | RotatingLog
+    if rotation is None:
+        log = LogWriter(path, capture=capture, replace=overwrite)
+    else:
+        log = RotatingLog(path, rotation, capture=capture, replace=overwrite)
+    for link in links:
+        settings = {SPEC: str(link)}
+        if isinstance(link, InterfaceLink):
+            named: list[int | str] = [*ports, *([ANY_PORT] if any_port else [])]
+            settings |= {PORTS: _listed(named), RTU_PORTS: _listed(rtu_ports)}
+        elif isinstance(link, TapLink) and link.target.port in rtu_ports:
+            settings[RTU_PORTS] = str(link.target.port)
+        if isinstance(link, TapLink) and link.tls_sides:
+            settings["tls"] = " ".join(link.tls_sides)
+        log.add_link(link.name, settings)
+    for assignment in assignments:
+        log.add_device(str(assignment.who), assignment.profile.name)
+    for profile in assignments.profiles:
+        log.add_profile(profile.name, profile_to_json(profile))
+    return log
+
+
+def demand_log(path: str, *, overwrite: bool = False) -> None:
+    """See that a log may be begun there, before anything is done for it. Raises UsageError."""
+    _demand_name(path)
+    demand_place(Path(path), replace=overwrite)
+
+
+def _demand_name(path: str) -> None:
+    name = PurePath(path)
+    if name.suffix.lower() in _OTHER_KINDS:
+        raise UsageError(f"{path}: a log is an MCAP file: name it {name.with_suffix('.mcap')}")
+
+
+def _listed(ports: Sequence[int | str]) -> str:
+    return " ".join(map(str, ports))

@@ -1,0 +1,1 @@
+"""A master that asks slaves: links and polls."""

@@ -1,0 +1,1 @@
+"""Serial ports, TCP listeners, TLS and clocks. Callers import from the modules."""

@@ -1,0 +1,253 @@
+"""The serial ports of this machine, and what would spoil what is heard on them."""
+
+# No port is opened, since that alone can make an adapter raise DTR and RTS and talk. On Linux all
+# is read from /sys, /proc and /dev; elsewhere there is what pyserial tells.
+#
+#     /sys/class/tty/NAME/device          leads to the hardware; pseudo-terminals have none
+#                  .../type               0 where a UART was expected and none is
+#                  .../flags              a UART's, 2000H is ASYNC_LOW_LATENCY
+#                  .../rx_trig_bytes      a 16550's FIFO: it hands over so many bytes, or what it
+#                                         has after four characters of silence
+#                  .../device/latency_timer   ms, ftdi_sio; 1 while low latency is on
+#     /sys/class/tty/console/active       where the kernel's own messages go
+#     /dev/serial/by-id, by-path          udev's names: by the adapter, or by where it is plugged in
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from serial.tools import list_ports
+
+from mbtool.core.local_ports import Holder, LocalSerialPort, Trouble
+from mbtool.ports.port_holders import holders_of
+from mbtool.ports.serial_port import who_may
+
+_SERIAL_CORE = "serial-base"
+"""Devices that Linux 6.5 and later put between a port and its hardware."""
+_ASYNC_LOW_LATENCY = 0x2000
+_WITHOUT_LOW_LATENCY = {"cdc_acm", "ch341", "ch341-uart", "cp210x", "pl2303", "xr_serial"}
+"""Drivers of the kernel that take the flag, if at all, and do nothing about it."""
+
+_SERVICES = {
+    "agetty": "sudo systemctl stop serial-getty@{name}",
+    "ModemManager": "sudo systemctl stop ModemManager",
+    "gpsd": "sudo systemctl stop gpsd.socket gpsd",
+}
+"""Programs that take a port unasked, and how to end them: ending the process starts it again."""
+
+
+def local_ports(root: Path = Path("/")) -> list[LocalSerialPort]:
+    """All serial ports with hardware behind them, in the order of their names.
+
+    `root` is where the system's files are, for Linux alone.
+    """
+    if sys.platform != "linux":
+        return ports_by_pyserial()
+    names = sorted(_names(root / "sys/class/tty"), key=_natural)
+    holders, unseen = holders_of([f"/dev/{name}" for name in names], root)
+    scan = _Scan(root, _stable_names(root), _words(root / "sys/class/tty/console/active"), unseen)
+    return [scan.port(name, tuple(holders[f"/dev/{name}"])) for name in names]
+
+
+def ports_by_pyserial() -> list[LocalSerialPort]:
+    """What pyserial tells of the ports, on any system."""
+    return [
+        LocalSerialPort(
+            device=info.device,
+            description="" if info.description in (None, "n/a") else info.description,
+            usb_id=None if info.vid is None else f"{info.vid:04x}:{info.pid or 0:04x}",
+            serial_number=info.serial_number or None,
+        )
+        for info in sorted(list_ports.comports(), key=lambda info: _natural(info.device))
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Scan:
+    """One look at a system's files."""
+
+    root: Path
+    stable: dict[str, str]
+    consoles: list[str]
+    unseen: int
+
+    def port(self, name: str, holders: tuple[Holder, ...]) -> LocalSerialPort:
+        tty = self.root / "sys/class/tty" / name
+        hardware = Path(os.path.realpath(tty / "device"))
+        usb = _usb_device(hardware)
+        driver, bus = _driver(hardware)
+        timer = _number(tty / "device/latency_timer")
+        fifo = _number(tty / "rx_trig_bytes")
+        low_latency, support = _low_latency(timer, _number(tty / "flags"), driver)
+        return LocalSerialPort(
+            device=f"/dev/{name}",
+            stable=self.stable.get(name),
+            description=_product(usb) if usb else (f"port on the {bus} bus" if bus else ""),
+            usb_id=f"{_line(usb / 'idVendor')}:{_line(usb / 'idProduct')}" if usb else None,
+            serial_number=(_line(usb / "serial") or None) if usb else None,
+            driver=driver,
+            latency_timer_ms=timer,
+            fifo_bytes=fifo,
+            low_latency=low_latency,
+            low_latency_support=support,
+            holders=holders,
+            unseen_processes=self.unseen,
+            troubles=(
+                *_permission(self.root / "dev" / name, name),
+                *(_held(holder, name) for holder in holders),
+                *_console(name, self.consoles),
+                *_latency_timer(timer, name),
+                *_fifo(fifo, name),
+            ),
+        )
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        names = os.listdir(folder)
+    except OSError:
+        return []
+    return [
+        name
+        for name in names
+        if (folder / name / "device").exists() and _number(folder / name / "type") != 0
+    ]
+
+
+def _stable_names(root: Path) -> dict[str, str]:
+    """By a port's name, udev's: the adapter's own, else its socket's.
+
+    Two adapters without serial numbers have one name between them, which leads to the last one.
+    """
+    found: dict[str, str] = {}
+    for kind in ("by-path", "by-id"):
+        folder = root / "dev/serial" / kind
+        try:
+            links = sorted(os.listdir(folder), reverse=True)
+        except OSError:
+            continue
+        for link in links:
+            if "," not in link:  # Which parts two ports in a LINK.
+                target = os.path.basename(os.path.realpath(folder / link))
+                found[target] = f"/dev/serial/{kind}/{link}"
+    return found
+
+
+def _driver(hardware: Path) -> tuple[str | None, str | None]:
+    """The name of the driver and of the bus that the hardware is on."""
+    for device in (hardware, *hardware.parents):
+        bus = os.path.basename(os.path.realpath(device / "subsystem"))
+        if (device / "driver").exists() and bus != _SERIAL_CORE:
+            return os.path.basename(os.path.realpath(device / "driver")), bus
+    return None, None
+
+
+def _usb_device(hardware: Path) -> Path | None:
+    for device in (hardware, *hardware.parents):
+        if (device / "idVendor").exists():
+            return device
+    return None
+
+
+def _product(usb: Path) -> str:
+    maker, product = _line(usb / "manufacturer"), _line(usb / "product")
+    if maker.lower() in product.lower():
+        return product or "USB serial adapter"
+    return f"{maker} {product}".rstrip()
+
+
+def _low_latency(
+    timer: int | None, flags: int | None, driver: str | None
+) -> tuple[bool | None, bool | None]:
+    """Whether it is on, and whether it can be."""
+    if timer is not None:
+        return timer <= 1, True
+    if flags is not None:
+        return bool(flags & _ASYNC_LOW_LATENCY), True
+    return (False, False) if driver in _WITHOUT_LOW_LATENCY else (None, None)
+
+
+def _permission(path: Path, name: str) -> list[Trouble]:
+    try:
+        os.stat(path)
+    except FileNotFoundError:
+        return [
+            Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
+        ]
+    except OSError:
+        pass  # Then there is no access either.
+    if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
+        return []
+    why = who_may(str(path))
+    return [Trouble(f"permission denied; {why.problem}", why.mend)]
+
+
+def _held(holder: Holder, name: str) -> Trouble:
+    return Trouble(
+        f"held by {holder}: two readers of a port steal each other's bytes; end that program first",
+        _SERVICES.get(holder.command, "").format(name=name),
+    )
+
+
+def _console(name: str, consoles: list[str]) -> list[Trouble]:
+    if name not in consoles:
+        return []
+    return [
+        Trouble(
+            f"the kernel writes its messages to it; take console={name} off the kernel's command "
+            "line and start the machine anew before a bus is connected"
+        )
+    ]
+
+
+def _latency_timer(timer: int | None, name: str) -> list[Trouble]:
+    if timer is None or timer <= 1:
+        return []
+    return [
+        Trouble(
+            f"FTDI latency timer {timer} ms: frames arrive glued; mbtool sets it to 1 ms when it "
+            "opens the port, for other programs set it yourself",
+            f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{name}/latency_timer",
+        )
+    ]
+
+
+def _fifo(fifo: int | None, name: str) -> list[Trouble]:
+    if fifo is None or fifo <= 1:
+        return []
+    return [
+        Trouble(
+            f"its FIFO hands over {fifo} bytes at once, and fewer only after 4 characters of "
+            "silence: ends of frames are timed late",
+            f"echo 1 | sudo tee /sys/class/tty/{name}/rx_trig_bytes",
+        )
+    ]
+
+
+def _natural(name: str) -> list[tuple[str, int]]:
+    """ttyS2 before ttyS10."""
+    return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D+)(\d*)", name)]
+
+
+def _words(path: Path) -> list[str]:
+    return _line(path).split()
+
+
+def _number(path: Path) -> int | None:
+    try:
+        return int(_line(path), 0)
+    except ValueError:
+        return None
+
+
+def _line(path: Path) -> str:
+    """The first line of a file, or nothing."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return text.partition("\n")[0].strip()

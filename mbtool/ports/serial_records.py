@@ -1,0 +1,134 @@
+"""The records in which the serial reader's process hands over what it read."""
+
+#     kind     time                length     data
+#     1 byte   8 bytes, signed     4 bytes    length bytes        little-endian
+#
+#     DATA     one read of the port, with the time taken right after it
+#     QUIET    no data; the line is known to be silent up to this time. The first says: port open
+#     LOST     the number of bytes, as 8 bytes, that did not fit into the pipe
+#     ERROR    one line for the user, UTF-8; the last record
+#     DAMAGE   what the driver tells of damaged bytes, one line, UTF-8
+#     OVERRUN  the number of bytes, as 8 bytes, that the driver says it lost
+#     ANSWER   as DATA, of the slaves' side where a tap reads both; DATA is then the master's
+#
+# A record is never larger than PIPE_BUF, so that a write to the pipe succeeds whole or not at all.
+# The writer does not wait for the reader: bytes read that find the pipe full are counted and told
+# with the next record that fits. What else finds it full, QUIET, DAMAGE and OVERRUN, is dropped and
+# not counted. A pipe holds 1 MiB where Linux allows it, which is more than 40 s of a busy line at
+# 19200 baud with a record for each character; elsewhere what the system gives. On Windows a pipe
+# cannot be written without waiting, and the driver's buffer is what holds.
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
+
+_HEADER = struct.Struct("<BqI")
+_COUNT = struct.Struct("<q")
+_PIPE_SIZE = 2**20
+
+MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
+"""The largest data of a record."""
+
+
+class RecordKind(IntEnum):
+    """What a record says."""
+
+    DATA = 1
+    QUIET = 2
+    LOST = 3
+    ERROR = 4
+    DAMAGE = 5
+    OVERRUN = 6
+    ANSWER = 7
+
+
+_READS = frozenset((RecordKind.DATA, RecordKind.ANSWER))
+
+
+@dataclass(frozen=True, slots=True)
+class SerialRecord:
+    """One record."""
+
+    kind: RecordKind
+    ts_ns: int
+    data: bytes = b""
+
+    @property
+    def lost(self) -> int:
+        """The number of bytes that a LOST or an OVERRUN record tells of."""
+        count: int = _COUNT.unpack(self.data)[0]
+        return count
+
+
+class RecordWriter:
+    """Writes records into a pipe. Raises BrokenPipeError when nobody reads them any more."""
+
+    def __init__(self, pipe: int) -> None:
+        self._pipe = pipe
+        self._lost = 0
+        if sys.platform == "linux":
+            import fcntl
+
+            with suppress(OSError):
+                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
+        self._wait(False)
+
+    def put(self, kind: RecordKind, ts_ns: int, data: bytes = b"") -> None:
+        """Write a record, or count its data as lost where the pipe is full."""
+        if self._lost and self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost)):
+            self._lost = 0
+        if self._lost or not self._write(kind, ts_ns, data):
+            self._lost += len(data) if kind in _READS else 0
+
+    def put_count(self, kind: RecordKind, ts_ns: int, count: int) -> None:
+        """Write a record whose data is a number."""
+        self.put(kind, ts_ns, _COUNT.pack(count))
+
+    def end(self, ts_ns: int, error: str = "") -> None:
+        """Write what must not be lost, waiting for room: a loss not yet told, and the error."""
+        self._wait(True)
+        if self._lost:
+            self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost))
+        if error:
+            self._write(RecordKind.ERROR, ts_ns, error.encode()[:MAX_DATA])
+
+    def _wait(self, wait: bool) -> None:
+        if sys.platform != "win32":
+            os.set_blocking(self._pipe, wait)
+
+    def _write(self, kind: RecordKind, ts_ns: int, data: bytes) -> bool:
+        try:
+            os.write(self._pipe, _HEADER.pack(kind, ts_ns, len(data)) + data)
+        except BlockingIOError:
+            return False
+        return True
+
+
+class RecordReader:
+    """Cuts what comes out of the pipe into records; holds at most one incomplete record."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[SerialRecord]:
+        """The records that the data completes."""
+        buffer = self._buffer + data
+        records = []
+        start = 0
+        while len(buffer) - start >= _HEADER.size:
+            kind, ts_ns, length = _HEADER.unpack_from(buffer, start)
+            end = start + _HEADER.size + length
+            if end > len(buffer):
+                break
+            records.append(
+                SerialRecord(RecordKind(kind), ts_ns, buffer[start + _HEADER.size : end])
+            )
+            start = end
+        self._buffer = buffer[start:]
+        return records

@@ -1,0 +1,212 @@
+"""TLS for a tap: what its certificate files make, and why a handshake failed, in words."""
+
+# Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or better, with
+# certificates of both ends. A tap cannot listen in on that: it ends TLS towards the master with a
+# certificate of its own, and begins it anew towards the slave. Each side is a choice of its own.
+#
+# All files are read before a connection is accepted. What is wrong with one is a LinkError that
+# names it. A certificate in a CA file is trusted as it is, also where it is no CA's: that of the
+# device itself will do. Where the file holds no other, only a target that shows one of these is
+# let pass, and its name adds nothing.
+
+from __future__ import annotations
+
+import re
+import ssl
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import LinkError
+from mbtool.ports.clock import now_ns
+from mbtool.ports.tls_peer import PeerTls, end_of
+
+if TYPE_CHECKING:
+    from mbtool.core import ListenTls, TargetTls
+
+_CERTIFICATE = re.compile(rb"-----BEGIN (?:X509 |TRUSTED )?CERTIFICATE-----")
+_BLOCK = re.compile(r"(?s)-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----")
+_KEY = re.compile(rb"-----BEGIN (?:[A-Z0-9]+ )*PRIVATE KEY-----")
+_ALERT = re.compile(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)")
+
+_NO_TLS = frozenset(
+    {
+        "BAD_RECORD_TYPE",
+        "HTTPS_PROXY_REQUEST",
+        "HTTP_REQUEST",
+        "PACKET_LENGTH_TOO_LONG",
+        "RECORD_LAYER_FAILURE",
+        "UNKNOWN_PROTOCOL",
+        "WRONG_VERSION_NUMBER",
+    }
+)
+"""What OpenSSL says of first bytes that are no TLS. Its versions differ."""
+_TOO_OLD = frozenset(
+    {
+        "NO_PROTOCOLS_AVAILABLE",
+        "TLSV1_ALERT_PROTOCOL_VERSION",
+        "UNSUPPORTED_PROTOCOL",
+        "VERSION_TOO_LOW",
+    }
+)
+_OTHER_NAMES = frozenset({62, 64})
+"""X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH."""
+_REFUSALS = {
+    "BAD_CERTIFICATE": "the tap's certificate is not to its liking",
+    "CERTIFICATE_EXPIRED": "the tap's certificate has expired",
+    "CERTIFICATE_REQUIRED": "it demands a certificate of the tap",
+    "CERTIFICATE_UNKNOWN": "the tap's certificate is not to its liking",
+    "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
+    "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
+}
+"""What the alerts about certificates mean (RFC 8446, 6.2)."""
+
+
+def server_context(tls: ListenTls) -> ssl.SSLContext:
+    """What masters meet. Raises LinkError."""
+    context = _context(ssl.PROTOCOL_TLS_SERVER)
+    _load_own(context, "--tls-cert", tls.cert, tls.key)
+    if tls.ca is not None:
+        _load_ca(context, "--tls-ca", tls.ca)
+        context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+def why_outdated(option: str, cert: str) -> str | None:
+    """One line where a certificate of the tap's own has expired, or None.
+
+    It can be used all the same: not every peer looks. What else is wrong with it is not said here.
+    """
+    try:
+        found = _BLOCK.search(Path(cert).read_text("ascii", "replace"))
+        end = None if found is None else end_of(ssl.PEM_cert_to_DER_cert(found[0]))
+    except (OSError, ValueError):
+        return None
+    if end is None or end.timestamp() >= now_ns() / 1e9:
+        return None
+    return f"{option} {cert}: expired at {end:%Y-%m-%d %H:%M} UTC; peers that look will refuse it"
+
+
+def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
+    """What the target meets, and the name that its certificate must have. Raises LinkError."""
+    context = _context(ssl.PROTOCOL_TLS_CLIENT)
+    if tls.ca is None:
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    else:
+        _load_ca(context, "--tls-target-ca", tls.ca)
+        # OpenSSL counts as a CA what could sign others, so none of these vouches for another.
+        if tls.name is None and not context.cert_store_stats()["x509_ca"]:
+            context.check_hostname = False
+    if tls.cert is not None:
+        _load_own(context, "--tls-target-cert", tls.cert, tls.key)
+    name = host if tls.name is None else tls.name
+    try:
+        context.wrap_bio(ssl.MemoryBIO(), ssl.MemoryBIO(), server_hostname=name)
+    except (ValueError, ssl.SSLError):
+        if tls.name is not None:
+            raise LinkError(
+                f"--tls-target-name {name!r}: no host can have such a name; "
+                "give the one in the target's certificate"
+            ) from None
+        # A host that cannot be: calling it says so.
+    return context, name
+
+
+def failure(error: OSError, who: str) -> str | None:
+    """Why TLS with the master or the slave failed; None where it did not fail for TLS."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        why = error.verify_message.rstrip(".")
+        if error.verify_code in _OTHER_NAMES:
+            why += "; --tls-target-name says which name it has instead"
+        return f"TLS: the {who}'s certificate is refused: {why}"
+    if not isinstance(error, ssl.SSLError):
+        # asyncio's own, of which the system knows nothing.
+        if isinstance(error, ConnectionAbortedError) and error.errno is None:
+            return f"TLS: the {who} does not complete the handshake"
+        if isinstance(error, ConnectionResetError) and error.errno is None:
+            return f"TLS: the {who} breaks off the handshake"
+        return None
+    reason = error.reason or str(error)
+    alert = _ALERT.fullmatch(reason)
+    if reason in _NO_TLS:
+        return f"TLS: the {who} speaks no TLS"
+    if reason in _TOO_OLD:
+        return f"TLS: the {who} has no version in common with the tap, which has 1.2 and 1.3"
+    if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
+        return f"TLS: the {who} shows no certificate"
+    if alert is not None:
+        words = _REFUSALS.get(alert[1]) or f"alert {alert[1].replace('_', ' ').lower()!r}"
+        return f"TLS: the {who} refuses: {words}"
+    return f"TLS with the {who} failed: {_words(error)}"
+
+
+def _context(protocol: int) -> ssl.SSLContext:
+    context = ssl.SSLContext(protocol)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.sslobject_class = PeerTls
+    return context
+
+
+def _load_own(context: ssl.SSLContext, option: str, cert: str, key: str | None) -> None:
+    held = _pem(option, cert, _CERTIFICATE, "certificate")
+    if key is None:
+        if _KEY.search(held) is None:
+            raise LinkError(
+                f"{option} {cert}: holds no private key; name its file with {_key_of(option)}"
+            )
+        key = cert
+    else:
+        _pem(_key_of(option), key, _KEY, "private key")
+
+    def refuse() -> bytes:
+        raise LinkError(
+            f"{_key_of(option)} {key}: the private key is locked with a passphrase; "
+            f"unlock a copy of it: openssl pkey -in {key} -out unlocked.pem"
+        )
+
+    try:
+        context.load_cert_chain(cert, key, refuse)
+    except ssl.SSLError as error:
+        if error.reason == "KEY_VALUES_MISMATCH":
+            problem = f"the private key in {key} is not that of this certificate"
+        else:
+            problem = f"cannot be used: {_words(error)}"
+        raise LinkError(f"{option} {cert}: {problem}") from None
+
+
+def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
+    _pem(option, path, _CERTIFICATE, "certificate")
+    try:
+        context.load_verify_locations(path)
+    except ssl.SSLError as error:
+        raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
+    ends: list[str] = []
+    with suppress(UnicodeDecodeError):  # Of names; as long as it lasts, a handshake tells.
+        ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
+    last = max(ends, key=ssl.cert_time_to_seconds, default=None)
+    if last is not None and ssl.cert_time_to_seconds(last) < now_ns() / 1e9:
+        raise LinkError(f"{option} {path}: holds no CA that is still valid; the last ended {last}")
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+
+
+def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
+    """What a file holds, if it has what is wanted."""
+    try:
+        held = Path(path).read_bytes()
+    except OSError as error:
+        raise LinkError(f"{option} {path}: cannot be read: {error.strerror}") from None
+    if label.search(held) is None:
+        raise LinkError(
+            f"{option} {path}: holds no {what} in PEM (-----BEGIN ...); "
+            "openssl converts other formats"
+        )
+    return held
+
+
+def _key_of(option: str) -> str:
+    return option.removesuffix("cert") + "key"
+
+
+def _words(error: ssl.SSLError) -> str:
+    return (error.reason or str(error)).replace("_", " ").lower()

@@ -1,0 +1,274 @@
+"""Cuts what one tap hears on a Modbus ASCII line into frames."""
+
+# A frame (ascii_frame.py) begins with a colon, which always begins one anew, and ends with LF. It
+# also ends with the character behind its first CR where that is the line's delimiter or makes its
+# LRC right, and with CR alone where a colon, a second of silence or the end of the capture follows.
+# A second of silence ends an incomplete frame (Serial Line V1.02, 2.5.2.1), and so does a clock
+# that was set back. The silences t1.5 and t3.5 mean nothing here.
+#
+# The delimiter is LF until function 08, sub-function 3 changes it (V1.1b3, 6.8.1): when the slave
+# has answered, or when a frame ends with the character that was asked for.
+#
+# Where the port has 8 data bits bit 7 may be a parity bit, so colon, CR and LF are looked for
+# without it.
+#
+# Holds at most one incomplete frame (513 characters) and a run of skipped ones (skips.MAX_RUN). A
+# frame is read twice at most: behind its first CR and where it ends.
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction, EventKind
+from mbtool.framing.skips import SkipRun
+from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.ascii_frame import (
+    CR,
+    LF,
+    SEVEN_BITS,
+    AsciiFrame,
+    read_frame,
+    why_unreadable,
+)
+from mbtool.serial_line.bus_model import SURE, BusModel, Classification
+
+if TYPE_CHECKING:
+    from mbtool.core import SerialFormat
+
+CHARACTER_TIMEOUT_NS = 1_000_000_000
+"""The longest silence inside a frame (Serial Line V1.02, 2.5.2.1)."""
+
+_COLON = 0x3A
+_STOP = re.compile(rb"[:\r\n]")
+_CHANGE_DELIMITER = b"\x08\x00\x03"
+
+
+class AsciiSplitter:
+    """Timed characters of a line in, `Adu` and `Skipped` out, in order."""
+
+    def __init__(
+        self,
+        line: SerialFormat,
+        turns: BusModel | None = None,
+        *,
+        speaker: Direction | None = None,
+        timed: bool = True,
+    ) -> None:
+        """`speaker` is who alone speaks where this tap hears, where that is known.
+
+        `timed` says whether times are known; where they are not, no silence ends anything.
+        """
+        self._character_ns = line.character_ns
+        self._eight_bits = line.data_bits == 8
+        self._turns = turns or BusModel(timed=timed)
+        self._speaker = speaker
+        self._timed = timed
+        self._delimiter = LF
+        self._asked_delimiter = LF
+        self._frame = bytearray()
+        self._cr = -1
+        """Where the first CR of the frame stands."""
+        self._resynchronised = False
+        self._first_ns = 0
+        self._last_ns = 0
+        self._read_ns = 0
+        """When the first character of this read arrived."""
+        self._least_ns = 0
+        self._given_ns: int | None = None
+        """When the last frame given out ended."""
+        self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame", None))
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no frame has begun."""
+        return not self._frame
+
+    def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
+        """Take the characters of one read; `ts_ns` is the time of the last one."""
+        events: list[Adu | Skipped] = []
+        if not data:
+            return events
+        first_ns = ts_ns - (len(data) - 1) * self._character_ns
+        if ts_ns < self._last_ns:
+            if self._timed:
+                events += self.close()
+            self._last_ns, self._given_ns = first_ns, None
+        else:
+            events += self.advance(first_ns - self._character_ns)
+        self._read_ns, self._least_ns = first_ns, self._last_ns
+        seen = data.translate(SEVEN_BITS) if self._eight_bits else data
+        place = 0
+        while place < len(data):
+            take = self._take_inside if self._frame else self._take_outside
+            place = take(data, seen, place, events)
+        return events
+
+    def advance(self, now_ns: int) -> list[Adu | Skipped]:
+        """Learn that the line was silent from the last character until now."""
+        events: list[Adu | Skipped] = []
+        if self._timed and now_ns - self._last_ns > CHARACTER_TIMEOUT_NS:
+            self._end(events, "a frame that ends in more than 1 s of silence")
+            self._noise.end(events)
+            self._resynchronised = False
+        return events
+
+    def close(self) -> list[Adu | Skipped]:
+        """The capture ends; what is held comes out."""
+        events: list[Adu | Skipped] = []
+        self._end(events, "a frame that never ends")
+        self._noise.end(events)
+        self._resynchronised = False
+        return events
+
+    def _time(self, place: int) -> int:
+        """When a character of this read arrived: not before the last one of the read before."""
+        return max(self._read_ns + place * self._character_ns, self._least_ns)
+
+    def _take_outside(
+        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+    ) -> int:
+        """Take what stands before a colon, and the colon. Returns the place behind."""
+        colon = seen.find(b":", place)
+        end = colon if colon >= 0 else len(data)
+        while place < end:
+            until = min(end, place + self._noise.room)
+            self._noise.add(data[place:until], self._time(place), events)
+            place = until
+            self._last_ns = self._time(place - 1)
+        if colon < 0:
+            return end
+        self._begin(data, colon)
+        return colon + 1
+
+    def _take_inside(
+        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+    ) -> int:
+        """Take what goes on with a frame, up to where it may end. Returns the place behind."""
+        frame = self._frame
+        behind_cr = self._cr == len(frame) - 1
+        stop: int | None
+        if behind_cr:
+            end, stop = place + 1, seen[place]
+        else:
+            until = place + MAX_ASCII_ADU - len(frame)
+            match = _STOP.search(seen, place, until)
+            end = match.end() if match else min(until, len(data))
+            stop = seen[end - 1] if match else None
+        if stop == _COLON:
+            if end - 1 > place:
+                self._add(data, place, end - 1)
+            self._end(events, "a frame that another colon cuts off")
+            self._resynchronised = isinstance(events[-1], Skipped)
+            self._begin(data, end - 1)
+            return end
+        self._add(data, place, end)
+        if stop == LF or (behind_cr and self._is_whole(stop)):
+            self._end(events)
+        elif len(frame) >= MAX_ASCII_ADU:
+            self._end(events, f"a frame of more than {MAX_ASCII_ADU} characters")
+            self._resynchronised = True
+        elif stop == CR and self._cr < 0:
+            self._cr = len(frame) - 1
+        return end
+
+    def _begin(self, data: bytes, colon: int) -> None:
+        self._first_ns = self._last_ns = self._time(colon)
+        self._frame.append(data[colon])
+        self._cr = -1
+
+    def _add(self, data: bytes, place: int, end: int) -> None:
+        self._frame += data[place:end]
+        self._last_ns = self._time(end - 1)
+
+    def _is_whole(self, delimiter: int | None) -> bool:
+        """Whether the frame ends with this character behind its first CR."""
+        if delimiter == self._delimiter:
+            return True
+        frame = read_frame(bytes(self._frame), eight_bits=self._eight_bits)
+        return frame is not None and frame.checksum.ok
+
+    def _end(self, events: list[Adu | Skipped], cut: str | None = None) -> None:
+        """Give out the frame, or what there is of it and why. `cut` says what cuts it off."""
+        if not self._frame:
+            return
+        raw = bytes(self._frame)
+        self._frame.clear()
+        may_be_whole = cut is None or self._cr >= 0
+        frame = read_frame(raw, eight_bits=self._eight_bits) if may_be_whole else None
+        if frame is not None and frame.checksum.ok:
+            self._give(frame, raw, events)
+            return
+        self._noise.end(events)
+        if frame is not None:
+            checksum = frame.checksum
+            reason = (
+                f"a frame with LRC {checksum.received:02X}H, "
+                f"where {checksum.computed:02X}H would be right"
+            )
+            events.append(Skipped(self._first_ns, EventKind.BAD_CHECK, reason, raw, checksum))
+        else:
+            reason = cut or why_unreadable(raw, eight_bits=self._eight_bits)
+            events.append(Skipped(self._first_ns, EventKind.SKIPPED, reason, raw))
+        self._turns.heard_damage()
+
+    def _give(self, frame: AsciiFrame, raw: bytes, events: list[Adu | Skipped]) -> None:
+        unit, pdu = frame.body[0], frame.body[1:]
+        judgement = self._judge(unit, pdu)
+        verdicts = self._verdicts(frame, judgement)
+        self._noise.end(events)
+        events.append(
+            Adu(
+                start_ns=self._first_ns - self._character_ns,
+                end_ns=self._last_ns,
+                transport=Transport.ASCII,
+                direction=judgement.direction,
+                direction_by=judgement.by,
+                confidence=judgement.confidence,
+                unit=unit,
+                pdu=pdu,
+                raw=raw,
+                checksum=frame.checksum,
+                verdicts=verdicts,
+            )
+        )
+        self._given_ns = self._last_ns
+        self._resynchronised = False
+        if pdu.startswith(_CHANGE_DELIMITER) and len(pdu) == 5:
+            self._asked_delimiter = pdu[3] if self._eight_bits else pdu[3] & 0x7F
+            if judgement.direction is Direction.RESPONSE and judgement.confidence >= SURE:
+                self._delimiter = self._asked_delimiter
+
+    def _judge(self, unit: int, pdu: bytes) -> Classification:
+        if self._speaker is not None:
+            return Classification(self._speaker, DirectionBy.PORT, 1.0)
+        start_ns = self._first_ns - self._character_ns
+        judgement = self._turns.judge(unit, pdu, start_ns)
+        self._turns.hear(judgement, unit, pdu, start_ns, self._last_ns)
+        return judgement
+
+    def _verdicts(self, frame: AsciiFrame, judgement: Classification) -> tuple[Verdict, ...]:
+        """What is to be noticed about a frame; its end may change the line's delimiter."""
+        if frame.end == bytes((CR, self._asked_delimiter)):
+            self._delimiter = self._asked_delimiter
+        verdicts = []
+        if self._noise:
+            verdicts.append(Verdict.NOISE_BEFORE)
+        if self._resynchronised:
+            verdicts.append(Verdict.RESYNCHRONISED)
+        if self._is_glued():
+            verdicts.append(Verdict.GLUED)
+        if frame.parity_in_data:
+            verdicts.append(Verdict.PARITY_IN_DATA)
+        if frame.is_lower_case:
+            verdicts.append(Verdict.LOWER_CASE)
+        if frame.end != bytes((CR, self._delimiter)):
+            verdicts.append(Verdict.OTHER_END)
+        if judgement.confidence < SURE:
+            verdicts.append(Verdict.AMBIGUOUS)
+        return tuple(verdicts)
+
+    def _is_glued(self) -> bool:
+        """Whether the frame begins where the one before it ended."""
+        start_ns = self._first_ns - self._character_ns
+        return self._timed and self._given_ns is not None and start_ns <= self._given_ns

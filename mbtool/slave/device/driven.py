@@ -1,0 +1,58 @@
+"""A device of which some values move by themselves."""
+
+# They are worked out when the device is asked, so nothing runs between two requests. Time begins
+# with the first request. A master that writes such a value has written it until the next request
+# that is at least RESOLUTION_NS later.
+#
+# A device that averages its inputs (behaviour.py, inputs_set) is also shown what they were since
+# the request before, at MAX_BETWEEN moments at most.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.slave.device.behaviour import Behaviour
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.modbus.response import Response
+    from mbtool.slave.device.image_file import Driven
+    from mbtool.slave.device.responder import DeviceResponder
+
+RESOLUTION_NS = 1_000_000
+MAX_BETWEEN = 64
+
+
+class DrivenDevice:
+    """Answers as the device does, once its values are those of the moment."""
+
+    def __init__(self, device: DeviceResponder, driven: Sequence[Driven]) -> None:
+        self._device = device
+        self._driven = driven
+        self._averages = type(device.behaviour).inputs_set is not Behaviour.inputs_set
+        self._begin_ns: int | None = None
+        self._last_ns = 0
+
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
+        if self._begin_ns is None:
+            self._begin_ns = now_ns
+            self._move(now_ns)
+        elif now_ns - self._last_ns >= RESOLUTION_NS:
+            for moment_ns in self._between(now_ns) if self._averages else ():
+                self._move(moment_ns)
+            self._move(now_ns)
+        return self._device.respond(unit, pdu, now_ns)
+
+    def _between(self, now_ns: int) -> Sequence[int]:
+        """Moments since the last request, evenly apart."""
+        passed_ns = now_ns - self._last_ns
+        count = min(passed_ns // RESOLUTION_NS, MAX_BETWEEN)
+        return [self._last_ns + passed_ns * place // count for place in range(1, count)]
+
+    def _move(self, now_ns: int) -> None:
+        self._last_ns = now_ns
+        moment_ns = now_ns - (self._begin_ns or 0)
+        for each in self._driven:
+            each.spot.put(self._device.image, each.course(moment_ns))
+        self._device.behaviour.inputs_set(now_ns)

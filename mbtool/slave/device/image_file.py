@@ -1,0 +1,256 @@
+"""Reads the values that a slave is to start with, or to show over time, from a TOML file."""
+
+# A key says what is meant (spots.py), a value what stands there, a list what stands there and
+# behind it, and a table how it moves (signals.py):
+#
+#     HR400001 = 4660
+#     HR400010 = [1, 2, -3]      # negative numbers are 16-bit two's complement
+#     C1 = 1
+#     "CH1 digital value" = { ramp = [0, 16000], seconds = 10 }
+#     HR400020 = { sine = [0, 100], seconds = 60 }
+#     HR400021 = { walk = [0, 100], step = 2, seconds = 0.5, seed = 7 }
+#     HR400022 = { from = "site.mcap", what = "HR400001", unit = 3, speed = 2, loop = false }
+#
+# The file speaks in the order of its lines: where ranges overlap, the later line counts, and a
+# value that moves counts before all that stand. A master's rights do not matter here, so inputs can
+# be given values too.
+#
+# Limits: a file of at most 4 MiB, room for every address of all tables.
+
+from __future__ import annotations
+
+import difflib
+import reprlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from mbtool.core import UsageError
+from mbtool.devices.toml_file import read_toml
+from mbtool.modbus.tables import Table
+from mbtool.slave.device.signals import Ramp, Signal, Sine, Walk
+from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
+
+if TYPE_CHECKING:
+    from mbtool.devices import Profile
+    from mbtool.slave.device.image import RegisterImage
+
+MAX_FILE_BYTES = 4 << 20
+MAX_SECONDS = 10_000_000
+
+_FORMS = {
+    "ramp": ("seconds",),
+    "sine": ("seconds",),
+    "walk": ("step", "seconds", "seed"),
+    "from": ("what", "unit", "link", "speed", "loop"),
+}
+"""Each way to move, and the keys that go with it."""
+_GREATEST = 1e300
+"""No end of a movement is beyond, so that twice the distance of two is a number too."""
+_STEPS = 20
+"""A walk without a step crosses its range in about the square of so many."""
+
+Course = Callable[[int], list[int]]
+"""The registers or the bit at a moment since the beginning, in ns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """A place whose value moves."""
+
+    spot: ValueTarget
+    course: Course
+
+
+@dataclass(frozen=True, slots=True)
+class FromCapture:
+    """What a place repeats of a capture."""
+
+    path: Path
+    table: Table
+    address: int
+    words: int
+    unit: int | None
+    """None where the capture has only one."""
+    link: str | None
+    """None where the unit is on one only."""
+    speed: float
+    loop: bool
+
+
+Recall = Callable[[FromCapture], Course]
+"""Finds what a capture held. Raises UsageError, InputError."""
+
+
+def load_image(
+    path: Path,
+    profile: Profile,
+    image: RegisterImage,
+    only: Sequence[tuple[Table, range]] | None = None,
+    *,
+    recall: Recall | None = None,
+) -> list[Driven]:
+    """Write the values of a file into an image, and give back what is to move.
+
+    `only` is what a file of a device's state may speak of; it has whole registers and nothing that
+    moves. Raises InputError for a file that is no TOML, UsageError for what it says; the image then
+    holds what came before.
+    """
+    hint = "write lines such as HR400001 = 4660"
+    spots = ValueTargets(profile)
+    driven: list[Driven] = []
+    for key, value in read_toml(path, MAX_FILE_BYTES, "register image", hint).items():
+        try:
+            spot = spots.find(key)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from error
+        try:
+            if isinstance(value, dict) and only is None:
+                movement = _Movement(path, key, spot, spots, value)
+                _demand_area(profile, spot, spot.words)
+                driven.append(Driven(spot, movement.course(recall)))
+                continue
+            values = _values(spot, value, stored=only is not None)
+            _demand_area(profile, spot, len(values))
+            span = range(spot.address, spot.address + len(values))
+            if only is not None and not _is_among(spot.table, span, only):
+                raise UsageError(
+                    f"{profile.name} does not keep this over a restart; "
+                    f"is this a file of start values, for --image?"
+                )
+            spot.put(image, values)
+        except (UsageError, ValueError, OverflowError) as error:
+            raise UsageError(f"{path}: {key}: {error}") from error
+    return driven
+
+
+def _values(spot: ValueTarget, value: object, *, stored: bool) -> list[int]:
+    if not isinstance(value, list):
+        return spot.registers(value, stored=stored)
+    if not value:
+        raise UsageError("the list is empty; write a number or numbers")
+    if spot.is_named:
+        raise UsageError(f"{reprlib.repr(value)}: a name is one value; list values at a reference")
+    plain = ValueTarget(spot.table, spot.address, None)
+    return [one for each in value for one in plain.registers(each, stored=True)]
+
+
+def _demand_area(profile: Profile, spot: ValueTarget, count: int) -> None:
+    if profile.area(spot.table, spot.address, count) is None and (
+        spot.point is None or spot.point.block is None
+    ):
+        area = profile.area(spot.table, spot.address)
+        if area is None:
+            raise UsageError(f"{profile.name} has no such address")
+        values = "1 value does" if count == 1 else f"{count} values do"
+        raise UsageError(f"{values} not fit its area, which ends at {area.reference(area.last)}")
+
+
+def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -> bool:
+    return any(
+        table is each and span.start in part and span.stop <= part.stop for each, part in parts
+    )
+
+
+class _Movement:
+    """One table of the file: how a value moves."""
+
+    def __init__(
+        self, path: Path, key: str, spot: ValueTarget, spots: ValueTargets, table: dict[str, Any]
+    ) -> None:
+        self._path = path
+        self._key = key
+        self._spot = spot
+        self._spots = spots
+        self._table = table
+        forms = [form for form in _FORMS if form in table]
+        if len(forms) != 1:
+            known = ", ".join(_FORMS)
+            raise UsageError(f"{reprlib.repr(table)}: write a number, or one of {known} in braces")
+        self._form = forms[0]
+        for each in table:
+            if each != self._form and each not in _FORMS[self._form]:
+                near = difflib.get_close_matches(each, _FORMS[self._form], n=1)
+                known = f"did you mean {near[0]}?" if near else ", ".join(_FORMS[self._form])
+                self._wrong(each, f"does not go with {self._form}; {known}")
+
+    def course(self, recall: Recall | None) -> Course:
+        if self._form == "from":
+            wanted = self._from_capture()
+            if recall is None:
+                self._wrong("from", "no capture can be read here")
+            return recall(wanted)
+        signal = self._signal()
+        for end in (signal.lowest, signal.highest):
+            self._spot.nearest(end)
+        spot = self._spot
+        return lambda moment_ns: spot.nearest(signal.at(moment_ns))
+
+    def _signal(self) -> Signal:
+        first, last = self._pair()
+        seconds_ns = round(self._number("seconds", None, 0.001, MAX_SECONDS) * 1e9)
+        if self._form == "ramp":
+            return Ramp(first, last, seconds_ns)
+        lowest, highest = min(first, last), max(first, last)
+        if self._form == "sine":
+            return Sine(lowest, highest, seconds_ns)
+        step = self._number("step", (highest - lowest) / _STEPS, 0, 1e12)
+        seed = self._number("seed", 0, -(1 << 63), 1 << 63)
+        return Walk(lowest, highest, step, seconds_ns, f"{seed}/{self._key.casefold()}")
+
+    def _from_capture(self) -> FromCapture:
+        source = self._spot
+        what = self._text("what")
+        if what is not None:
+            source = self._spots.find(what)
+            if source.table.is_bits != self._spot.table.is_bits:
+                self._wrong("what", f"{what!r}: a bit and a register cannot stand for each other")
+        name = self._text("from") or ""
+        loop = self._table.get("loop", True)
+        if not isinstance(loop, bool):
+            self._wrong("loop", f"{reprlib.repr(loop)}: write true or false")
+        unit = self._table.get("unit")
+        if unit is not None and (not isinstance(unit, int) or not 0 <= unit <= 0xFF):
+            self._wrong("unit", f"{reprlib.repr(unit)}: write a number from 0 to 255")
+        return FromCapture(
+            self._path.parent / name,
+            source.table,
+            source.address,
+            self._spot.words,
+            unit,
+            self._text("link"),
+            self._number("speed", 1, 0.001, 1_000_000),
+            loop,
+        )
+
+    def _text(self, key: str) -> str | None:
+        value = self._table.get(key)
+        if value is not None and (not isinstance(value, str) or not value):
+            self._wrong(key, f"{reprlib.repr(value)}: write a text in quotes")
+        return value
+
+    def _pair(self) -> tuple[float, float]:
+        pair = self._table[self._form]
+        if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_number, pair)):
+            self._wrong(self._form, f"{reprlib.repr(pair)}: write two numbers, such as [0, 100]")
+        return float(pair[0]), float(pair[1])
+
+    def _number(self, key: str, default: float | None, least: float, greatest: float) -> float:
+        if key not in self._table and default is not None:
+            return default
+        value = self._table.get(key)
+        if value is None:
+            self._wrong(key, f"is missing; {self._form} needs it")
+        if not _is_number(value) or not least <= value <= greatest:
+            self._wrong(key, f"{reprlib.repr(value)}: write a number from {least} to {greatest}")
+        return float(value) if key != "seed" else value
+
+    def _wrong(self, key: str, problem: str) -> NoReturn:
+        raise UsageError(f"{key}: {problem}")
+
+
+def _is_number(value: object) -> bool:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return -_GREATEST <= value <= _GREATEST

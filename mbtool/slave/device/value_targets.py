@@ -1,0 +1,172 @@
+"""What a key in a file of values means: a register or a bit of a device, or a named value."""
+
+# A key is, in any case:
+#
+#     the name of a point    "CH1 digital operation value", "T5 preset value": its value in its own
+#                            measure and type
+#     a reference            HR400001, X1F, T5: what stands in the register; a number that is not
+#                            whole, a text, and any number where a point has several registers, are
+#                            in the measure of the point there
+#     a table and address    "holding 9005": as a reference
+#
+# A reference may stand in several tables under other names, as T5 of FT1A SmartAXIS does, which is
+# a contact, a current value and a preset value. It does not say which is meant, so it is refused,
+# and the answer lists the names.
+
+from __future__ import annotations
+
+import difflib
+import reprlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from mbtool.core import UsageError
+from mbtool.devices import (
+    Access,
+    Point,
+    PointType,
+    parse_reference,
+    parse_span,
+    registers_of,
+    write_reference,
+)
+from mbtool.devices.values import PointInstance
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices import Profile
+    from mbtool.slave.device.image import RegisterImage
+
+_LOWEST, _HIGHEST = -0x8000, 0xFFFF
+_FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
+
+
+@dataclass(frozen=True, slots=True)
+class ValueTarget:
+    """Where a value goes, and how it is said in registers or as a bit."""
+
+    table: Table
+    address: int
+    point: Point | None
+    """The point that begins there, if one does."""
+    is_named: bool = False
+    """Whether the point's name was the key."""
+
+    @property
+    def words(self) -> int:
+        """How many registers or bits a value takes."""
+        return self.point.words if self.point is not None else 1
+
+    def registers(self, value: object, *, stored: bool = False) -> list[int]:
+        """The registers or the bit that say a value. Raises UsageError.
+
+        Where it is `stored` a whole number is what stands in the register, whatever a point says.
+        """
+        if isinstance(value, bool):
+            if not self.table.is_bits:
+                raise UsageError(f"{str(value).lower()}: {self._range()}")
+            value = int(value)
+        if isinstance(value, int) and (stored or not self._is_measured):
+            return [self._stored(value)]
+        if self.point is None or not isinstance(value, int | float | str):
+            raise UsageError(f"{reprlib.repr(value)}: {self._range()}")
+        return registers_of(self.point, value)
+
+    def nearest(self, value: float) -> list[int]:
+        """The registers that come nearest to a value in the point's measure. Raises UsageError."""
+        if self.point is None:
+            return [self._stored(round(value))]
+        if self.point.type in _FLOATS or self.point.scale != 1 or self.point.offset:
+            return registers_of(self.point, value)
+        return registers_of(self.point, round(value))
+
+    def put(self, image: RegisterImage, values: list[int]) -> None:
+        """Write registers or bits there; the image must have room for them."""
+        if self.point is not None and self.point.block is not None:
+            image.put(self.point, self.address, values)
+        else:
+            image.set(self.table, self.address, values)
+
+    @property
+    def _is_measured(self) -> bool:
+        """Whether a whole number is in the measure of the point."""
+        return self.point is not None and (
+            self.is_named or (self.point.words > 1 and self.point.type is not PointType.STRING)
+        )
+
+    def _stored(self, value: int) -> int:
+        lowest, highest = (0, 1) if self.table.is_bits else (_LOWEST, _HIGHEST)
+        if not lowest <= value <= highest:
+            raise UsageError(f"{reprlib.repr(value)}: {self._range()}")
+        return value & _HIGHEST
+
+    def _range(self) -> str:
+        lowest, highest = (0, 1) if self.table.is_bits else (_LOWEST, _HIGHEST)
+        return f"write a number from {lowest} to {highest}"
+
+
+class ValueTargets:
+    """The keys that one device knows."""
+
+    def __init__(self, profile: Profile) -> None:
+        self._profile = profile
+        self._by_name: dict[str, ValueTarget] = {}
+        self._names: dict[tuple[Table, int], str] = {}
+        self._points: dict[tuple[Table, int], Point] = {}
+        points = sorted(profile.points, key=lambda point: point.access is Access.WRITE)
+        for point in points:
+            for address in point.addresses:
+                reference = write_reference(profile, point.table, address, point.words)
+                name = PointInstance(point, address, reference).name
+                spot = ValueTarget(point.table, address, point, is_named=True)
+                self._by_name.setdefault(name.casefold(), spot)
+                if point.block in (None, address):
+                    self._names.setdefault((point.table, address), name)
+                    self._points.setdefault((point.table, address), point)
+
+    def find(self, key: str) -> ValueTarget:
+        """What a key means. Raises UsageError."""
+        named = self._by_name.get(key.strip().casefold())
+        if named is not None:
+            return named
+        try:
+            neutral = parse_span(key)
+        except UsageError:
+            table, address = self._referred(key)
+        else:
+            if neutral.last > neutral.first:
+                raise UsageError(f"{key!r}: name the first address, and list the values behind it")
+            table, address = neutral.table, neutral.first
+        return ValueTarget(table, address, self._points.get((table, address)))
+
+    def _referred(self, key: str) -> tuple[Table, int]:
+        try:
+            table, address = parse_reference(self._profile, key)
+        except UsageError as error:
+            near = difflib.get_close_matches(key.strip().casefold(), self._by_name, n=1)
+            if not near:
+                raise
+            spot = self._by_name[near[0]]
+            name = self._names.get((spot.table, spot.address), near[0])
+            raise UsageError(
+                f"{key!r} is no name and no reference; did you mean {name!r}?"
+            ) from error
+        names = list(dict.fromkeys(self._meanings(key)))
+        if len(names) > 1:
+            few = ", ".join(repr(name) for name in names)
+            raise UsageError(f"{key!r} may mean {few}; write which as the key, in quotes")
+        return table, address
+
+    def _meanings(self, key: str) -> Iterator[str]:
+        """What the places are called that a reference names, one in each area that has it."""
+        for area in self._profile.areas:
+            try:
+                place = parse_reference(replace(self._profile, areas=[area]), key)
+            except UsageError:
+                continue
+            if place in self._names:
+                yield self._names[place]

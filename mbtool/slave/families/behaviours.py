@@ -1,0 +1,45 @@
+"""Finds a device's behaviour by the name that its profile has for it."""
+
+# A further family's name goes into BehaviourName, and its class into BEHAVIOURS by that name and,
+# where models of one family differ, the model code.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.slave.device.behaviour import Behaviour
+from mbtool.slave.device.responder import DeviceResponder
+from mbtool.slave.families.fa3 import Fa3, Fa3DigitalOutput
+from mbtool.slave.families.fa3_analog import Fa3AnalogInput, Fa3AnalogOutput
+from mbtool.slave.families.lt830 import Lt830
+from mbtool.slave.families.wago import Wago
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mbtool.devices import Profile
+    from mbtool.slave.device.image import RegisterImage
+
+BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
+    "fa3": Fa3,
+    "fa3/0014": Fa3DigitalOutput,  # FA3-TH1M16Y
+    "fa3/0015": Fa3DigitalOutput,  # FA3-TH1M16YE
+    "fa3/0016": Fa3AnalogInput,  # FA3-AT1M8X
+    "fa3/0017": Fa3AnalogOutput,  # FA3-AT1M8Y
+    "lt830": Lt830,
+    "wago": Wago,
+}
+"""By the profile's `behaviour`, and behind a slash the model code where models differ."""
+
+
+def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:
+    """A device that answers from its image and behaves as its family does."""
+    return DeviceResponder(behaviour_of(profile, image))
+
+
+def behaviour_of(profile: Profile, image: RegisterImage) -> Behaviour:
+    if profile.behaviour is None:
+        return Behaviour(profile, image)
+    model = f"{profile.behaviour}/{profile.model_code or 0:04X}"
+    make = BEHAVIOURS.get(model) or BEHAVIOURS[profile.behaviour]
+    return make(profile, image)

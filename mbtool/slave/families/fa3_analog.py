@@ -1,0 +1,266 @@
+"""The FA3 modules FA3-AT1M8X and FA3-AT1M8Y: settings, conversion and outputs of eight channels."""
+
+# Source: the modules' manual, chapter 10.5. Settings take effect by the initial data setting: the
+# master sets Y9, the module takes them over and sets X9, the master clears Y9, and X9 goes. Before
+# the first one the module works with those that it started with, which is assumed.
+#
+# FA3-AT1M8X. What the image holds in RWr2 to RWr9 is what is at the inputs, as a digital value from
+# 0 to 16000; what a master reads there is that value averaged and scaled. X10 to X17 tell that a
+# channel's first value is complete; until then, after an initial data setting, RWr keeps the value
+# before. A channel that is disabled reads 0. Assumed are: averaging process 3, moving average; how
+# long a conversion takes (conversion.py); that a time or count of 0 means sampling.
+#
+# FA3-AT1M8Y. A channel puts out its digital value where D/A conversion is enabled (0102H) and its
+# output too (Y10 to Y17), else 0. Without a connection HOLD keeps what stood there last, CLEAR
+# gives 0. 0 to 16000 is 1 to 5 V (chapter 10.5: 3600 is 1.9 V). What the module does with a value
+# beyond the warning limits is not in the chapter: here it is told beside the output, which follows
+# the value all the same.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.modbus.tables import Table
+from mbtool.slave.device.behaviour import DeviceOutput
+from mbtool.slave.families.conversion import (
+    CONVERSION_NS,
+    FULL_SCALE,
+    MovingMean,
+    PeriodMean,
+    Processing,
+    Sampling,
+    scaled,
+)
+from mbtool.slave.families.fa3 import Fa3, overlap
+
+if TYPE_CHECKING:
+    from mbtool.devices import Profile
+    from mbtool.slave.device.image import RegisterImage
+
+CHANNELS = range(8)
+
+_INITIAL_SETTING = 0x09  # Y9, X9
+_FLAGS = range(0x10, 0x18)  # X10 to X17, Y10 to Y17
+_VALUES = range(0x02, 0x0A)  # RWr2 to RWr9, RWw2 to RWw9
+
+_CONVERSION = 0x0102  # bit 0 enables
+_BY_CHANNEL = range(0x0105, 0x0107)  # a nibble for each: averaging process, or HOLD/CLEAR
+_AVERAGING = range(0x0107, 0x010F)
+_SCALING = 0x0133  # bit 0 enables
+_SCALING_LIMITS = range(0x0134, 0x0144)  # lower, upper
+_WARNING = 0x0107  # bit 0 enables
+_WARNING_LIMITS = range(0x0108, 0x0118)  # upper, lower
+
+_HOLD = 1
+_MS = 1_000_000
+
+
+class _Fa3Analog(Fa3):
+    """What both have in common: the initial data setting."""
+
+    def __init__(self, profile: Profile, image: RegisterImage) -> None:
+        super().__init__(profile, image)
+        self._is_requested = False
+
+    def written(self, table: Table, span: range, now_ns: int) -> None:
+        super().written(table, span, now_ns)
+        if table is Table.COILS and _INITIAL_SETTING in span:
+            (request,) = self.image.get(Table.COILS, _INITIAL_SETTING)
+            if request and not self._is_requested:
+                self.take_settings(now_ns)
+            self._is_requested = bool(request)
+            self.image.set(Table.DISCRETE_INPUTS, _INITIAL_SETTING, [request])
+
+    def restarted(self) -> None:
+        self._is_requested = False
+        self.image.set(Table.DISCRETE_INPUTS, _INITIAL_SETTING, [0])
+
+    def take_settings(self, now_ns: int) -> None:
+        """Work with the settings that the registers hold now."""
+
+    def _words(self, span: range) -> list[int]:
+        return self.image.get(Table.HOLDING_REGISTERS, span.start, len(span))
+
+    def _numbers(self, span: range) -> list[int]:
+        return [_signed(word) for word in self._words(span)]
+
+    def _enabled(self, address: int) -> list[bool]:
+        """A setting with a bit for each channel, 0 for enabled."""
+        (word,) = self.image.get(Table.HOLDING_REGISTERS, address)
+        return [not word >> channel & 1 for channel in CHANNELS]
+
+    def _nibbles(self) -> list[int]:
+        low, high = self._words(_BY_CHANNEL)
+        return [(low | high << 16) >> 4 * channel & 0xF for channel in CHANNELS]
+
+
+@dataclass(frozen=True, slots=True)
+class _InputSetting:
+    """How one input is converted."""
+
+    process: int
+    average: int
+    """A time in ms, or a count."""
+    limits: tuple[int, int]
+    """The scale; two equal numbers are none."""
+
+
+@dataclass(slots=True)
+class _InputChannel:
+    """One input, and what a master sees of it."""
+
+    processing: Processing
+    limits: tuple[int, int]
+    value: int
+    is_complete: bool = False
+
+
+class Fa3AnalogInput(_Fa3Analog):
+    """FA3-AT1M8X."""
+
+    def __init__(self, profile: Profile, image: RegisterImage) -> None:
+        super().__init__(profile, image)
+        self._settings = self._read_settings()
+        self._channels: list[_InputChannel | None] | None = None
+        """None for a channel that is disabled; all None before the module is first asked."""
+
+    def restarted(self) -> None:
+        super().restarted()
+        self._settings = self._read_settings()
+        self._channels = None
+
+    def is_live(self, table: Table, span: range) -> bool:
+        live = {Table.DISCRETE_INPUTS: _FLAGS, Table.INPUT_REGISTERS: _VALUES}.get(table)
+        return live is not None and overlap(span, live)
+
+    def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
+        live = _FLAGS if table is Table.DISCRETE_INPUTS else _VALUES
+        for channel, one in enumerate(self.convert(now_ns)):
+            address = live[channel]
+            if address in span:
+                flag, value = (False, 0) if one is None else (one.is_complete, one.value)
+                shown = flag if live is _FLAGS else value & 0xFFFF
+                values[address - span.start] = int(shown)
+        return values
+
+    def inputs_set(self, now_ns: int) -> None:
+        self.convert(now_ns)
+
+    def convert(self, now_ns: int) -> list[_InputChannel | None]:
+        """Take what is at the inputs now; a mean knows of a change from when this is called."""
+        if self._channels is None:
+            self._channels = self._begin([None] * len(CHANNELS), now_ns)
+        for one, value in zip(self._channels, self._inputs(), strict=True):
+            if one is not None:
+                one.processing.feed(value, now_ns)
+                result = one.processing.result(now_ns)
+                if result is not None:
+                    one.value, one.is_complete = scaled(result, *one.limits), True
+        return self._channels
+
+    def take_settings(self, now_ns: int) -> None:
+        before = self.convert(now_ns)
+        self._settings = self._read_settings()
+        self._channels = self._begin(before, now_ns)
+
+    def _inputs(self) -> list[int]:
+        words = self.image.get(Table.INPUT_REGISTERS, _VALUES.start, len(_VALUES))
+        return [_signed(word) for word in words]
+
+    def _read_settings(self) -> list[_InputSetting | None]:
+        converts, scales = self._enabled(_CONVERSION), self._enabled(_SCALING)
+        processes, averages = self._nibbles(), self._words(_AVERAGING)
+        limits = self._numbers(_SCALING_LIMITS)
+        return [
+            _InputSetting(
+                processes[channel],
+                averages[channel],
+                (limits[2 * channel], limits[2 * channel + 1]) if scales[channel] else (0, 0),
+            )
+            if converts[channel]
+            else None
+            for channel in CHANNELS
+        ]
+
+    def _begin(self, before: list[_InputChannel | None], now_ns: int) -> list[_InputChannel | None]:
+        """Begin to convert by the settings; a channel shows what it showed until it has more."""
+        channels: list[_InputChannel | None] = []
+        for setting, value, last in zip(self._settings, self._inputs(), before, strict=True):
+            if setting is None:
+                channels.append(None)
+                continue
+            processing = _processing(setting, value, now_ns)
+            channels.append(_InputChannel(processing, setting.limits, last.value if last else 0))
+        return channels
+
+
+class Fa3AnalogOutput(_Fa3Analog):
+    """FA3-AT1M8Y."""
+
+    def __init__(self, profile: Profile, image: RegisterImage) -> None:
+        super().__init__(profile, image)
+        self._standing = [0] * len(CHANNELS)
+        """What stands at the outputs while no master is connected."""
+        self._take()
+
+    def take_settings(self, now_ns: int) -> None:
+        self._take()
+
+    def restarted(self) -> None:
+        super().restarted()
+        self._standing = [0] * len(CHANNELS)
+        self._take()
+
+    def linked(self, is_linked: bool) -> None:
+        if not is_linked:
+            self._standing = [
+                value if holds else 0
+                for value, holds in zip(self._converted(), self._holds, strict=True)
+            ]
+        super().linked(is_linked)
+
+    def outputs(self) -> tuple[DeviceOutput, ...]:
+        values = self._converted() if self.is_linked else self._standing
+        return tuple(
+            DeviceOutput(f"CH{channel + 1}", value, self._text(channel, value))
+            for channel, value in enumerate(values)
+        )
+
+    def _take(self) -> None:
+        self._converts = self._enabled(_CONVERSION)
+        self._holds = [nibble == _HOLD for nibble in self._nibbles()]
+        self._warns = self._enabled(_WARNING)
+        limits = self._numbers(_WARNING_LIMITS)
+        self._warning_limits = list(zip(limits[1::2], limits[::2], strict=True))
+
+    def _converted(self) -> list[int]:
+        enabled = self.image.get(Table.COILS, _FLAGS.start, len(_FLAGS))
+        values = self._numbers(_VALUES)
+        return [
+            value if converts and enable else 0
+            for value, converts, enable in zip(values, self._converts, enabled, strict=True)
+        ]
+
+    def _text(self, channel: int, value: int) -> str:
+        lower, upper = self._warning_limits[channel]
+        # Equal limits, as before anyone sets them, would warn of every value.
+        warns = self._warns[channel] and lower < upper and not lower <= value <= upper
+        volts = f"{1 + 4 * value / FULL_SCALE:.3f} V"
+        return f"{volts}, beyond its warning limits {lower}..{upper}" if warns else volts
+
+
+def _processing(setting: _InputSetting, value: int, now_ns: int) -> Processing:
+    if setting.average:
+        match setting.process:
+            case 1:  # time average
+                return PeriodMean(setting.average * _MS, value, now_ns)
+            case 2:  # count average
+                return PeriodMean(setting.average * CONVERSION_NS, value, now_ns)
+            case 3:  # moving average
+                return MovingMean(setting.average * CONVERSION_NS, value, now_ns)
+    return Sampling()
+
+
+def _signed(word: int) -> int:
+    return word - 0x10000 if word & 0x8000 else word

@@ -1,0 +1,219 @@
+"""What a WAGO 750 coupler does beyond its registers: process image, counters, commands."""
+
+# Sources: the two manuals that mbtool/devices/profiles/wago-750.toml joins. The process image is in
+# wago_image.py, the watchdog in wago_watchdog.py.
+#
+#     07         the first eight inputs
+#     0B         status 0000 and how many requests went well, those of 0B apart (V1.1b3, 6.9)
+#     1029H      a block of nine counters (Counter); 55AAH or AA55H written there clears them
+#     102AH      the connections that are open
+#     1030H      a connection without a request for so many milliseconds is closed; 0: never
+#     100BH      1 saves time and mask of the watchdog; they outlast a restart then
+#     2040H      55AAH or AA55H is a restart: outputs 0, settings as at the start or as saved,
+#                counters 0, watchdog off
+#
+# Assumed: a restart by 2040H is acknowledged, and connections stay. The time of 1030H holds for
+# connections that are made later. The header errors that the second counter counts get silence
+# before they come here. 2041H to 2043H and 1028H are acknowledged and do nothing more.
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.pdu import exception_pdu, parse_pdu
+from mbtool.modbus.register_access import register_access
+from mbtool.slave.device.behaviour import Behaviour
+from mbtool.slave.device.connection_policy import ConnectionPolicy
+from mbtool.slave.families.wago_image import COILS, HOLDING, ProcessImage
+from mbtool.slave.families.wago_watchdog import MASKS, PARAMETERS, SETTINGS, Watchdog
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mbtool.devices import Profile
+    from mbtool.modbus.register_access import RegisterAccess
+    from mbtool.modbus.tables import Table
+    from mbtool.slave.device.image import RegisterImage
+
+COUNTERS = 0x1029
+CONNECTIONS = 0x102A
+IDLE_TIME = 0x1030
+SAVE = 0x100B
+SOFTWARE_RESET = 0x2040
+
+_COMMANDS = (0x55AA, 0xAA55)
+_FAILURE = 4
+
+
+class Counter(IntEnum):
+    """What is counted from 1029H on, by its place there."""
+
+    DEVICE_FAILURE = 0
+    BAD_PROTOCOL = 1
+    BAD_LENGTH = 2
+    BAD_FUNCTION = 3
+    BAD_ADDRESS = 4
+    BAD_DATA = 5
+    TOO_MANY_REGISTERS = 6
+    TOO_MANY_BITS = 7
+    MESSAGES = 8
+
+
+class Wago(Behaviour):
+    """A fieldbus coupler."""
+
+    kept = ((HOLDING, PARAMETERS),)
+    watches = True
+
+    def __init__(self, profile: Profile, image: RegisterImage) -> None:
+        super().__init__(profile, image)
+        self._process = ProcessImage(image)
+        self.own = {
+            0x07: self._alone(self._read_first_inputs),
+            0x0B: self._alone(self._read_event_counter),
+        }
+        self.rules = self._connections = ConnectionPolicy()
+        self._watchdog = Watchdog(image)
+        self._counters = self._first_counters()
+        self._went_well = 0
+        self._at_first: list[int] | None = None
+        """The settings when the first request came, and the saved parameters since then."""
+        self._set_idle_time()
+
+    def barred(self, pdu: bytes, now_ns: int) -> int | None:
+        if self._at_first is None:
+            self._at_first = self.image.get(HOLDING, SETTINGS.start, len(SETTINGS))
+        self._count(Counter.MESSAGES)
+        had_expired = self._watchdog.has_expired
+        if self._watchdog.heard(pdu[0], now_ns):
+            self._process.clear_outputs()
+            self._connections.notes.append("the alternative watchdog expired: all outputs are 0")
+        if self._watchdog.has_expired and not had_expired:
+            self._connections.notes.append(
+                "the watchdog expired: requests get exception 04 until it is ended or restarted"
+            )
+        if not self._watchdog.has_expired:
+            return None
+        reach = register_access(parse_pdu(pdu, Direction.REQUEST))
+        ends = reach is not None and self._watchdog.takes(reach.writes)
+        return None if ends else _FAILURE
+
+    def refusal(
+        self, function: int, reach: RegisterAccess, values: Sequence[int], now_ns: int
+    ) -> int | None:
+        touches_mask = reach.table is HOLDING and not set(MASKS).isdisjoint(reach.writes)
+        return _FAILURE if touches_mask and self._watchdog.is_active else None
+
+    def is_live(self, table: Table, span: range) -> bool:
+        if table.is_bits:
+            return False
+        begins_counters = span.start == COUNTERS
+        return begins_counters or CONNECTIONS in span or self._process.is_made_of_bits(span)
+
+    def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
+        if span.start == COUNTERS:
+            return self._counters[: len(span)]
+        if CONNECTIONS in span:
+            values[CONNECTIONS - span.start] = len(self._connections.peers)
+        return self._process.read(span, values)
+
+    def standing(self, table: Table, span: range) -> list[int]:
+        return self._process.standing(table, span)
+
+    def store(self, table: Table, span: range, values: Sequence[int]) -> None:
+        self._process.write(table, span, values)
+
+    def written(self, table: Table, span: range, now_ns: int) -> None:
+        if table is not HOLDING:
+            return
+        self._watchdog.written(span, now_ns)
+        if self._has_written(span, SAVE, (1,)):
+            self._save()
+        if self._has_written(span, COUNTERS, _COMMANDS):
+            self._counters = [0] * len(Counter)
+        if IDLE_TIME in span:
+            self._set_idle_time()
+        if self._has_written(span, SOFTWARE_RESET, _COMMANDS):
+            self._restart()
+
+    def answered(self, pdu: bytes, response: bytes | None, now_ns: int) -> None:
+        if response is not None and response[0] & 0x80:
+            self._count_exception(pdu, response[1])
+        elif pdu[0] != 0x0B:
+            self._went_well = self._went_well + 1 & 0xFFFF
+
+    def _alone(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
+        """A function whose request is its code and nothing else."""
+
+        def own(pdu: bytes, now_ns: int) -> bytes:
+            if len(pdu) > 1:
+                return exception_pdu(pdu[0], self.profile.exceptions.value)
+            return function(pdu)
+
+        return own
+
+    def _read_first_inputs(self, pdu: bytes) -> bytes:
+        bits = self.image.get(COILS, 0, 8)
+        return pdu + bytes([sum(bit << place for place, bit in enumerate(bits))])
+
+    def _read_event_counter(self, pdu: bytes) -> bytes:
+        return pdu + bytes(2) + self._went_well.to_bytes(2, "big")
+
+    def _has_written(self, span: range, address: int, values: tuple[int, ...]) -> bool:
+        return address in span and self.image.get(HOLDING, address)[0] in values
+
+    def _first_counters(self) -> list[int]:
+        """Those that the image began with, where the profile has a block for them."""
+        span = range(COUNTERS, COUNTERS + len(Counter))
+        begun = self.image.blocks.get(HOLDING, span) or []
+        return [*begun, *[0] * len(Counter)][: len(Counter)]
+
+    def _set_idle_time(self) -> None:
+        (idle_ms,) = self.image.get(HOLDING, IDLE_TIME)
+        self._connections.idle_s = idle_ms / 1000 if idle_ms else math.inf
+
+    def _save(self) -> None:
+        if self._at_first is not None:
+            self._at_first[: len(PARAMETERS)] = self.image.get(
+                HOLDING, PARAMETERS.start, len(PARAMETERS)
+            )
+        if self.keep is not None:
+            self.keep()
+
+    def _restart(self) -> None:
+        self._process.clear_outputs()
+        self.image.set(HOLDING, SETTINGS.start, self._at_first or [])
+        self._watchdog.reset()
+        self._counters = [0] * len(Counter)
+        self._went_well = 0
+
+    def _count(self, counter: Counter) -> None:
+        self._counters[counter] = self._counters[counter] + 1 & 0xFFFF
+
+    def _count_exception(self, pdu: bytes, code: int) -> None:
+        exceptions = self.profile.exceptions
+        if code == exceptions.function:
+            self._count(Counter.BAD_FUNCTION)
+        elif code == exceptions.address:
+            self._count(Counter.BAD_ADDRESS)
+        elif code == exceptions.value:
+            self._count(self._what_was_wrong(pdu))
+
+    def _what_was_wrong(self, pdu: bytes) -> Counter:
+        request = parse_pdu(pdu, Direction.REQUEST)
+        if request.problem is not None:
+            return Counter.BAD_DATA if pdu[0] == 0x05 and len(pdu) == 5 else Counter.BAD_LENGTH
+        rule, function = self.profile.rule(pdu[0]), FUNCTIONS.get(pdu[0])
+        limit = rule.limit if rule is not None else None
+        quantity = request.fields.get("quantity")
+        too_many = isinstance(quantity, int) and limit is not None and quantity > limit
+        limit = rule.write_limit if rule is not None else None
+        written = request.fields.get("write_quantity")
+        too_many |= isinstance(written, int) and limit is not None and written > limit
+        if not too_many or function is None or function.table is None:
+            return Counter.BAD_DATA
+        return Counter.TOO_MANY_BITS if function.table.is_bits else Counter.TOO_MANY_REGISTERS

@@ -1,0 +1,167 @@
+"""The watchdog of a WAGO 750 coupler: registers 1000H to 100BH."""
+
+# Source: the later manual, 6.5.1, as mbtool/devices/profiles/wago-750.toml quotes it.
+#
+#     starts    when 1003H becomes a value other than 0 and than the last one, with a time in 1000H
+#     runs      anew with each further such value, and with each request whose function is in the
+#               mask of 1001H and 1002H
+#     trips     when neither comes for the time: 1006H is 2, 1004H is 0, and every request gets
+#               exception 04
+#     ends      AAAAH and then 5555H in 1005H, or 55AAH or AA55H in 1008H; 1 in 1007H restarts it
+#
+# The alternative watchdog (100AH = 1) runs anew with every request; when it trips all outputs
+# become 0, and requests are answered on.
+#
+# Assumed:
+#
+#     after a trip the writes that end it, of 1005H, 1007H and 1008H alone, are taken
+#     a write of the mask while the watchdog runs gets exception 04
+#     1004H is the least time that was left when it ran anew
+#     1 in 1007H while the watchdog is off does not start it
+#     outputs stay as they are when the watchdog trips that is not the alternative one
+#     1009H, whether sockets are closed at a trip, is kept and does nothing
+#
+# No clock runs here: whether the time is over is found out at each request.
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from mbtool.slave.device.image import RegisterImage
+
+TIME = 0x1000
+MASKS = range(0x1001, 0x1003)
+TRIGGER = 0x1003
+LEAST_LEFT = 0x1004
+STOP = 0x1005
+STATUS = 0x1006
+RESTART = 0x1007
+SIMPLE_STOP = 0x1008
+ALTERNATIVE = 0x100A
+PARAMETERS = range(TIME, MASKS.stop)
+"""What is kept when they are saved."""
+SETTINGS = range(TIME, ALTERNATIVE + 1)
+
+_ENDING = (STOP, RESTART, SIMPLE_STOP)
+_STOP_SEQUENCE = (0xAAAA, 0x5555)
+_SIMPLE_STOPS = (0x55AA, 0xAA55)
+_NEVER_TRIGGERED = 0xFFFF
+_UNIT_NS = 100_000_000
+
+
+class Status(IntEnum):
+    """What 1006H says."""
+
+    OFF = 0
+    ACTIVE = 1
+    EXPIRED = 2
+
+
+class Watchdog:
+    """Watches by the registers of an image."""
+
+    def __init__(self, image: RegisterImage) -> None:
+        self._image = image
+        self._status = Status.OFF
+        self._since_ns = 0
+        self._time_ns = 0
+        self._last_trigger = 0
+        self._stop_place = 0
+        """How much of the stop sequence has been written."""
+
+    @property
+    def is_active(self) -> bool:
+        return self._status is Status.ACTIVE
+
+    @property
+    def has_expired(self) -> bool:
+        return self._status is Status.EXPIRED
+
+    def heard(self, function: int, now_ns: int) -> bool:
+        """Learn of a request, and say whether the outputs have become 0."""
+        is_alternative = bool(self._register(ALTERNATIVE))
+        is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
+        if is_alternative:
+            if self._time():
+                self._begin(now_ns)
+            return is_over
+        if is_over:
+            self._set_status(Status.EXPIRED)
+            self._set(LEAST_LEFT, 0)
+        elif self.is_active and self._is_masked(function):
+            self._run_anew(now_ns)
+        return False
+
+    @staticmethod
+    def takes(writes: range) -> bool:
+        """Whether a write is taken although the watchdog has tripped."""
+        return len(writes) == 1 and writes.start in _ENDING
+
+    def written(self, span: range, now_ns: int) -> None:
+        """Learn what has been written, in the order of the registers."""
+        for address in span:
+            value = self._register(address)
+            if address == TRIGGER:
+                self._trigger(value, now_ns)
+            elif address == STOP:
+                self._stop(value)
+            elif address == RESTART and value == 1 and self._status is not Status.OFF:
+                self._begin(now_ns)
+            elif address == SIMPLE_STOP and value in _SIMPLE_STOPS:
+                self._set_status(Status.OFF)
+
+    def reset(self) -> None:
+        """Be as after a start of the device."""
+        self._set_status(Status.OFF)
+        self._set(LEAST_LEFT, _NEVER_TRIGGERED)
+        self._last_trigger = self._stop_place = 0
+
+    def _trigger(self, value: int, now_ns: int) -> None:
+        is_new = value not in (0, self._last_trigger)
+        self._last_trigger = value
+        if not is_new:
+            return
+        if self.is_active:
+            self._run_anew(now_ns)
+        elif self._status is Status.OFF and self._time():
+            self._begin(now_ns)
+
+    def _stop(self, value: int) -> None:
+        is_next = value == _STOP_SEQUENCE[self._stop_place]
+        self._stop_place = self._stop_place + 1 if is_next else int(value == _STOP_SEQUENCE[0])
+        if self._stop_place == len(_STOP_SEQUENCE):
+            self._stop_place = 0
+            self._set_status(Status.OFF)
+
+    def _begin(self, now_ns: int) -> None:
+        self._time_ns = self._time() * _UNIT_NS
+        self._since_ns = now_ns
+        self._set_status(Status.ACTIVE)
+
+    def _run_anew(self, now_ns: int) -> None:
+        left = (self._time_ns - (now_ns - self._since_ns)) // _UNIT_NS
+        self._set(LEAST_LEFT, min(self._register(LEAST_LEFT), left))
+        self._since_ns = now_ns
+
+    def _is_masked(self, function: int) -> bool:
+        if not 1 <= function <= 32:
+            return False
+        word, bit = divmod(function - 1, 16)
+        return bool(self._register(MASKS[word]) >> bit & 1)
+
+    def _time(self) -> int:
+        return self._register(TIME)
+
+    def _set_status(self, status: Status) -> None:
+        self._status = status
+        self._set(STATUS, status)
+
+    def _register(self, address: int) -> int:
+        return self._image.get(Table.HOLDING_REGISTERS, address)[0]
+
+    def _set(self, address: int, value: int) -> None:
+        self._image.set(Table.HOLDING_REGISTERS, address, [value])

@@ -1,0 +1,1 @@
+"""Faults that a slave shows on purpose. No I/O."""

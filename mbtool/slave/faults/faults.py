@@ -1,0 +1,238 @@
+"""Faults that a slave shows on purpose: what is asked for, and how often, decides which."""
+
+# FaultySlave stands before any Responder, a device or a recording, and changes what it answers. A
+# fault says in `FaultCondition` which requests it is for and in `Fault` what happens to them.
+# Faults are looked at in their order, and all that fit apply, each to what the one before it
+# left.
+#
+# Repeatable: a fault's chances come from a generator of its own, seeded by the file's seed and the
+# fault's place, and a number is drawn for each request that fits otherwise. The same requests at
+# the same times meet the same faults.
+#
+# A request that an exception is given for, or no answer, was nevertheless executed: it is the
+# answer that is faulty. Values that are stuck are those that the slave gave first since the fault
+# began; at most MAX_STUCK addresses of a fault are kept, later ones pass as they are.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from random import Random
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.devices import Span
+from mbtool.modbus import Response, Table, exception_pdu, parse_pdu, register_access, response_to
+from mbtool.modbus.distortion import ConnectionEnding, Distortion
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.modbus import Responder
+    from mbtool.modbus.pdu import Pdu
+    from mbtool.modbus.register_access import RegisterAccess
+
+MAX_STUCK = 1 << 16
+
+_EXCEPTION_BIT = 0x80
+_WORD = 0xFFFF
+
+
+class FaultKind(StrEnum):
+    """What a fault does."""
+
+    DELAY = "delay"
+    NO_ANSWER = "no-answer"
+    EXCEPTION = "exception"
+    WRONG_UNIT = "wrong-unit"
+    WRONG_ID = "wrong-id"
+    TRUNCATED = "truncated"
+    BAD_CRC = "bad-crc"
+    EXTRA_BYTES = "extra-bytes"
+    SPLIT = "split"
+    CLOSE = "close"
+    RESET = "reset"
+    STUCK = "stuck"
+    OFFSET = "offset"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultCondition:
+    """Which requests a fault is for; what is not said fits any."""
+
+    units: frozenset[int] | None = None
+    functions: frozenset[int] | None = None
+    span: Span | None = None
+    """The request reads or writes at least one of these."""
+    from_ns: int = 0
+    until_ns: int | None = None
+    """When, since the slave began."""
+    nth: int = 1
+    """The first that is meant, of those that fit."""
+    every: int = 1
+    """From there on each so many-th."""
+    times: int | None = None
+    """No more than so many."""
+    probability: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """What happens to the answers of some requests."""
+
+    kind: FaultKind
+    match: FaultCondition = field(default_factory=FaultCondition)
+    delay_ns: int = 0
+    code: int = 4
+    """Of an exception."""
+    by: int = 1
+    """What is added: to the unit, the transaction id, or values."""
+    count: int = 1
+    """Of bytes that are missing, or pieces."""
+    extra: bytes = b""
+
+
+class FaultySlave:
+    """A Responder that answers as another one does, with faults."""
+
+    def __init__(self, slave: Responder, faults: Sequence[Fault], *, seed: int = 0) -> None:
+        self._slave = slave
+        self._faults = [
+            _Active(fault, Random(f"{seed}/{place}")) for place, fault in enumerate(faults)
+        ]
+        self._begin_ns: int | None = None
+
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
+        """Answer as the slave does, and then let each fault that fits have its way."""
+        if self._begin_ns is None:
+            self._begin_ns = now_ns
+        answer = self._slave.respond(unit, pdu, now_ns)
+        if not pdu:
+            return answer
+        request = parse_pdu(pdu, Direction.REQUEST)
+        reach = register_access(request)
+        for fault in self._faults:
+            if not fault.is_due(unit, request, reach, now_ns - self._begin_ns):
+                continue
+            if answer is not None:
+                answer = fault.applied(unit, pdu, request, reach, answer)
+            elif fault.ends_connections:
+                silence = Response(b"", spoiling=Distortion(silent=True))
+                answer = fault.applied(unit, pdu, request, reach, silence)
+        return answer
+
+
+class _Active:
+    """One fault, and what it has seen."""
+
+    def __init__(self, fault: Fault, chance: random.Random) -> None:
+        self._fault = fault
+        self._chance = chance
+        self._seen = 0
+        self._done = 0
+        self._stuck: dict[tuple[int, Table, int], int] = {}
+
+    @property
+    def ends_connections(self) -> bool:
+        """Whether it does something also where there is no answer."""
+        return self._fault.kind in (FaultKind.CLOSE, FaultKind.RESET)
+
+    def is_due(self, unit: int, request: Pdu, reach: RegisterAccess | None, at_ns: int) -> bool:
+        """Whether this request is one of those that are meant; counts it."""
+        match = self._fault.match
+        if not _fits(match, unit, request, reach, at_ns):
+            return False
+        self._seen += 1
+        place = self._seen - match.nth
+        if (
+            place < 0
+            or place % match.every
+            or (match.times is not None and self._done >= match.times)
+        ):
+            return False
+        if match.probability < 1 and self._chance.random() >= match.probability:
+            return False
+        self._done += 1
+        return True
+
+    def applied(
+        self, unit: int, pdu: bytes, request: Pdu, reach: RegisterAccess | None, answer: Response
+    ) -> Response:
+        fault = self._fault
+        match fault.kind:
+            case FaultKind.DELAY:
+                return replace(answer, delay_ns=answer.delay_ns + fault.delay_ns)
+            case FaultKind.EXCEPTION:
+                return replace(answer, pdu=exception_pdu(pdu[0], fault.code))
+            case FaultKind.STUCK | FaultKind.OFFSET:
+                return self._with_other_values(unit, pdu, request, reach, answer)
+            case _:
+                spoiling = _spoilt(fault, answer.spoiling or Distortion())
+                return replace(answer, spoiling=spoiling)
+
+    def _with_other_values(
+        self, unit: int, pdu: bytes, request: Pdu, reach: RegisterAccess | None, answer: Response
+    ) -> Response:
+        """The same answer to a read, with the values of the span replaced."""
+        if reach is None or not reach.reads or answer.pdu[:1] != pdu[:1]:
+            return answer
+        response = parse_pdu(answer.pdu, Direction.RESPONSE)
+        values = response.numbers()
+        if response.problem is not None or values is None:
+            return answer
+        span = self._fault.match.span
+        given = [
+            value
+            if span is not None and address not in span
+            else self._other(unit, reach.table, address, value)
+            for address, value in zip(reach.reads, values, strict=False)
+        ]
+        return replace(answer, pdu=response_to(request, pdu, given))
+
+    def _other(self, unit: int, table: Table, address: int, value: int) -> int:
+        if self._fault.kind is FaultKind.OFFSET:
+            return value ^ 1 if table.is_bits else value + self._fault.by & _WORD
+        if len(self._stuck) >= MAX_STUCK:
+            return self._stuck.get((unit, table, address), value)
+        return self._stuck.setdefault((unit, table, address), value)
+
+
+def _fits(
+    match: FaultCondition, unit: int, request: Pdu, reach: RegisterAccess | None, at_ns: int
+) -> bool:
+    if match.units is not None and unit not in match.units:
+        return False
+    if match.functions is not None and request.code not in match.functions:
+        return False
+    if at_ns < match.from_ns or (match.until_ns is not None and at_ns >= match.until_ns):
+        return False
+    return match.span is None or (reach is not None and _reaches(reach, match.span))
+
+
+def _reaches(reach: RegisterAccess, span: Span) -> bool:
+    return reach.table is span.table and any(
+        part and part.start <= span.last and span.first < part.stop
+        for part in (reach.reads, reach.writes)
+    )
+
+
+def _spoilt(fault: Fault, before: Distortion) -> Distortion:
+    match fault.kind:
+        case FaultKind.NO_ANSWER:
+            return replace(before, silent=True)
+        case FaultKind.WRONG_UNIT:
+            return replace(before, unit_by=before.unit_by + fault.by)
+        case FaultKind.WRONG_ID:
+            return replace(before, id_by=before.id_by + fault.by)
+        case FaultKind.TRUNCATED:
+            return replace(before, cut=before.cut + fault.count)
+        case FaultKind.BAD_CRC:
+            return replace(before, wrong_check=True)
+        case FaultKind.EXTRA_BYTES:
+            return replace(before, extra=before.extra + fault.extra)
+        case FaultKind.SPLIT:
+            return replace(before, pieces=fault.count, gap_ns=fault.delay_ns)
+        case FaultKind.RESET:
+            return replace(before, ending=ConnectionEnding.RESET)
+        case _:
+            return replace(before, ending=ConnectionEnding.CLOSE)

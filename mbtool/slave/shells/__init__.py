@@ -1,0 +1,18 @@
+"""What plays a responder on a TCP endpoint or a serial line."""
+
+from mbtool.slave.shells.opening import open_shell, slave_link
+from mbtool.slave.shells.serial_shell import SerialSlave
+from mbtool.slave.shells.shell import OnExchange, Shell
+from mbtool.slave.shells.state_file import keep_state
+from mbtool.slave.shells.tcp_shell import Bounds, TcpSlave
+
+__all__ = [
+    "Bounds",
+    "OnExchange",
+    "SerialSlave",
+    "Shell",
+    "TcpSlave",
+    "keep_state",
+    "open_shell",
+    "slave_link",
+]

@@ -1,0 +1,130 @@
+"""Plays slaves on a serial line: RTU or ASCII."""
+
+# One thread reads, hands what it read to the splitter, and writes the answers. A read waits for
+# t3.5 at most, and a read that brings nothing is the silence that ends an RTU frame. An answer
+# leaves no earlier than t3.5 after its request's last byte (Serial Line V1.02, 2.5.1.1), or later
+# where the slave takes longer. Answers leave in the order of their requests.
+#
+# Heard and not answered: requests for the units of other slaves, and their answers; frames whose
+# check is wrong; noise. Only the slaves played here answer to their units, so a frame for one of
+# them is a request, also where it equals the answer to the one before (05, 06): nobody's turn
+# counts.
+#
+# Not for adapters that give back what is written to them: their echo would look like a request.
+#
+# Bounds: MAX_WAITING answers that wait, or pieces of one where it is sent in pieces on purpose
+# (modbus/distortion.py); while there are so many, no request is answered. A write that the line
+# does not take for WRITE_TIMEOUT_S is given up.
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction, SerialLink
+from mbtool.modbus.adu import Adu
+from mbtool.modbus.distortion import wire_pieces
+from mbtool.ports.serial_opening import WriteTimeout, open_port, port_in_use
+from mbtool.ports.steady_clock import steady_clock
+from mbtool.serial_line.ascii import AsciiSplitter
+from mbtool.serial_line.bus_model import BusModel, Classification, roles_of
+from mbtool.serial_line.bus_state import BusState
+from mbtool.serial_line.rtu import RtuSplitter
+from mbtool.slave.shells.shell import OnExchange, Shell
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.modbus.response import Responder
+
+MAX_WAITING = 16
+_NEVER = 32.0
+"""Bits: more than a request costs that says what none does."""
+
+
+class SerialSlave(Shell):
+    """Answers on one serial port."""
+
+    def __init__(
+        self, link: SerialLink, responder: Responder, *, on_exchange: OnExchange | None = None
+    ) -> None:
+        super().__init__()
+        self.link = link
+        self._responder = responder
+        self._on_exchange = on_exchange
+        self._clock = steady_clock()
+        self._stopping = threading.Event()
+        splitter = AsciiSplitter if link.ascii else RtuSplitter
+        self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _NobodysTurn())
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        """Answers, or pieces of them, and when they are due."""
+
+    @property
+    def place(self) -> str:
+        return str(self.link)
+
+    def _open(self) -> None:
+        self._port = open_port(self.link, self.link.format.t3_5_ns / 1e9)
+
+    def _interrupt(self) -> None:
+        self._stopping.set()
+
+    def _run(self) -> None:
+        with closing(self._port), port_in_use(self.link):
+            while not self._stopping.is_set():
+                self._read()
+                self._send_due()
+
+    def _read(self) -> None:
+        data = self._port.read(self._port.in_waiting or 1)
+        now_ns = self._clock()
+        events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
+        for event in events:
+            if isinstance(event, Adu) and event.direction is Direction.REQUEST:
+                self._take(event, now_ns)
+
+    def _take(self, request: Adu, now_ns: int) -> None:
+        if len(self._waiting) >= MAX_WAITING:
+            return
+        answer = self._responder.respond(request.unit, request.pdu, now_ns)
+        if answer is not None:
+            due_ns = request.end_ns + max(answer.delay_ns, self.link.format.t3_5_ns)
+            for later_ns, data in wire_pieces(answer, request.transport, request.unit):
+                self._waiting.append((due_ns + later_ns, data))
+        if self._on_exchange is not None:
+            self._on_exchange(request, answer)
+
+    def _send_due(self) -> None:
+        """Send the answers that are due before the next read would return."""
+        while self._waiting:
+            due_ns, data = self._waiting[0]
+            rest_ns = due_ns - self._clock()
+            if rest_ns > self.link.format.t3_5_ns or self._stopping.wait(max(rest_ns, 0) / 1e9):
+                return
+            self._waiting.popleft()
+            try:
+                self._port.write(data)
+            except WriteTimeout:  # Half an answer is none.
+                self._port.reset_output_buffer()
+
+
+class _NobodysTurn(BusModel):
+    """No request waits for an answer that the line would bring: what can be a request is one."""
+
+    def judge(
+        self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()
+    ) -> Classification:
+        return super().judge(unit, pdu, at_ns, _one_role(roles or roles_of(pdu)))
+
+    def weigh(self, turn: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
+        is_none = role not in _one_role(roles_of(pdu))
+        return super().weigh(turn, unit, pdu, role, at_ns) + (_NEVER if is_none else 0.0)
+
+    def follow(self, *_: object, **__: object) -> BusState:
+        return BusState()
+
+
+def _one_role(roles: Sequence[Direction]) -> Sequence[Direction]:
+    return [Direction.REQUEST] if Direction.REQUEST in roles else roles

@@ -1,0 +1,105 @@
+"""Keeps what a device keeps over a restart: its non-volatile registers, in a file."""
+
+# The file is TOML in the device's notation, as a file of start values is (image_file.py). It is
+# written whenever one of its registers has changed, before the master has its answer: into a file
+# beside it, which is on the disk before it takes the old one's name. So a crash or a power cut
+# leaves the old state or the new one, and perhaps the file beside it, which the next write takes
+# over: it has one name.
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from typing import TYPE_CHECKING
+
+from mbtool.core import InputError, OutputError, UsageError
+from mbtool.devices import write_reference
+from mbtool.slave.device.image_file import load_image
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mbtool.devices import Profile
+    from mbtool.slave.device.responder import DeviceResponder
+
+
+def keep_state(
+    path: Path,
+    profile: Profile,
+    device: DeviceResponder,
+    on_trouble: Callable[[str], None],
+) -> None:
+    """Give a device the state of a file, if it exists, and write it there from now on.
+
+    Raises UsageError for a device that keeps nothing or a file that says other things, InputError
+    for one that cannot be read, OutputError for one that cannot be written. Where that fails later
+    the device goes on, and `on_trouble` gets a line for the user.
+    """
+    kept = device.behaviour.kept
+    if not kept:
+        raise UsageError(f"{profile.name} keeps nothing over a restart, so --state has no use")
+    path = _resolved(path)
+    if path.exists():
+        if not path.is_file():
+            raise UsageError(f"{path}: is no file; --state wants one that can be written anew")
+        load_image(path, profile, device.image, kept)
+
+    def save() -> None:
+        lines = [f"# What {profile.name} keeps over a restart.\n"]
+        for table, span in kept:
+            values = device.image.get(table, span.start, len(span))
+            lines += [
+                f"{_key(write_reference(profile, table, address))} = {value}\n"
+                for address, value in zip(span, values, strict=True)
+            ]
+        _replace(path, "".join(lines))
+
+    def keep() -> None:
+        try:
+            save()
+        except OSError as error:
+            on_trouble(f"{path}: not written: {error.strerror or error}; its state is not kept")
+
+    try:
+        save()
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    device.behaviour.keep = keep
+
+
+def _resolved(path: Path) -> Path:
+    """Where a file is, or would be, if one can look there. Raises InputError."""
+    try:
+        path = path.resolve()
+        path.exists()
+    except (OSError, RuntimeError) as error:  # A folder that is closed to us, or links in a circle.
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    return path
+
+
+def _key(reference: str) -> str:
+    return reference if reference.isalnum() and reference.isascii() else json.dumps(reference)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Give a file another content, all or nothing. Raises OSError."""
+    beside = path.with_name(f".{path.name}.new")
+    try:
+        with beside.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            beside.unlink()
+        raise
+    if hasattr(os, "O_DIRECTORY"):  # The new name is on the disk when its folder is.
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

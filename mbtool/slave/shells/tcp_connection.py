@@ -1,0 +1,293 @@
+"""One master's connection to a TCP shell: requests in, answers out in their order."""
+
+# A request that comes alone and whole, as nearly all do, is answered where it stands in the buffer.
+# Whatever else comes goes through the splitter: requests in pieces, bytes that are none, RTU
+# frames, and everything while someone watches the exchanges.
+#
+# Answers leave in the order of their requests; one that waits for its time holds up those behind
+# it. One that is spoilt leaves as modbus/distortion.py says, and may end the connection behind it.
+#
+# Timers, by the rules of the device (connection_rules.py): a connection without a whole request for
+# idle_s is closed; a request whose last part does not come within split_s of its first is given up.
+#
+# Holds: the splitter's incomplete ADU, and the answers of Bounds.waiting requests; while there are
+# so many, or the master takes no answers, it is not read from. A read that came just before may add
+# READ_BYTES / 8 more, with RTU frames READ_BYTES / 4 (the shortest ADU has 8 bytes, or 4).
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import math
+import socket
+import struct
+from collections import deque
+from contextlib import suppress
+from typing import TYPE_CHECKING, Protocol
+
+from mbtool.core import Direction
+from mbtool.framing.mbap import MbapSplitter
+from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
+from mbtool.modbus.adu import MAX_TCP_ADU, Adu, Transport
+from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_adu
+from mbtool.modbus.distortion import ConnectionEnding, wire_pieces
+from mbtool.slave.device.connection_policy import Loss
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.modbus.response import Responder, Response
+    from mbtool.slave.device.connection_policy import ConnectionPolicy, KeepAlive, Peer
+    from mbtool.slave.shells.shell import OnExchange
+
+READ_BYTES = 2048
+
+_HEADER = struct.Struct(">HHHB")
+"""Transaction id, protocol id, length, unit."""
+_MODBUS = 0
+
+_GONE = frozenset({errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH})
+"""How TCP reports a master that answers no probe or acknowledges nothing; the last two where the
+network has said why."""
+
+# What keep-alive is set with; a system that lacks one of these names keeps its own setting. Where
+# macOS has TCP_KEEPALIVE the others have TCP_KEEPIDLE.
+_KEEP_START = getattr(socket, "TCP_KEEPIDLE", getattr(socket, "TCP_KEEPALIVE", None))
+_KEEP_INTERVAL = getattr(socket, "TCP_KEEPINTVL", None)
+_KEEP_COUNT = getattr(socket, "TCP_KEEPCNT", None)
+
+
+class Host(Protocol):
+    """What a connection needs of the shell that it belongs to."""
+
+    responder: Responder
+    rules: ConnectionPolicy
+    on_exchange: OnExchange | None
+    clock: Callable[[], int]
+
+    @property
+    def is_rtu(self) -> bool: ...
+
+    @property
+    def waiting(self) -> int: ...
+
+    def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
+        """Ask for leave to stay; None where there is none."""
+
+    def left(self, connection: MasterConnection) -> None:
+        """Say that the connection has ended."""
+
+    def follow_rules(self) -> None:
+        """Look what the rules want, as they have changed."""
+
+
+class MasterConnection(asyncio.BufferedProtocol):
+    """One master."""
+
+    peer: Peer
+    _transport: asyncio.Transport
+
+    def __init__(self, shell: Host) -> None:
+        self._shell = shell
+        self._responder = shell.responder
+        self._clock = shell.clock
+        self._rules = shell.rules
+        self._loop = asyncio.get_running_loop()
+        self._bytes = bytearray(READ_BYTES)
+        self._buffer = memoryview(self._bytes)
+        self._splitter: MbapSplitter | RtuStreamSplitter
+        self._splitter = (RtuStreamSplitter if shell.is_rtu else MbapSplitter)(Direction.REQUEST)
+        self._reads_in_place = not shell.is_rtu and shell.on_exchange is None
+        self._is_in_pieces = False
+        """The splitter holds the beginning of a request, or has lost its place."""
+        self._waiting: deque[tuple[int, bytes | ConnectionEnding]] = deque()
+        """Answers, or pieces of them, and what ends the connection; and when they are due."""
+        self._has_ended = False
+        """The master sends no more."""
+        self._peer_is_slow = False
+        self._is_paused = False
+        self._last_request_ns = self._clock()
+        self._loss = Loss.CLOSED
+        self._send_timer: asyncio.TimerHandle | None = None
+        self._idle_timer: asyncio.TimerHandle | None = None
+        self._split_timer: asyncio.TimerHandle | None = None
+
+    def abort(self) -> None:
+        self._transport.abort()
+
+    def keep_alive(self, setting: KeepAlive | None) -> None:
+        """Have TCP look after a silent master, or not."""
+        sock = self._transport.get_extra_info("socket")
+        with suppress(OSError):  # The connection may have broken just now; asyncio will say so.
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, setting is not None)
+            if setting is None:
+                return
+            for option, value in (
+                (_KEEP_START, setting.start_s),
+                (_KEEP_INTERVAL, setting.interval_s),
+                (_KEEP_COUNT, setting.count),
+            ):
+                if option is not None:
+                    sock.setsockopt(socket.IPPROTO_TCP, option, value)
+
+    # What asyncio calls.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        host = (transport.get_extra_info("peername") or ("",))[0]
+        peer = self._shell.arrived(self, host)
+        if peer is None:
+            transport.abort()
+            return
+        self.peer = peer
+        self.keep_alive(self._rules.keep_alive)
+        self._watch_idle()
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        now_ns = self._clock()
+        self.peer.heard_ns = now_ns
+        if not self._answer_in_place(nbytes, now_ns):
+            self._split(bytes(self._buffer[:nbytes]), now_ns)
+        if self._rules.changed:
+            self._shell.follow_rules()
+        if self._waiting:
+            self._send_due()
+
+    def eof_received(self) -> bool:
+        """A master that has said all still gets the answers that wait."""
+        self._has_ended = True
+        return bool(self._waiting)
+
+    def pause_writing(self) -> None:
+        self._peer_is_slow = True
+        self._pause_or_resume_reading()
+
+    def resume_writing(self) -> None:
+        self._peer_is_slow = False
+        self._pause_or_resume_reading()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        for timer in (self._send_timer, self._idle_timer, self._split_timer):
+            if timer is not None:
+                timer.cancel()
+        if hasattr(self, "peer"):
+            is_gone = isinstance(exc, OSError) and exc.errno in _GONE
+            loss = Loss.NOT_ALIVE if is_gone else self._loss
+            self._rules.lost(self.peer, loss, self._clock())
+            self._shell.left(self)
+
+    # Their parts.
+
+    def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
+        """Answer what is one whole request; False, and nothing done, where it is anything else."""
+        if self._is_in_pieces or not self._reads_in_place or not MBAP_BYTES < nbytes <= MAX_TCP_ADU:
+            return False
+        transaction_id, protocol, length, unit = _HEADER.unpack_from(self._bytes)
+        if protocol != _MODBUS or length != nbytes - MBAP_BYTES + 1:
+            return False
+        pdu = bytes(self._buffer[MBAP_BYTES:nbytes])
+        answer = self._responder.respond(unit, pdu, now_ns)
+        self._last_request_ns = now_ns
+        if answer is None:
+            return True
+        if answer.delay_ns or answer.spoiling is not None or self._waiting:
+            self._put(answer, transaction_id, unit, now_ns)
+        else:
+            self._transport.write(mbap_adu(transaction_id, unit, answer.pdu))
+        return True
+
+    def _split(self, data: bytes, now_ns: int) -> None:
+        """Take what is no single whole ADU."""
+        events = self._splitter.feed(data, now_ns)
+        for event in events:
+            if isinstance(event, Adu):
+                answer = self._responder.respond(event.unit, event.pdu, now_ns)
+                self._last_request_ns = now_ns
+                if answer is not None:
+                    self._put(answer, event.transaction_id, event.unit, now_ns)
+                if self._shell.on_exchange is not None:
+                    self._shell.on_exchange(event, answer)
+                if (self._rules.closed_until_ns or 0) > now_ns:
+                    break  # What stands behind a remote reset is lost with its connection.
+        self._is_in_pieces = not self._splitter.is_idle
+        self._watch_parts(has_ended_one=bool(events))
+
+    def _put(self, answer: Response, transaction_id: int | None, unit: int, now_ns: int) -> None:
+        """Have an answer leave when it is due, spoilt if it is to be."""
+        due_ns = last_ns = now_ns + answer.delay_ns
+        transport = Transport.RTU_TCP if transaction_id is None else Transport.TCP
+        for after_ns, piece in wire_pieces(answer, transport, unit, transaction_id or 0):
+            last_ns = due_ns + after_ns
+            self._waiting.append((last_ns, piece))
+        if answer.spoiling is not None and answer.spoiling.ending is not None:
+            self._waiting.append((last_ns, answer.spoiling.ending))
+
+    def _send_due(self) -> None:
+        """Send what is due, and come back for the next."""
+        if self._send_timer is not None:
+            self._send_timer.cancel()
+            self._send_timer = None
+        now_ns = self._clock()
+        due = bytearray()
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            _, part = self._waiting.popleft()
+            if isinstance(part, ConnectionEnding):
+                self._end(bytes(due), part)
+                return
+            due += part
+        if due:
+            self._transport.write(bytes(due))
+        if self._waiting:
+            rest_s = (self._waiting[0][0] - now_ns) / 1e9
+            self._send_timer = self._loop.call_later(rest_s, self._send_due)
+        elif self._has_ended:
+            self._transport.close()
+            return
+        self._pause_or_resume_reading()
+
+    def _end(self, last: bytes, ending: ConnectionEnding) -> None:
+        """Send the last bytes and close the connection, or cut it off."""
+        self._waiting.clear()
+        if last:
+            self._transport.write(last)
+        if ending is ConnectionEnding.CLOSE:
+            self._transport.close()
+            return
+        sock = self._transport.get_extra_info("socket")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._transport.abort()
+
+    def _pause_or_resume_reading(self) -> None:
+        pauses = self._peer_is_slow or len(self._waiting) >= self._shell.waiting
+        if pauses is not self._is_paused:
+            self._is_paused = pauses
+            if pauses:
+                self._transport.pause_reading()
+            else:
+                self._transport.resume_reading()
+
+    def _watch_idle(self) -> None:
+        """Close a connection that has been idle too long, else look again when it could be."""
+        if math.isinf(self._rules.idle_s):
+            return
+        rest_s = self._rules.idle_s - (self._clock() - self._last_request_ns) / 1e9
+        if rest_s <= 0:
+            self._transport.abort()
+        else:
+            self._idle_timer = self._loop.call_later(rest_s, self._watch_idle)
+
+    def _watch_parts(self, *, has_ended_one: bool) -> None:
+        """Give a request time from its first part to its last."""
+        if self._split_timer is not None and (has_ended_one or not self._is_in_pieces):
+            self._split_timer.cancel()
+            self._split_timer = None
+        if self._is_in_pieces and self._split_timer is None and math.isfinite(self._rules.split_s):
+            self._split_timer = self._loop.call_later(self._rules.split_s, self._give_up)
+
+    def _give_up(self) -> None:
+        self._loss = Loss.SPLIT
+        self._transport.abort()

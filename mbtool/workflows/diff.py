@@ -1,0 +1,86 @@
+"""Compares two captures or logs by meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.devices import Difference, NamedTransaction, Span, parse_span
+from mbtool.replay import Ignored, Traffic, differences
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+
+if TYPE_CHECKING:
+    from mbtool.devices import Profile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiffOptions:
+    """What is compared, and what is not."""
+
+    reading: ReadingOptions
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    ignore: Sequence[str] = ()
+    """Ranges of registers whose values may differ, as the devices or mbtool write them."""
+    latency: bool = True
+
+
+class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+    """Two captures, how much they hold, and in what they differ."""
+
+    a: str
+    b: str
+    a_transactions: int
+    b_transactions: int
+    is_whole: bool
+    """Whether all was compared: False where a bound left something out (replay/traffic.py)."""
+    differences: list[Difference]
+
+
+def compare(
+    a: str, b: str, options: DiffOptions, on_remark: Callable[[str], None] = lambda _: None
+) -> Comparison:
+    """Read both and compare them. Of a file that is cut or damaged what is there is compared.
+
+    `on_remark` is told what there is to know of the files. Raises InputError where one cannot be
+    read or has no transactions, UsageError for a range that no device has.
+    """
+    traffic, profiles = [], dict[str, "Profile"]()
+    for path in (a, b):
+        reading = Reading([path], options.reading)
+        read = _traffic(path, reading, options, on_remark)
+        if not read.count:
+            raise InputError(f"{path}: no transaction to compare; see what it holds with decode")
+        traffic.append(read)
+        profiles |= {each.name: each for each in reading.assignments.profiles}
+    ignored = Ignored(spans=_spans(options.ignore, profiles), latency=not options.latency)
+    return Comparison(
+        a=a,
+        b=b,
+        a_transactions=traffic[0].count,
+        b_transactions=traffic[1].count,
+        is_whole=all(each.is_whole for each in traffic),
+        differences=differences(traffic[0], traffic[1], profiles, ignored),
+    )
+
+
+def _traffic(
+    path: str, reading: Reading, options: DiffOptions, on_remark: Callable[[str], None]
+) -> Traffic:
+    traffic = Traffic()
+    try:
+        for record in reading.records():
+            if not isinstance(record, WireEvent) and options.wanted(record):
+                traffic.add(record)
+    except (CutError, DamageError) as error:
+        on_remark(f"{error}; comparing what is there")
+    for remark in reading.remarks:
+        on_remark(f"{path}: {remark}" if path not in remark else remark)
+    return traffic
+
+
+def _spans(texts: Sequence[str], profiles: dict[str, Profile]) -> list[Span]:
+    return [parse_span(text, profiles.values()) for text in texts]

@@ -1,0 +1,138 @@
+"""Plays a recording onto a serial line: every byte of both sides."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from mbtool.core import LinkSpec, SerialLink, UsageError
+from mbtool.devices import NamedTransaction
+from mbtool.ports.serial_opening import open_port, port_in_use
+from mbtool.replay import BusPlayer, PlayClock, Steering, TimeRange
+from mbtool.workflows.shared.bus_recording import read_pieces
+from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.recorded import unwatched
+
+if TYPE_CHECKING:
+    from mbtool.replay import PlayerControls
+    from mbtool.workflows.shared.recorded import Watch
+
+_NS = 1_000_000_000
+_LOOP_GAP_NS = _NS
+_LOOK_NS = 30_000_000
+"""How often the player looks whether it shall stop, and who steers it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusOptions:
+    """How a recording is played as the bus."""
+
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    rate: Fraction | None = Fraction(1)
+    """Recorded time for each real time; None: as fast as the line carries it."""
+    is_loop: bool = False
+    window: TimeRange = field(default_factory=TimeRange)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusReport:
+    """What came of it."""
+
+    pieces: int
+    bytes: int
+    held: int
+    """How many pieces the line delayed."""
+    lateness_p99_ns: int | None
+    """How much later than its time a piece left, where the line did not delay it."""
+
+
+def line_link(link: LinkSpec) -> SerialLink:
+    """The same link, if a bus can be played on it. Raises UsageError."""
+    if not isinstance(link, SerialLink):
+        raise UsageError(
+            f"link {link}: a bus is a serial line: rtu:PORT@19200-8E1 or ascii:PORT@9600-7E1"
+        )
+    link.demand_one_port()
+    return link
+
+
+class BusRun:
+    """A recording that was read, ready to be played on a line."""
+
+    def __init__(
+        self,
+        path: str,
+        options: BusOptions,
+        link: SerialLink,
+        on_remark: Callable[[str], None] = lambda _: None,
+        watch: Watch = unwatched,
+    ) -> None:
+        """Read the recording. Raises InputError where there is nothing to play, UsageError."""
+        self._options = options
+        self._link = link
+        self.pieces = read_pieces(
+            path, options.reading, options.wanted, options.window, link, on_remark, watch
+        )
+
+    @property
+    def length_ns(self) -> int:
+        """Until the last piece begins, or the window ends."""
+        window = self._options.window
+        if window.end_ns is not None:
+            return window.end_ns - window.start_ns
+        return self.pieces[-1].place_ns
+
+    def play(
+        self, *, stops: Callable[[], bool] = lambda: False, desk: PlayerControls | None = None
+    ) -> BusReport:
+        """Send every byte. `stops` is asked again and again whether to end early.
+
+        Raises LinkError.
+        """
+        link, options = self._link, self._options
+        clock = PlayClock(
+            self.length_ns, rate=options.rate, gap_ns=_LOOP_GAP_NS, is_loop=options.is_loop
+        )
+        player = BusPlayer(
+            self.pieces,
+            clock,
+            character_ns=link.format.character_ns,
+            silence_ns=link.format.t3_5_ns,
+        )
+        steering = Steering(clock, player.let_go)
+        with closing(open_port(link, timeout_s=0)) as port, port_in_use(link):
+            steering.begin(time.monotonic_ns())
+            while not player.has_ended and not stops():
+                now_ns = time.monotonic_ns()
+                if desk is not None:
+                    steering.attend(desk, now_ns, f"{player.bytes:,} bytes")
+                piece = player.next_piece(now_ns)
+                if piece is not None:
+                    port.write(piece.data)
+                    continue
+                wake_ns = player.wake_ns(now_ns)
+                rest_ns = _LOOK_NS if wake_ns is None else min(wake_ns - now_ns, _LOOK_NS)
+                time.sleep(max(rest_ns, 0) / _NS)
+            _let_pass(player)
+        return _report(player, options)
+
+
+def _let_pass(player: BusPlayer) -> None:
+    """Wait until the last byte has left the port, which closing it could cut off."""
+    if player.passed_ns is not None:
+        time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
+
+
+def _report(player: BusPlayer, options: BusOptions) -> BusReport:
+    late = sorted(player.lateness.values)
+    return BusReport(
+        pieces=player.sent,
+        bytes=player.bytes,
+        held=player.held if options.rate else 0,
+        lateness_p99_ns=late[len(late) * 99 // 100] if late and options.rate else None,
+    )

@@ -1,0 +1,216 @@
+"""Plays a recording as the master, and compares what a slave answers with what was recorded."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.core import CutError, DamageError, InputError
+from mbtool.devices import Difference, NamedTransaction, Span, parse_span, write_reference
+from mbtool.master.links import open_master
+from mbtool.replay import (
+    Conductor,
+    Judge,
+    PlayClock,
+    PlayerControls,
+    RequestReport,
+    Script,
+    Steering,
+    Step,
+    TimeRange,
+    Tolerance,
+)
+from mbtool.views.junit import Case, junit_xml
+from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none, within
+
+if TYPE_CHECKING:
+    from mbtool.core import LinkSpec
+    from mbtool.devices import Profile
+    from mbtool.workflows.shared.recorded import Watch
+
+_NS = 1_000_000_000
+_LOOK_NS = 200_000_000
+"""How often a player looks whether it shall stop, while nothing happens."""
+_STEERED_NS = 30_000_000
+"""The same where someone steers it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterOptions:
+    """How a recording is played as the master."""
+
+    reading: ReadingOptions
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    rate: Fraction | None = Fraction(1)
+    """Recorded time for each real time; None: as fast as answers come."""
+    is_loop: bool = False
+    window: TimeRange = field(default_factory=TimeRange)
+    timeout_ns: int = _NS
+    ignore: Sequence[str] = ()
+    """Ranges of registers whose values may differ."""
+    learns: bool = False
+    """Note which registers differ, in place of telling it as a difference."""
+    tolerance: Tolerance | None = None
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What came of it."""
+
+    recording: str
+    link: str
+    requests: int
+    """How many were sent."""
+    different: int
+    """How many answers were not as recorded."""
+    unsolicited: int
+    """Answers that no open request was for."""
+    lateness_p99_ns: int | None
+    """How much later than its recorded time a request left, where it waited for nothing else."""
+    asked: list[RequestReport]
+    differences: list[Difference]
+    learned: list[str] = field(default_factory=list)
+    """Registers that differed, as --ignore takes them, where the run was to learn them."""
+
+
+class MasterRun:
+    """A recording that was read, ready to be played on a link."""
+
+    def __init__(
+        self,
+        path: str,
+        options: MasterOptions,
+        on_remark: Callable[[str], None] = lambda _: None,
+        watch: Watch = unwatched,
+    ) -> None:
+        """Read the recording. Of a file that is cut or damaged what is there is played.
+
+        Raises InputError where there is nothing to ask, UsageError.
+        """
+        self._path = path
+        self._on_remark = on_remark
+        self._options = options
+
+        def on_cut(error: CutError | DamageError) -> None:
+            on_remark(f"mbtool: {error}; playing what is there")
+
+        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
+        profiles = recorded.assignments.profiles
+        self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
+        self.script = Script.of(within(recorded.transactions, options.window))
+        if not self.script.steps:
+            raise InputError(f"{path}: no request to ask{where_none(options.window)}")
+        self._spans: list[Span] = [
+            parse_span(text, self._profiles.values()) for text in options.ignore
+        ]
+
+    def play(
+        self,
+        link: LinkSpec,
+        *,
+        stops: Callable[[], bool] = lambda: False,
+        on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
+        desk: PlayerControls | None = None,
+    ) -> Report:
+        """Ask all that was recorded, and compare the answers.
+
+        `stops` is asked again and again whether to end early; `on_answer` gets each step, its
+        answer or None, and whether that is right; at the `desk` someone steers. Raises LinkError,
+        UsageError.
+        """
+        options = self._options
+        judge = Judge(
+            profiles=self._profiles,
+            spans=self._spans,
+            learns=options.learns,
+            tolerance=options.tolerance,
+        )
+        clock = PlayClock(
+            self.script.length_ns, rate=options.rate, gap_ns=_NS, is_loop=options.is_loop
+        )
+        with open_master(link, options.timeout_ns, self._on_remark) as master:
+            conductor = Conductor(self.script, clock, judge, master.limits)
+            steering = Steering(clock, conductor.let_go)
+            look_ns = _LOOK_NS if desk is None else _STEERED_NS
+            steering.begin(time.monotonic_ns())
+            while not conductor.has_ended and not stops():
+                now_ns = time.monotonic_ns()
+                if desk is not None:
+                    done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
+                    steering.attend(desk, now_ns, done)
+                for number in master.lost():
+                    for gone, is_right in conductor.give_up(number, now_ns):
+                        on_answer(gone, None, is_right)
+                step = conductor.next_step(now_ns)
+                if step is not None:
+                    master.send(step.number, step.unit, step.pdu)
+                    conductor.has_left(step, time.monotonic_ns())
+                    continue
+                for late, is_right in conductor.expire(now_ns):
+                    on_answer(late, None, is_right)
+                wake_ns = conductor.wake_ns(now_ns)
+                rest_ns = look_ns if wake_ns is None else min(wake_ns - now_ns, look_ns)
+                for answer in master.receive(rest_ns):
+                    agrees = conductor.answered(*answer)
+                    if agrees is not None:
+                        on_answer(self.script.steps[answer.number], answer.pdu, agrees)
+        return self._report(link, conductor, judge)
+
+    def _report(self, link: LinkSpec, conductor: Conductor, judge: Judge) -> Report:
+        late = sorted(conductor.lateness.values)
+        return Report(
+            recording=self._path,
+            link=str(link),
+            requests=conductor.sent,
+            different=judge.wrong,
+            unsolicited=conductor.strays,
+            lateness_p99_ns=late[len(late) * 99 // 100] if late and self._options.rate else None,
+            asked=judge.requests(),
+            differences=judge.differences(),
+            learned=[_written(span) for _, span in judge.learned()] if self._options.learns else [],
+        )
+
+
+def junit(report: Report) -> str:
+    """The report as JUnit XML: a case for each request, and one for each register that differs.
+
+    A request fails where one of its answers was not as recorded, be it by a value only.
+    """
+    told = defaultdict(list)
+    for each in report.differences:
+        told[each.unit, each.function, each.reference or ""].append(_told(each))
+    cases = [
+        Case(
+            f"unit {one.unit}",
+            f"{one.what} {one.reference}".rstrip(),
+            [*_counted(one), *told[one.unit, one.function, one.reference]],
+        )
+        for one in report.asked
+    ]
+    cases += [
+        Case(f"unit {each.unit}", f"value of {each.reference}", [_told(each)])
+        for each in report.differences
+        if each.function is None
+    ]
+    return junit_xml(report.recording, cases)
+
+
+def _counted(request: RequestReport) -> list[str]:
+    if not request.different:
+        return []
+    return [f"{request.different:,} of {request.count:,} answers not as recorded"]
+
+
+def _told(difference: Difference) -> str:
+    return f"recorded {difference.a.text}, answered {difference.b.text}"
+
+
+def _written(span: Span) -> str:
+    """A range in the neutral notation, which means the same with any profile and without one."""
+    return write_reference(None, span.table, span.first, span.last - span.first + 1)

@@ -1,0 +1,214 @@
+"""Plays a recording's slaves."""
+
+from __future__ import annotations
+
+import random
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import InputError, SerialLink, UsageError
+from mbtool.devices import NamedTransaction
+from mbtool.modbus import Transport
+from mbtool.replay import (
+    FixedLatency,
+    LatencyModel,
+    MatchStrategy,
+    OnEnd,
+    OnMiss,
+    RecordedLatency,
+    RecordedSlave,
+    Recording,
+    SampledLatency,
+    TimeRange,
+)
+from mbtool.slave.device import RegisterImage
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import open_shell, slave_link
+from mbtool.workflows.shared.faults import faulty
+from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none
+
+if TYPE_CHECKING:
+    from mbtool.core import CutError, DamageError, LinkSpec, TcpLink
+    from mbtool.devices import Profile
+    from mbtool.modbus import Responder, Response, Table
+    from mbtool.replay import Control, Progress
+    from mbtool.slave.shells import Shell
+    from mbtool.workflows.shared.recorded import Recorded, Watch
+
+RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
+_DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
+MAX_LATENCY_NS = 1_000_000_000_000
+_UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+_SEED = 0
+"""What is drawn by chance is the same in each run."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveOptions:
+    """How a recording is played as the slave."""
+
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    match: MatchStrategy = MatchStrategy.AUTO
+    on_miss: OnMiss = OnMiss.IMAGE
+    on_end: OnEnd = OnEnd.LAST
+    rate: Fraction | None = Fraction(1)
+    """Recorded time for each real time; None: without latencies."""
+    window: TimeRange = field(default_factory=TimeRange)
+    latency: str = RECORDED
+    """Or none, sampled, or a time such as 5ms."""
+    with_damage: bool = False
+    """Answers that were damaged are played, too."""
+    fault_file: Path | None = None
+
+
+class SlaveRun:
+    """A recording that was read, ready to answer on a link."""
+
+    def __init__(
+        self,
+        path: str,
+        options: SlaveOptions,
+        on_remark: Callable[[str], None] = lambda _: None,
+        watch: Watch = unwatched,
+    ) -> None:
+        """Read the recording. Of a file that is cut or damaged what is there is played.
+
+        Raises InputError where there is nothing to answer, UsageError.
+        """
+        if options.rate is None and options.match.by_clock:
+            raise UsageError(
+                f"--match {options.match} goes by the recording's clock, which cannot be "
+                "as fast as can be; give --speed a number"
+            )
+        self._fixed_ns = _fixed_latency_ns(options.latency)
+        self._options = options
+
+        def on_cut(error: CutError | DamageError) -> None:
+            on_remark(f"mbtool: {error}; playing what is there")
+
+        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
+        events = recorded.damage if options.with_damage else ()
+        self.recording = Recording.of(recorded.transactions, options.window, events)
+        # What else was read is let go: it is several times as much.
+        self._profiles = recorded.assignments.profiles
+        self._profile_of = _profile_of_units(recorded)
+        if not self.recording.answers:
+            raise InputError(
+                f"{path}: no request to play an answer for{where_none(options.window)}"
+            )
+
+    def on(self, link: LinkSpec, *, allow_remote: bool = False) -> PlayedSlave:
+        """The recording's slaves on a link, not yet started. Raises InputError, UsageError."""
+        where = slave_link(link)
+        options = self._options
+        devices = {}
+        if options.match is MatchStrategy.AUTO:
+            devices = {unit: RecordedDevice(one) for unit, one in self._profile_of.items()}
+        slave = RecordedSlave(
+            self.recording,
+            match=options.match,
+            on_miss=options.on_miss,
+            on_end=options.on_end,
+            rate=options.rate,
+            latency=self._latency(),
+            devices=devices,
+            transport=_transport(where),
+            with_damage=options.with_damage,
+        )
+        spoilt: Responder = slave
+        if options.fault_file is not None:
+            spoilt = faulty(slave, options.fault_file, where, self._profiles)
+        return PlayedSlave(slave, spoilt, where, allow_remote=allow_remote)
+
+    def _latency(self) -> LatencyModel:
+        if self._fixed_ns is not None:
+            return FixedLatency(self._fixed_ns)
+        if self._options.latency == SAMPLED:
+            return SampledLatency(self.recording, random.Random(_SEED).random)
+        return RecordedLatency(self.recording)
+
+
+class PlayedSlave:
+    """A recording's slaves on a link: answered in the shell's thread, steered from another."""
+
+    def __init__(
+        self,
+        slave: RecordedSlave,
+        spoilt: Responder,
+        link: SerialLink | TcpLink,
+        *,
+        allow_remote: bool,
+    ) -> None:
+        self._slave = slave
+        self._spoilt = spoilt
+        self._lock = threading.Lock()
+        self.shell: Shell = open_shell(link, self, allow_remote=allow_remote)
+
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
+        with self._lock:
+            # One clock for whoever asks and whoever steers.
+            return self._spoilt.respond(unit, pdu, time.monotonic_ns())
+
+    def control(self, control: Control) -> None:
+        """Do what someone at the keyboard wants."""
+        with self._lock:
+            self._slave.control(control, time.monotonic_ns())
+
+    def progress(self) -> Progress:
+        with self._lock:
+            return self._slave.progress(time.monotonic_ns())
+
+
+class RecordedDevice:
+    """A device that answers what its recording does not know, in step with what it does."""
+
+    def __init__(self, profile: Profile) -> None:
+        self._image = RegisterImage.of(profile)
+        self._device = make_device(profile, self._image)
+
+    def learn(self, table: Table, address: int, value: int) -> None:
+        self._image.set(table, address, [value])
+
+    def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
+        return self._device.respond(unit, pdu, now_ns)
+
+
+def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
+    """The profile of each unit that has one."""
+    profiles: dict[int, Profile] = {}
+    for transaction in recorded.transactions:
+        profile = recorded.assignments.profile_for(transaction)
+        if profile is not None:
+            profiles.setdefault(transaction.unit, profile)
+    return profiles
+
+
+def _transport(link: SerialLink | TcpLink) -> Transport:
+    if isinstance(link, SerialLink):
+        return Transport.ASCII if link.ascii else Transport.RTU
+    return Transport.RTU_TCP if link.rtu else Transport.TCP
+
+
+def _fixed_latency_ns(text: str) -> int | None:
+    """What --latency says where it is a time; None for a word. Raises UsageError."""
+    if text in (RECORDED, SAMPLED):
+        return None
+    if text == NONE:
+        return 0
+    match = _DURATION.fullmatch(text)
+    if match is None:
+        raise UsageError(
+            f"--latency {text!r}: write {RECORDED}, {NONE}, {SAMPLED}, or a time such as 5ms"
+        )
+    latency_ns = int(Fraction(match[1]) * _UNITS_NS[match[2]])
+    if latency_ns > MAX_LATENCY_NS:
+        raise UsageError(f"--latency {text}: no master waits so long; write 1000s at most")
+    return latency_ns

@@ -1,0 +1,208 @@
+"""Reads a recording into the pieces of a line that is to be played: every byte of both sides."""
+
+# A serial line's bytes come from the evidence as they were captured, with the silences between
+# reads; what a read brought in one go began so many characters before its time. Where there was
+# the silence that parts frames, there will be one, however fast it is played. A network's
+# messages are framed for the line, each transaction's answer behind its request, since a line
+# carries one at a time: the next request waits for the answer, also where a master had several
+# requests open.
+#
+# One line at a time can be played; --where 'link == ...' chooses it. What else --where leaves out
+# is left out of a network's messages only: a line's bytes are played whole.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core import (
+    Chunk,
+    CutError,
+    DamageError,
+    InputError,
+    LineSettings,
+    SerialFormat,
+    SerialLink,
+    Stamp,
+    UsageError,
+    parse_link,
+)
+from mbtool.logs import LogReader
+from mbtool.logs.links import SPEC
+from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
+from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
+from mbtool.replay import ByteRun, TimeRange
+from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
+from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.workflows.shared.reading import ReadingOptions
+    from mbtool.workflows.shared.recorded import Watch
+
+MAX_PIECE = 256
+"""No piece is longer, so that a port takes it at once."""
+
+
+class Begun(NamedTuple):
+    """Bytes and when the first of them began."""
+
+    begin_ns: int
+    data: bytes
+    after_silence: bool
+
+
+def read_pieces(
+    path: str,
+    options: ReadingOptions,
+    wanted: Callable[[NamedTransaction], bool],
+    window: TimeRange,
+    link: SerialLink,
+    on_remark: Callable[[str], None],
+    watch: Watch = unwatched,
+) -> list[ByteRun]:
+    """What a link is to carry, in order of time, from the window's beginning on.
+
+    Raises InputError where there is nothing, UsageError.
+    """
+
+    def on_cut(error: CutError | DamageError) -> None:
+        on_remark(f"mbtool: {error}; playing what is there")
+
+    transactions = read_recorded(path, options, wanted, on_cut, on_remark, watch).transactions
+    lines = {one.link for one in transactions if one.transport.is_serial}
+    _demand_one_line(path, lines, transactions)
+    if lines:
+        begun = _of_line(path, options, lines.pop(), link, on_remark)
+    else:
+        begun = _framed(transactions, is_ascii=link.ascii)
+        if any(one.unit == 0 and one.response_raw is not None for one in transactions):
+            on_remark(
+                f"{path}: unit 0 answers in it, and on a line unit 0 is a broadcast: "
+                "listeners take its answers for unasked ones"
+            )
+    first_ns = begun[0].begin_ns if begun else 0
+    pieces = [
+        ByteRun(one.begin_ns - first_ns - window.start_ns, one.data, one.after_silence)
+        for one in begun
+        if one.begin_ns - first_ns in window
+    ]
+    if not pieces:
+        raise InputError(f"{path}: nothing to play{where_none(window)}")
+    return pieces
+
+
+def _demand_one_line(path: str, lines: set[str], transactions: list[NamedTransaction]) -> None:
+    others = {one.link for one in transactions} - lines
+    if len(lines) > 1 or (lines and others):
+        few = sorted(lines)
+        more = f" and {len(others)} of a network" if others else ""
+        raise UsageError(
+            f"{path}: has several lines ({', '.join(few[:4])}{more}), and a bus is one; "
+            f"choose it with --where 'link == \"{few[0]}\"'"
+        )
+
+
+def _framed(transactions: Iterable[NamedTransaction], *, is_ascii: bool) -> list[Begun]:
+    adu = ascii_adu if is_ascii else rtu_adu
+    begun: list[Begun] = []
+    last_ns = 0
+    for one in sorted(transactions, key=lambda each: each.start_ns):
+        for at_ns, raw in ((one.request_ns, one.request_raw), (one.response_ns, one.response_raw)):
+            pdu = whole_pdu(one.transport, raw)
+            if at_ns is not None and pdu is not None:
+                last_ns = max(last_ns, at_ns)
+                begun.append(Begun(last_ns, adu(one.unit, pdu), after_silence=True))
+    return begun
+
+
+def _of_line(
+    path: str,
+    options: ReadingOptions,
+    name: str,
+    link: SerialLink,
+    on_remark: Callable[[str], None],
+) -> list[Begun]:
+    """The bytes of a line as they were captured."""
+    if path == STANDARD_INPUT:
+        raise UsageError("standard input: the bytes of a line are read twice; name a file")
+    pieces: list[_Heard] = []
+    untimed = False
+    try:
+        for line, chunk in _evidence(path, options):
+            if chunk.link != name:
+                continue
+            if line.ascii != link.ascii:
+                right = f"{'ascii' if line.ascii else 'rtu'}:{link.port}@{line.format}"
+                raise UsageError(f"{path}: {line} is what was recorded; play it on {right}")
+            untimed = untimed or chunk.stamp is Stamp.UNKNOWN
+            pieces += _cut(chunk, line.format)
+    except (CutError, DamageError):
+        pass  # It was told when the transactions were read.
+    if untimed:
+        on_remark(f"{path}: says nothing of when its bytes came: they follow without a silence")
+    # By their ends: where the rate is taken for too low, a long piece seems to begin before the one
+    # that it follows.
+    pieces.sort(key=lambda one: one.end_ns)
+    begun: list[Begun] = []
+    end_ns: int | None = None
+    for one in pieces:
+        begin_ns = one.begin_ns if end_ns is None else max(one.begin_ns, begun[-1].begin_ns)
+        silent = end_ns is None or one.begin_ns - end_ns >= one.silence_ns
+        begun.append(Begun(begin_ns, one.data, silent))
+        end_ns = one.end_ns
+    return begun
+
+
+class _Heard(NamedTuple):
+    """Bytes, from when to when they passed, and what parted frames on that line."""
+
+    begin_ns: int
+    end_ns: int
+    data: bytes
+    silence_ns: int
+
+
+def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
+    """A chunk in pieces that are not too long."""
+    character_ns = line.character_ns
+    begin_ns = chunk.ts_ns
+    if chunk.stamp is not Stamp.AT_ONCE:
+        begin_ns -= len(chunk.data) * character_ns
+    for start in range(0, len(chunk.data), MAX_PIECE):
+        data = chunk.data[start : start + MAX_PIECE]
+        at_ns = begin_ns + start * character_ns
+        yield _Heard(at_ns, at_ns + len(data) * character_ns, data, line.t3_5_ns)
+
+
+def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings, Chunk]]:
+    """The serial bytes of a file, and of which line they are."""
+    given = options.line or LineSettings(SerialFormat())
+    with open_capture(path, options.line) as capture:
+        if capture.kind is CaptureKind.MCAP:
+            log = LogReader(capture.stream, capture.name)
+            lines: dict[str, LineSettings | None] = {}
+            for item in log.evidence():
+                if item.link not in lines:  # Here, since links may be told behind the first item.
+                    lines[item.link] = _settings(log.links.get(item.link, {}).get(SPEC))
+                line = lines[item.link]
+                if isinstance(item, Chunk) and line is not None:
+                    yield line, item
+        elif capture.kind in PACKET_KINDS:
+            types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if options.line is not None else set())
+            for packet in capture.packets():
+                for piece in serial_pieces(packet) if packet.link_type in types else ():
+                    if isinstance(piece, Chunk):
+                        yield given, piece
+        else:
+            settings, pieces = capture.serial(options.line)
+            for piece in pieces:
+                if isinstance(piece, Chunk):
+                    yield settings, piece
+
+
+def _settings(spec: str | None) -> LineSettings | None:
+    """What a log's link is like; None where it is no line."""
+    link = None if spec is None else parse_link(spec)
+    return LineSettings(link.format, link.ascii) if isinstance(link, SerialLink) else None

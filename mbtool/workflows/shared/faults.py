@@ -1,0 +1,45 @@
+"""Sets the faults of a file before whatever answers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import SerialLink, UsageError
+from mbtool.slave.faults.fault_file import FaultFile
+from mbtool.slave.faults.faults import FaultKind, FaultySlave
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from mbtool.core import TcpLink
+    from mbtool.devices import Profile
+    from mbtool.modbus import Responder
+
+_ENDINGS = frozenset((FaultKind.CLOSE, FaultKind.RESET))
+
+
+def faulty(
+    responder: Responder, path: Path, link: SerialLink | TcpLink, profiles: Iterable[Profile] = ()
+) -> FaultySlave:
+    """The same responder, with the faults of a file. Raises InputError, UsageError.
+
+    `profiles` are those whose references the file may use.
+    """
+    file = FaultFile(path, profiles)
+    for number, fault in enumerate(file.faults, start=1):
+        reason = _why_not(fault.kind, link)
+        if reason is not None:
+            raise UsageError(f"{path}: fault {number}: {fault.kind} on {link}: {reason}")
+    return FaultySlave(responder, file.faults, seed=file.seed)
+
+
+def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
+    """Why a fault cannot be on a link, and what can."""
+    if kind is FaultKind.BAD_CRC and not isinstance(link, SerialLink) and not link.rtu:
+        return "Modbus/TCP has no checksum; truncated or extra-bytes spoil an answer there"
+    if kind is FaultKind.WRONG_ID and (isinstance(link, SerialLink) or link.rtu):
+        return "only Modbus/TCP has transaction ids; wrong-unit is much the same here"
+    if kind in _ENDINGS and isinstance(link, SerialLink):
+        return "a serial line has no connection to end; no-answer is what it can do"
+    return None

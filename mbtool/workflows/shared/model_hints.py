@@ -1,0 +1,76 @@
+"""Notices slaves that say which model they are, where the user says otherwise, or nothing."""
+
+# The answer to function 42H of an FA3 module is its model code. Naming does not change by it: what
+# a register means would depend on where a reader begins. It is a hint for the user, and a warning
+# where he named another model, whose registers have the same addresses and other meanings.
+#
+# Holds a hint for each slave, MAX_HINTS at most. Built-in profiles are read when the first word of
+# a maker's own function is seen.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.devices import Who, builtin_profiles, load_profile
+from mbtool.devices.identity import answer_word
+from mbtool.devices.matching import model_function, models_of
+from mbtool.modbus import FUNCTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction, Profile
+
+MAX_HINTS = 64
+
+
+class ModelHints:
+    """Hints from the records of one pass."""
+
+    def __init__(self, profile_for: Callable[[NamedTransaction], Profile | None]) -> None:
+        self._profile_for = profile_for
+        self._models: dict[tuple[int, int], Profile] | None = None
+        self._hints: dict[tuple[str, int], str] = {}
+
+    def note(self, record: Record) -> str | None:
+        """Take the next record, and give the hint where it is the first about a slave.
+
+        Records that tell no model cost a look at their function.
+        """
+        if isinstance(record, WireEvent) or record.function in FUNCTIONS:
+            return None
+        word = answer_word(record)
+        where = record.destination or record.link
+        if word is None or (where, record.unit) in self._hints or len(self._hints) >= MAX_HINTS:
+            return None
+        model = self._model(record.function, word)
+        if model is None or record.transport not in model.transports:
+            return None
+        hint = _hint(record, model, self._profile_for(record))
+        if hint is not None:
+            self._hints[where, record.unit] = hint
+        return hint
+
+    @property
+    def remarks(self) -> list[str]:
+        """A line for each slave that is not named by the model that it says it is."""
+        return list(self._hints.values())
+
+    def _model(self, function: int, word: int) -> Profile | None:
+        if self._models is None:
+            self._models = models_of(map(load_profile, builtin_profiles()))
+        return self._models.get((function, word))
+
+
+def _hint(record: NamedTransaction, model: Profile, named_by: Profile | None) -> str | None:
+    who = Who.of_slave(record.destination, record.unit).at_any_port
+    said = f"unit {record.unit} at {record.destination or record.link} is {model.title}, "
+    said += f"as its answer to {record.function:02X}H says"
+    if named_by is None:
+        return f"{said}; name it with --device {who}={model.name}"
+    is_other = named_by.model_code is not None and named_by.model_code != model.model_code
+    if is_other and model_function(named_by) == record.function:
+        return f"{said}, but it is named as {named_by.name}: give --device {who}={model.name}"
+    return None

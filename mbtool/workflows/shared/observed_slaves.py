@@ -1,0 +1,83 @@
+"""Finds out which slaves recordings hold, and what each was asked and answered."""
+
+# Holds what devices/observed_slave.py keeps of each slave, of at most MAX_SLAVES; the
+# transactions of further ones are counted. Values are kept of the slaves that `with_values`
+# picks.
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from mbtool.core import UsageError, WireEvent
+from mbtool.devices.observed_slave import ObservedSlave
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction, Who
+
+MAX_SLAVES = 2048
+_SHOWN = 12
+
+
+class ObservedSlaves:
+    """The slaves of some recordings, in the order in which they were first seen."""
+
+    def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
+        """With `who` only the slaves that it fits."""
+        self._who = who
+        self._with_values = with_values
+        self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
+        self.forgotten = 0
+        """Transactions of slaves beyond the first MAX_SLAVES."""
+
+    def add(self, records: Iterable[Record]) -> None:
+        for record in records:
+            if not isinstance(record, WireEvent):
+                self._note(record)
+
+    def _note(self, transaction: NamedTransaction) -> None:
+        destination, unit = transaction.destination, transaction.unit
+        if self._who is not None and not self._who.fits_slave(destination, unit):
+            return
+        # A slave on a network is where it is, whatever interface heard it.
+        key = (transaction.link if destination is None else "", destination, unit)
+        seen = self._slaves.get(key)
+        if seen is None:
+            if len(self._slaves) >= MAX_SLAVES:
+                self.forgotten += 1
+                return
+            seen = self._slaves[key] = ObservedSlave(*key, with_values=self._with_values)
+        seen.note(transaction)
+
+    @property
+    def slaves(self) -> list[ObservedSlave]:
+        return list(self._slaves.values())
+
+    def only(self, option: str) -> ObservedSlave:
+        """The one slave that there is. Raises UsageError where there are others, or none."""
+        slaves = self.slaves
+        if len(slaves) == 1:
+            return slaves[0]
+        # A unit that never answers is no device to speak of beside one that does.
+        answering = [one for one in slaves if one.answered]
+        if len(answering) == 1:
+            return answering[0]
+        raise UsageError(_which(slaves, answering or slaves, option))
+
+
+def _which(slaves: Sequence[ObservedSlave], choices: Sequence[ObservedSlave], option: str) -> str:
+    if not slaves:
+        return f"{option}: no transaction of such a slave is there"
+    plain = Counter(one.who.at_any_port for one in choices)
+    names = [
+        f"{one.who} on {one.link}"
+        if one.destination is None
+        else str(one.who if plain[one.who.at_any_port] > 1 else one.who.at_any_port)
+        for one in choices
+    ]
+    shown = ", ".join(names[:_SHOWN])
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"{len(choices)} slaves are there: {shown}{more}; name one with {option}"

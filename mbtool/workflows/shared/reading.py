@@ -1,0 +1,440 @@
+"""Reads recordings of any kind into named transactions and events."""
+
+# A packet capture is decoded, and so are the bytes of a serial line in a file, which is a line of
+# its own. A log gives back what was decoded when it was made, or with `raw`
+# decodes its evidence afresh: by the line settings and profiles that it carries, unless the user
+# gives others. Files that are parts of one capture (parts.py), named in their order, are decoded as
+# one: a connection may begin in one and end in the next. Where one is cut or damaged, the next are
+# read all the same, behind a gap.
+#
+# Raises InputError for what cannot be read, and after all else, what was cut (CutError) or damaged
+# (DamageError) first.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import (
+    Chunk,
+    CutError,
+    DamageError,
+    EventKind,
+    InputError,
+    LineSettings,
+    Packet,
+    SerialFormat,
+    SerialLink,
+    Silence,
+    UsageError,
+    WireEvent,
+)
+from mbtool.decode.decoder import Decoder
+from mbtool.decode.line_timing import LineTiming
+from mbtool.devices import Assignments, Namer, profile_from_json
+from mbtool.logs import LogReader, follow
+from mbtool.logs.links import (
+    PORTS,
+    RTU_PORTS,
+    all_assignments,
+    names_any_port,
+    ports_of,
+    serial_lines,
+)
+from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
+from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
+from mbtool.views.cells import clock_time, day
+from mbtool.workflows.shared.capture_parts import Part, Seam
+from mbtool.workflows.shared.heard_line import HeardLine
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from mbtool.decode.decoder import Evidence, Record
+    from mbtool.devices import Profile
+    from mbtool.sources.files import CaptureFile
+
+_SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
+_UNREAD_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
+
+DEFAULT_PORT = 502
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadingOptions:
+    """How to read."""
+
+    assignments: Assignments = field(default_factory=Assignments)
+    ports: Sequence[int] = ()
+    """TCP ports of slaves; none for the log's own, or 502."""
+    rtu_ports: Sequence[int] = ()
+    any_port: bool = False
+    """Look for Modbus in the connections of all other ports, too."""
+    line: LineSettings | None = None
+    """The line that the serial bytes of a file were heard on."""
+    t1_5: Silence | None = None
+    """Silences in place of those that the line has by its settings."""
+    t3_5: Silence | None = None
+    raw: bool = False
+    """Decode a log's evidence afresh."""
+
+
+class Reading:
+    """One pass over some files."""
+
+    def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
+        self._paths = paths
+        self._options = options
+        self._current: CaptureFile | None = None
+        self._decoder: Decoder | None = None
+        """Of the capture that is being read, with what its parts so far have left open."""
+        self._part: Part | None = None
+        self._seam = Seam()
+        self._done = 0
+        self._evidence = 0
+        self._serial_packets = 0
+        """How many pieces of the evidence these are."""
+        self._found = False
+        self._has_read = False
+        self._unread: str | None = None
+        """What was said first of what cannot be looked into."""
+        self._heard: list[HeardLine] = []
+        """Of each file whose serial bytes do not say how fast they were."""
+        self._not_closed: list[str] = []
+        self._broken: list[InputError] = []
+        """What ended files early, or was damaged in them."""
+        self._misordered: list[str] = []
+        self._kinds: set[CaptureKind] = set()
+        self._last_ns = 0
+        """The time of the last record."""
+        self._ports: tuple[Sequence[int], Sequence[int]] = (
+            options.ports or (DEFAULT_PORT,),
+            options.rtu_ports,
+        )
+        self._any_port = options.any_port
+        self.assignments = options.assignments
+        """The profiles in use: those of the options, and those of the log that is being read."""
+        self.captures = 0
+        """How many captures came to their end before the last record; parts of one are one."""
+        self.place = ""
+        """The file that the last record came from."""
+        self.is_log = False
+        """Whether the last record stood in a log as it is."""
+        self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
+        """A serial link's settings; None where the times of its bytes are not known."""
+
+    @property
+    def fraction(self) -> float | None:
+        """How much has been read, 0 to 1; None where that cannot be known."""
+        part = self._current.fraction() if self._current is not None else 0.0
+        return None if part is None else (self._done + part) / len(self._paths)
+
+    @property
+    def why_empty(self) -> str | None:
+        """One line for a reader where a whole pass brought nothing, not even an event."""
+        if self._found or self._done < len(self._paths):
+            return None
+        names = self._names
+        if not self._evidence and not self._kinds <= _SERIAL_KINDS:
+            return f"{names}: empty; there is neither a packet nor a transaction in it"
+        if self._evidence == self._serial_packets:
+            return f"{names}: no byte of a serial line in it"
+        if self._any_port:
+            return f"{names}: no Modbus at any TCP port"
+        ports = {port for some in self._ports for port in some}
+        return (
+            f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
+            "name other ports with --port, for RTU over TCP with --rtu-port"
+        )
+
+    @property
+    def why_unread(self) -> str | None:
+        """One line where all that a pass brought is that the capture cannot be looked into."""
+        if self._unread is None or self._has_read or self._done < len(self._paths):
+            return None
+        return f"{self._names}: nothing in it could be read: {self._unread}"
+
+    @property
+    def _names(self) -> str:
+        names = ("standard input" if one == STANDARD_INPUT else one for one in self._paths)
+        return ", ".join(names)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a reader should know of the files beside what is in them, a line each."""
+        remarks = []
+        heard_names = [heard.name for heard in self._heard if heard.has_bytes]
+        if heard_names and self._options.line is None:
+            first, *others = heard_names
+            names = f"{first} and {len(others)} more" if others else first
+            usual = SerialFormat()
+            remarks.append(f"{names}: taken as {usual}; name the line with --link rtu@{usual}")
+        remarks += [heard.doubt for heard in self._heard if heard.doubt is not None]
+        kinds = self._kinds
+        if self._options.raw and kinds and CaptureKind.MCAP not in kinds:
+            remarks.append("--raw has no effect: it is for logs (.mcap), and there is none")
+        if self._options.line is not None and set() < kinds <= PACKET_KINDS and not self._heard:
+            remarks.append("--link has no effect: these are packets of a network")
+        broken = [str(error) for error in self._broken[1:]]  # The first is raised.
+        return remarks + self._misordered + self._not_closed + broken
+
+    def demand_files(self) -> None:
+        """See that each file is there, named once, and of a kind that can be read.
+
+        A pipe is not looked into, as it can be read only once. Raises InputError, UsageError.
+        """
+        known: set[object] = set()
+        for path in self._paths:
+            place, is_pipe = place_of(path)
+            if not is_pipe:
+                with open_capture(path, self._options.line) as capture:
+                    self._demand_line_is_open(capture)
+            if place in known:
+                raise UsageError(f"{path}: named twice; what is in it would count twice")
+            known.add(place)
+
+    def profiles_of_logs(self) -> list[Profile]:
+        """What the logs among the files carry; a pipe is not looked into. Raises InputError."""
+        profiles = []
+        for path in self._paths:
+            if not place_of(path)[1]:
+                with open_capture(path, self._options.line) as capture:
+                    if capture.kind is CaptureKind.MCAP:
+                        log = LogReader(capture.stream, capture.name)
+                        profiles += [
+                            profile_from_json(data, f"profile {name}")
+                            for name, data in log.profiles.items()
+                        ]
+        return profiles
+
+    def records(self) -> Iterator[Record]:
+        """Give everything, file by file."""
+        for record in self._records():
+            self._found = True
+            self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+            if isinstance(record, WireEvent) and record.kind in _UNREAD_EVENTS:
+                self._unread = self._unread or record.message
+            else:
+                self._has_read = True
+            yield record
+
+    def _records(self) -> Iterator[Record]:
+        try:
+            for number, path in enumerate(self._paths, 1):
+                try:
+                    yield from self._file_records(path)
+                except (CutError, DamageError) as error:
+                    self._broken.append(error)
+                    if number < len(self._paths):
+                        yield from self._break_off(error)
+                self._done += 1
+        except InputError:
+            yield from self._end_capture()
+            raise
+        yield from self._end_capture()
+        if self._broken:
+            raise self._broken[0]
+
+    def _file_records(self, path: str) -> Iterator[Record]:
+        with open_capture(path, self._options.line) as capture:
+            self._current = capture
+            self._kinds.add(capture.kind)
+            if capture.kind is CaptureKind.MCAP:
+                yield from self._log_records(capture)
+            elif capture.kind in PACKET_KINDS:
+                yield from self._decoded(self._heard_packets(capture), Part(), self._own_decoder)
+            else:
+                yield from self._serial_records(capture)
+
+    def _break_off(self, error: InputError) -> Iterator[Record]:
+        """A file ends before its end, and the next part may go on behind the gap."""
+        is_of_packets = self._part is not None and self._part.number is None
+        gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
+        if self._decoder is None:
+            yield gap
+        elif is_of_packets:
+            yield from self._decoder.break_lines()
+            yield gap
+        else:
+            yield from self._decoder.feed(gap)
+
+    def _own_decoder(self) -> Decoder:
+        """For a file that says nothing of its links."""
+        options = self._options
+        return Decoder(
+            Namer(options.assignments),
+            line=options.line,
+            timing=LineTiming(options.assignments, options.t1_5, options.t3_5),
+            ports=options.ports or (DEFAULT_PORT,),
+            rtu_ports=options.rtu_ports,
+            any_port=options.any_port,
+            across=True,  # Who made the file put them together.
+        )
+
+    def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
+        yield from self._end_capture()
+        line, pieces = capture.serial(self._options.line)
+        decoder = self._decoder = self._own_decoder()
+        self.format_of = decoder.format_of
+        decoder.begin_line(line.on(capture.link))
+        heard = self._hear(capture) if capture.kind is CaptureKind.MONITOR_TEXT else None
+        for piece in pieces:
+            if heard is not None:
+                heard.note(piece)
+            self._evidence += 1
+            yield from decoder.feed(piece)
+        yield from self._end_capture()
+
+    def _heard_packets(self, capture: CaptureFile) -> Iterator[Packet]:
+        """A capture's packets; those of a serial line are looked at as they pass."""
+        given = self._options.line is not None
+        serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if given else frozenset())
+        heard: HeardLine | None = None
+        for packet in capture.packets():
+            if packet.link_type in serial_types:
+                self._serial_packets += 1
+                heard = heard or self._hear(capture)
+                for piece in serial_pieces(packet):
+                    heard.note(piece)
+            yield packet
+
+    def _hear(self, capture: CaptureFile) -> HeardLine:
+        line = self._options.line
+        heard = HeardLine(capture.name, SerialFormat() if line is None else line.format)
+        self._heard.append(heard)
+        return heard
+
+    def _demand_line_is_open(self, capture: CaptureFile) -> None:
+        if capture.kind is CaptureKind.MCAP and self._options.line is not None:
+            raise UsageError(
+                f"{capture.name}: a log knows its lines, so --link is not for it; "
+                "for other silences there is --t3-5 with --raw"
+            )
+
+    def _decoded(
+        self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
+    ) -> Iterator[Record]:
+        """Decode a file, on from the one before where it is that one's next part."""
+        if not part.follows(self._part):
+            yield from self._end_capture()
+        self._part = part
+        is_first = True
+        for item in evidence:
+            if is_first and not self._seam.is_continued_by(item):
+                self._note_order(item)
+                yield from self._end_capture()
+                self._part = part
+            if is_first:
+                self._enter()
+            is_first = False
+            if self._decoder is None:
+                self._decoder = begin()
+                self.format_of = self._decoder.format_of
+            self._evidence += 1
+            self._seam.note(item)
+            yield from self._decoder.feed(item)
+
+    def _note_order(self, item: Evidence) -> None:
+        """Remember, once, that a file may be a part that was named too late."""
+        if self._seam.is_overtaken_by(item) and not self._misordered:
+            self._misordered.append(
+                f"{self._current.name if self._current is not None else ''}: begins before "
+                f"{self.place} ends, so it is taken for another capture; "
+                "parts of one are named in the order of their times"
+            )
+
+    def _end_capture(self) -> Iterator[Record]:
+        """What comes next is another capture's; what this one has left open comes out."""
+        decoder, self._decoder = self._decoder, None
+        self._part, self._seam = None, Seam()
+        if decoder is not None:
+            yield from decoder.close()
+        self.captures += 1
+        self._enter()
+
+    def _enter(self, *, is_log: bool = False) -> None:
+        """What comes next comes from the file that is open."""
+        self.place = self._current.name if self._current is not None else ""
+        self.is_log = is_log
+
+    def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
+        self._demand_line_is_open(capture)
+        log = LogReader(capture.stream, capture.name)
+        if self._options.raw:
+            self.assignments = all_assignments(log, self._options.assignments)
+            yield from self._decoded_again(log)
+        elif self._options.t1_5 is not None or self._options.t3_5 is not None:
+            raise UsageError(
+                f"{capture.name}: a log gives what was decoded when it was made; "
+                "--t1-5 and --t3-5 go with --raw, which decodes it afresh"
+            )
+        else:
+            part = Part.of_log(log)
+            if not part.follows(self._part):
+                yield from self._end_capture()
+            self._part = part
+            self._enter(is_log=True)
+            # The log's transactions are named and timed: where these fail, only figures lack.
+            with suppress(UsageError):
+                self.assignments = all_assignments(log, self._options.assignments)
+            lines: dict[str, SerialLink] = {}
+            with suppress(UsageError):
+                lines = serial_lines(log)
+            timing = LineTiming(self.assignments)
+            self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
+            yield from _renamed(log, self._options.assignments)
+        if not log.closed:
+            end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
+            end = end if log.end_ns else "holds nothing"
+            self._not_closed.append(f"{capture.name}: was not closed; it {end}")
+
+    def _decoded_again(self, log: LogReader) -> Iterator[Record]:
+        """Decode a log's evidence afresh."""
+        options = self._options
+        self._ports = (
+            options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,),
+            options.rtu_ports or ports_of(log, RTU_PORTS),
+        )
+        ports, rtu_ports = self._ports
+        # What the user names stands in place of what the log says.
+        self._any_port = options.any_port or (not options.ports and names_any_port(log))
+        lines = serial_lines(log)
+
+        def begin() -> Decoder:
+            return Decoder(
+                Namer(self.assignments),
+                lines=lines,
+                timing=LineTiming(self.assignments, options.t1_5, options.t3_5),
+                ports=ports,
+                rtu_ports=rtu_ports,
+                any_port=self._any_port,
+            )
+
+        yield from self._decoded(log.evidence(), Part.of_log(log), begin)
+
+
+def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:
+    """Read a log that is being written; `wait` says when to look again, or False to end."""
+    if path == STANDARD_INPUT:
+        raise UsageError("--follow reads a log on disk, not standard input; name the log")
+    with open_capture(path) as capture:
+        if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
+            raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
+    namer = Namer(options.assignments)
+    for item in follow(path, wait):
+        if not isinstance(item, Chunk | Packet):
+            yield _named_anew(item, namer)
+
+
+def _renamed(log: LogReader, assignments: Assignments) -> Iterator[Record]:
+    namer = Namer(assignments)
+    for item in log.items():
+        if not isinstance(item, Chunk | Packet):
+            yield _named_anew(item, namer)
+
+
+def _named_anew(item: Record, namer: Namer) -> Record:
+    """A transaction in the words of the profile that the user gives, where he gives one."""
+    return item if isinstance(item, WireEvent) else namer.rename(item)

@@ -1,0 +1,96 @@
+"""Values of a capture for a slave that repeats them."""
+
+# A value is that which a register of the capture was last read as, or written, at the moment that
+# the slave has come to; before its first sighting, the first one. The moments count from the
+# capture's first request. Each capture is read once.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import CutError, DamageError, UsageError, WireEvent
+from mbtool.devices import write_reference
+from mbtool.modbus import Outcome
+from mbtool.replay import Recording
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.slave.device import Course, FromCapture, Recall
+
+
+def recaller(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
+    """What finds the values of captures, and speaks of them in the words of a profile.
+
+    `on_remark` is told what there is to know of a capture, such as that it is cut. What it returns
+    raises InputError for a file that cannot be read, UsageError for one without the value.
+    """
+    captures: dict[Path, list[NamedTransaction]] = {}
+    recordings: dict[tuple[Path, str | None], Recording] = {}
+
+    def recall(wanted: FromCapture) -> Course:
+        transactions = captures.get(wanted.path)
+        if transactions is None:
+            transactions = captures[wanted.path] = _read(wanted.path, on_remark)
+        unit = _unit(wanted, transactions)
+        link = _link(wanted, unit, transactions)
+        recording = recordings.get((wanted.path, link))
+        if recording is None:
+            recording = recordings[wanted.path, link] = Recording.of(
+                one for one in transactions if one.link == link
+            )
+        return _course(wanted, unit, recording, profile)
+
+    return recall
+
+
+def _read(path: Path, on_remark: Callable[[str], None]) -> list[NamedTransaction]:
+    transactions: list[NamedTransaction] = []
+    reading = Reading([str(path)], ReadingOptions(any_port=True))
+    try:
+        transactions += (each for each in reading.records() if not isinstance(each, WireEvent))
+    except (CutError, DamageError) as error:
+        on_remark(f"{error}; taking what is there")
+    for remark in reading.remarks:
+        on_remark(remark)
+    return [one for one in transactions if one.outcome is not Outcome.UNSOLICITED]
+
+
+def _unit(wanted: FromCapture, transactions: list[NamedTransaction]) -> int:
+    found = {one.unit for one in transactions if one.outcome is not Outcome.BROADCAST}
+    if wanted.unit is not None or len(found) == 1:
+        return found.pop() if wanted.unit is None else wanted.unit
+    if not found:
+        raise UsageError(f"{wanted.path} holds no transaction; see what it has with decode")
+    units = ", ".join(map(str, sorted(found)))
+    raise UsageError(f"{wanted.path} has the units {units}; write one, as unit = {min(found)}")
+
+
+def _link(wanted: FromCapture, unit: int, transactions: list[NamedTransaction]) -> str | None:
+    found = {one.link for one in transactions if one.unit == unit}
+    if wanted.link is not None or len(found) <= 1:
+        return found.pop() if wanted.link is None and found else wanted.link
+    links, first = ", ".join(sorted(found)), min(found)
+    raise UsageError(f"{wanted.path} has unit {unit} on {links}; write one, as link = '{first}'")
+
+
+def _course(wanted: FromCapture, unit: int, recording: Recording, profile: Profile) -> Course:
+    timeline = recording.timeline(unit, wanted.table)
+    span = range(wanted.address, wanted.address + wanted.words)
+    for address in span:
+        if timeline.at(address, 0) is None:
+            reference = write_reference(profile, wanted.table, address)
+            where = f" on {wanted.link}" if wanted.link is not None else ""
+            raise UsageError(f"{wanted.path} holds no value of {reference} of unit {unit}{where}")
+
+    def course(moment_ns: int) -> list[int]:
+        at_ns = round(moment_ns * wanted.speed)
+        if wanted.loop and recording.length_ns:
+            at_ns %= recording.length_ns
+        seen = (timeline.at(address, recording.begin_ns + at_ns) for address in span)
+        return [value for value, _ in filter(None, seen)]
+
+    return course

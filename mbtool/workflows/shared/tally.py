@@ -1,0 +1,64 @@
+"""What went through a run, counted for its last line."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.modbus import Outcome, Verdict
+
+if TYPE_CHECKING:
+    from mbtool.decode.decoder import Record
+
+CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
+"""Events that are no trouble."""
+
+_WORDS = {
+    Outcome.OK: "ok",
+    Outcome.EXCEPTION: "exception",
+    Outcome.NO_ANSWER: "without answer",
+    Outcome.UNSOLICITED: "unsolicited",
+    Outcome.BROADCAST: "broadcast",
+    Outcome.MALFORMED: "malformed",
+}
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts records by what they are."""
+
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    events: Counter[EventKind] = field(default_factory=Counter)
+    ambiguous: int = 0
+
+    def add(self, record: Record) -> None:
+        if isinstance(record, WireEvent):
+            self.events[record.kind] += 1
+        else:
+            self.outcomes[record.outcome] += 1
+            self.ambiguous += Verdict.AMBIGUOUS in record.verdicts
+
+    @property
+    def transactions(self) -> int:
+        return self.outcomes.total()
+
+    def sentence(self) -> str:
+        """`12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
+        text = f"{self.transactions} transaction{'' if self.transactions == 1 else 's'}"
+        parts = [
+            f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
+        ]
+        if parts:
+            text += ": " + ", ".join(parts)
+        if self.ambiguous:
+            text += f" ({self.ambiguous} ambiguous)"
+        troubles = {
+            kind: count for kind, count in self.events.items() if kind not in CONNECTION_EVENTS
+        }
+        if troubles:
+            total = sum(troubles.values())
+            text += f"; {total} event{'' if total == 1 else 's'}: "
+            text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
+        return text

@@ -1,0 +1,117 @@
+"""Makes the slaves of one link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import SerialLink, UsageError
+from mbtool.decode.line_timing import LineTiming
+from mbtool.devices import Assignment, Assignments, Profile, Who
+from mbtool.modbus import Transport
+from mbtool.slave.device import (
+    DeviceResponder,
+    DrivenDevice,
+    RegisterImage,
+    is_line,
+    load_image,
+    units_on,
+)
+from mbtool.slave.families import make_device
+from mbtool.slave.shells import keep_state, open_shell, slave_link
+from mbtool.workflows.shared.faults import faulty
+from mbtool.workflows.shared.recorded_values import recaller
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mbtool.core import LinkSpec, TcpLink
+    from mbtool.modbus import Responder
+    from mbtool.slave.device import Behaviour
+    from mbtool.slave.shells import Shell
+    from mbtool.workflows.shared.slave_monitor import SlaveMonitor
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A device beside another one, and what it starts with."""
+
+    profile: Profile
+    image_file: Path | None = None
+
+
+def device_slave(
+    profile: Profile,
+    link: LinkSpec,
+    unit: int = 1,
+    image_file: Path | None = None,
+    *,
+    others: Mapping[int, Station] | None = None,
+    state_file: Path | None = None,
+    fault_file: Path | None = None,
+    allow_remote: bool = False,
+    exchanges: SlaveMonitor | None = None,
+    on_trouble: Callable[[str], None] = lambda _: None,
+) -> Shell:
+    """A device on a link, and others by their units, not yet started.
+
+    The connections are subject to the rules of the first one. `exchanges` are told what is asked
+    and answered. `on_trouble` gets a line for the user where a capture is not whole, or where the
+    state cannot be kept while it runs. Raises UsageError, InputError, OutputError.
+    """
+    stations = {unit: Station(profile, image_file), **(others or {})}
+    where = _with_silences(slave_link(link), stations)
+    responders: dict[int, Responder] = {}
+    behaviours: dict[int, Behaviour] = {}
+    for number, station in stations.items():
+        device, responder = _play(station, where, on_trouble)
+        _demand_unit(station.profile, device.behaviour.units, number, where)
+        responders[number], behaviours[number] = responder, device.behaviour
+        if number == unit and state_file is not None:
+            keep_state(state_file, profile, device, on_trouble)
+    if exchanges is not None:
+        exchanges.begin(behaviours)
+    slaves: Responder = units_on(where, profile, unit, responders.pop(unit), responders)
+    if fault_file is not None:
+        slaves = faulty(slaves, fault_file, where, [each.profile for each in stations.values()])
+    return open_shell(
+        where,
+        slaves,
+        allow_remote=allow_remote,
+        rules=behaviours[unit].rules,
+        on_exchange=exchanges.take if exchanges is not None else None,
+    )
+
+
+def _play(
+    station: Station, where: SerialLink | TcpLink, on_trouble: Callable[[str], None]
+) -> tuple[DeviceResponder, Responder]:
+    """The device of a station, and what answers for it."""
+    profile = station.profile
+    if isinstance(where, SerialLink) and where.ascii:
+        profile = profile.in_mode(Transport.ASCII)
+    image = RegisterImage.of(profile)
+    driven = []
+    if station.image_file is not None:
+        recall = recaller(profile, on_trouble)
+        driven = load_image(station.image_file, profile, image, recall=recall)
+    device = make_device(profile, image)
+    return device, DrivenDevice(device, driven) if driven else device
+
+
+def _with_silences(
+    where: SerialLink | TcpLink, stations: Mapping[int, Station]
+) -> SerialLink | TcpLink:
+    """A line with the silences that its devices ask for."""
+    if not isinstance(where, SerialLink):
+        return where
+    assigned = [Assignment(Who(unit=n), one.profile) for n, one in stations.items()]
+    return replace(where, format=LineTiming(Assignments(assigned)).format_of(where))
+
+
+def _demand_unit(profile: Profile, units: range, number: int, where: SerialLink | TcpLink) -> None:
+    if is_line(where) and number not in units:
+        raise UsageError(
+            f"unit {number}: on a line {profile.name} can be {units.start} to {units.stop - 1}"
+        )

@@ -1,0 +1,169 @@
+"""Listens on links, decodes what is heard, and logs both."""
+
+# One loop for all sources: an item goes into the log as evidence before it is decoded, and what is
+# decoded follows it into the log before anyone sees it. The log is begun when all sources are open,
+# so that a link which is not there leaves no log behind, and before a tap lets anybody in, so that
+# callers cannot take the files that the log needs. When the run ends, sources are closed
+# first, then all that they had heard is decoded, and last the log is made whole.
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Protocol, Self
+
+from mbtool.core import Chunk, EventKind, LinkError, Packet, SerialLink, UsageError, WireEvent
+from mbtool.ports.clock import now_ns
+from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.live import Accepting, live_source
+from mbtool.workflows.refusals import Refusals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from mbtool.core import LinkSpec
+    from mbtool.decode.decoder import Decoder, Evidence, Record
+    from mbtool.devices import NamedTransaction
+    from mbtool.sources.live import LiveSource
+
+POLL_S = 0.1
+"""How long the loop waits for an item before it looks at the clock."""
+
+
+class Log(Protocol):
+    """What sniffing needs of a log."""
+
+    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
+
+    def tick(self, now_ns: int) -> None:
+        """Learn the time, so that nothing stays in memory for long."""
+
+    def close(self, final: Mapping[str, str]) -> None:
+        """Complete it, with what only the end of a run shows."""
+
+
+class Sniffer:
+    """Runs sources until told to stop; a context manager whose exit leaves the log complete."""
+
+    def __init__(
+        self,
+        links: Sequence[LinkSpec],
+        decoder: Decoder,
+        *,
+        begin_log: Callable[[], Log] | None = None,
+        ports: Sequence[int] = (),
+        on_lost: Callable[[LinkError], None] = lambda _error: None,
+        on_refused: Callable[[WireEvent], None] = lambda _event: None,
+        on_discarded: Callable[[WireEvent], None] = lambda _event: None,
+    ) -> None:
+        """`on_lost` is told when a link goes away while others stay.
+
+        `on_refused` is told when a tap turns a master away: once for each reason, until a master
+        was served again. `on_discarded` is told when bytes or packets that a source has heard, or
+        should have, are not in the log.
+        """
+        self._links = links
+        self._decoder = decoder
+        self._begin_log = begin_log
+        self._log: Log | None = None
+        self._ports = ports
+        self._on_lost = on_lost
+        self._on_refused = on_refused
+        self._on_discarded = on_discarded
+        self._refusals = Refusals()
+        self._inbox = Inbox()
+        self._open_sources = ExitStack()
+        self.sources: list[LiveSource] = []
+        """One for each link, in their order, once the context is entered."""
+        self._open = 0
+        self._discarded_packets = 0
+        self._discarded_bytes = 0
+        """What sources lost: those of packets that the kernel dropped are not known."""
+
+    @property
+    def places(self) -> list[str]:
+        """The links as opened."""
+        return [source.place for source in self.sources]
+
+    def __enter__(self) -> Self:
+        """Raises LinkError, and what beginning the log raises."""
+        with ExitStack() as opened:
+            for link in self._links:
+                source = live_source(link, self._inbox, ports=self._ports)
+                self.sources.append(opened.enter_context(source))
+            if self._begin_log is not None:
+                self._log = self._begin_log()
+            for source in self.sources:
+                if isinstance(source, Accepting):
+                    source.accept()
+            self._open_sources = opened.pop_all()
+        self._open = len(self._links)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            for _record in self._rest():
+                pass  # Nobody looks any more, but the log wants it.
+        finally:
+            if self._log is not None:
+                self._log.close(
+                    {
+                        "discarded_packets": str(self._discarded_packets),
+                        "discarded_bytes": str(self._discarded_bytes),
+                    }
+                )
+
+    def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
+        """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
+
+        Raises LinkError when the last link is lost, OutputError when the log takes no more.
+        """
+        lost: LinkError | None = None
+        while self._open and not stop(now_ns()):
+            item = self._inbox.get(POLL_S)
+            if isinstance(item, Ended):
+                self._open -= 1
+                lost = item.error or lost
+                if item.error is not None and self._open:
+                    self._on_lost(item.error)
+            elif item is not None:
+                yield from self._take(item)
+            if self._log is not None:
+                self._log.tick(now_ns())
+        yield from self._rest()
+        if lost is not None and not self._open:
+            raise lost
+
+    def _take(self, item: Evidence) -> Iterator[Record]:
+        if self._log is not None and isinstance(item, Chunk | Packet):
+            self._log.write(item)
+        if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
+            self._discarded_packets += item.packets
+            self._discarded_bytes += item.missing
+            if item.packets or item.missing:
+                self._on_discarded(item)
+        yield from self._logged(self._decoder.feed(item))
+
+    def _rest(self) -> Iterator[Record]:
+        """Close the sources and give what they had still heard; a second time, what is left."""
+        self._open_sources.close()
+        while (item := self._inbox.get(0)) is not None:
+            if not isinstance(item, Ended):
+                yield from self._take(item)
+        yield from self._logged(self._decoder.close())
+
+    def _logged(self, records: list[Record]) -> Iterator[Record]:
+        for record in records:
+            if self._log is not None:
+                self._log.write(record)
+            if self._refusals.is_news(record):
+                self._on_refused(record)
+        yield from records
+
+
+def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
+    """The serial links by the names that their bytes carry. Raises UsageError."""
+    names = [link.name for link in links]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"two links are called {name!r}; listen to each in a run of its own")
+    return {link.name: link for link in links if isinstance(link, SerialLink)}

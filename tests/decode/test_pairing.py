@@ -1,0 +1,238 @@
+"""Requests and responses, joined into transactions."""
+
+from __future__ import annotations
+
+from mbtool.core import Direction
+from mbtool.core.limits import MAX_OPEN_REQUESTS
+from mbtool.decode.pairing import BUS_TIMEOUT_NS, NETWORK_TIMEOUT_NS, Pairing
+from mbtool.decode.transactions import Ends
+from mbtool.modbus.adu import Adu, DirectionBy, Transport, Verdict
+from mbtool.modbus.transaction import Outcome, Transaction
+
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+MS = 1_000_000
+
+READ = "03 006B 0001"
+ANSWER = "03 02 022B"
+WRITE = "06 0001 0003"
+
+
+def network() -> Pairing:
+    return Pairing(Ends("10.0.0.9", "10.0.0.1:40000", "10.0.0.9:502"), bus=False)
+
+
+def bus() -> Pairing:
+    return Pairing(Ends("rs485"), bus=True)
+
+
+def adu(
+    direction: Direction, pdu: str, at_ms: int, *, unit: int = 1, transaction_id: int | None = None
+) -> Adu:
+    """An ADU that takes a millisecond from `at_ms` on."""
+    data = bytes.fromhex(pdu)
+    return Adu(
+        start_ns=at_ms * MS,
+        end_ns=at_ms * MS + MS,
+        transport=Transport.RTU if transaction_id is None else Transport.TCP,
+        direction=direction,
+        direction_by=DirectionBy.PORT,
+        confidence=1.0,
+        unit=unit,
+        pdu=data,
+        raw=data,
+        transaction_id=transaction_id,
+    )
+
+
+def asked(pdu: str, at_ms: int, transaction_id: int | None = None, unit: int = 1) -> Adu:
+    return adu(REQUEST, pdu, at_ms, unit=unit, transaction_id=transaction_id)
+
+
+def told(pdu: str, at_ms: int, transaction_id: int | None = None, unit: int = 1) -> Adu:
+    return adu(RESPONSE, pdu, at_ms, unit=unit, transaction_id=transaction_id)
+
+
+def joined(pairing: Pairing, *adus: Adu) -> list[Transaction]:
+    done = [transaction for one in adus for transaction in pairing.feed(one)]
+    return done + pairing.close()
+
+
+def outcomes(transactions: list[Transaction]) -> list[Outcome]:
+    return [transaction.outcome for transaction in transactions]
+
+
+# On a network.
+
+
+def test_response_is_joined_to_its_request() -> None:
+    (done,) = joined(network(), asked(READ, 10, 7), told(ANSWER, 15, 7))
+    assert done.outcome is Outcome.OK
+    assert (done.source, done.destination) == ("10.0.0.1:40000", "10.0.0.9:502")
+    assert (done.unit, done.transaction_id, done.function, done.address) == (1, 7, 3, 0x6B)
+    assert (done.request_ns, done.response_ns) == (11 * MS, 16 * MS)
+    assert done.latency_ns == 4 * MS  # From the request's end to the response's start.
+    assert (done.retries, done.verdicts) == (0, [])
+
+
+def test_answers_out_of_order_find_their_requests_by_id() -> None:
+    done = joined(
+        network(), asked(READ, 0, 1), asked(READ, 1, 2), told(ANSWER, 5, 2), told(ANSWER, 6, 1)
+    )
+    assert [(one.transaction_id, one.request_ns) for one in done] == [(2, 2 * MS), (1, MS)]
+
+
+def test_equal_ids_are_answered_oldest_first() -> None:
+    done = joined(
+        network(),
+        asked(READ, 0, 0), asked("03 0000 0001", 1, 0),
+        told(ANSWER, 5, 0), told("03 02 0001", 6, 0),
+    )  # fmt: skip
+    assert [(one.address, one.response_values) for one in done] == [(0x6B, [0x22B]), (0, [1])]
+
+
+def test_equal_ids_of_different_units_are_told_apart() -> None:
+    done = joined(
+        network(),
+        asked(READ, 0, 0, unit=1), asked(READ, 1, 0, unit=2),
+        told(ANSWER, 5, 0, unit=2), told(ANSWER, 6, 0, unit=1),
+    )  # fmt: skip
+    assert [(one.unit, one.request_ns) for one in done] == [(2, 2 * MS), (1, MS)]
+
+
+def test_equal_ids_of_different_functions_are_told_apart() -> None:
+    done = joined(
+        network(), asked(READ, 0, 0), asked(WRITE, 1, 0), told(WRITE, 5, 0), told("83 02", 6, 0)
+    )
+    assert [(one.function, one.outcome) for one in done] == [
+        (6, Outcome.OK), (3, Outcome.EXCEPTION),
+    ]  # fmt: skip
+
+
+def test_answer_with_another_id_belongs_to_the_only_open_request() -> None:
+    (done,) = joined(network(), asked(READ, 0, 0), told(ANSWER, 5, 4))
+    assert (done.outcome, done.transaction_id) == (Outcome.OK, 0)
+    assert done.verdicts == [Verdict.OTHER_TRANSACTION_ID]
+
+
+def test_answer_with_another_id_belongs_to_nobody_where_it_does_not_fit() -> None:
+    done = joined(network(), asked(READ, 0, 1), told("03 04 0000 0000", 5, 4))
+    assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER]
+    done = joined(network(), asked(READ, 0, 1), told(ANSWER, 5, 4, unit=2))
+    assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER]
+
+
+def test_answer_with_another_id_belongs_to_nobody_where_several_wait() -> None:
+    done = joined(network(), asked(READ, 0, 1), asked(READ, 1, 2), told(ANSWER, 5, 4))
+    assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER, Outcome.NO_ANSWER]
+
+
+def test_answer_without_a_request_is_unsolicited() -> None:
+    (done,) = joined(network(), told("06 0001 0003", 5, 9))
+    assert (done.outcome, done.request_ns, done.request_raw) == (Outcome.UNSOLICITED, None, None)
+    assert (done.address, done.response_values, done.response_ns) == (1, [3], 6 * MS)
+
+
+def test_request_that_stays_open_is_given_up_after_a_while() -> None:
+    pairing = network()
+    assert pairing.feed(asked(READ, 0, 1)) == []
+    assert pairing.advance(MS + NETWORK_TIMEOUT_NS) == []
+    assert outcomes(pairing.advance(MS + NETWORK_TIMEOUT_NS + 1)) == [Outcome.NO_ANSWER]
+    late = told(ANSWER, 61_000, 1)
+    assert outcomes(pairing.feed(late)) == [Outcome.UNSOLICITED]
+
+
+def test_next_adu_tells_the_time_too() -> None:
+    done = joined(network(), asked(READ, 0, 1), asked(WRITE, 61_000, 2))
+    assert [(one.function, one.outcome) for one in done] == [
+        (3, Outcome.NO_ANSWER), (6, Outcome.NO_ANSWER),
+    ]  # fmt: skip
+
+
+def test_retry_is_counted_while_the_first_request_is_still_open() -> None:
+    done = joined(network(), asked(READ, 0, 1), asked(READ, 1000, 2), told(ANSWER, 1005, 2))
+    assert [(one.transaction_id, one.outcome, one.retries) for one in done] == [
+        (2, Outcome.OK, 1), (1, Outcome.NO_ANSWER, 0),
+    ]  # fmt: skip
+
+
+def test_request_that_a_retry_replaced_is_not_counted_again() -> None:
+    done = joined(
+        network(),
+        asked(READ, 0, 1), asked(READ, 1000, 2), told(ANSWER, 1005, 2),
+        asked(READ, 62_000, 3), told(ANSWER, 62_005, 3),
+    )  # fmt: skip
+    assert [(one.transaction_id, one.retries) for one in done] == [(2, 1), (1, 0), (3, 0)]
+
+
+def test_holds_a_bounded_number_of_requests() -> None:
+    pairing = network()
+    done = [one for at in range(3 * MAX_OPEN_REQUESTS) for one in pairing.feed(asked(READ, at, at))]
+    assert outcomes(done) == [Outcome.NO_ANSWER] * 2 * MAX_OPEN_REQUESTS
+    assert len(pairing.close()) == MAX_OPEN_REQUESTS
+
+
+def test_clock_that_ran_backwards_leaves_no_latency() -> None:
+    (done,) = joined(network(), asked(READ, 10, 1), told(ANSWER, 5, 1))
+    assert (done.outcome, done.latency_ns) == (Outcome.OK, None)
+
+
+# On a bus.
+
+
+def test_bus_joins_request_and_response_of_one_unit() -> None:
+    (done,) = joined(bus(), asked(READ, 0), told(ANSWER, 5))
+    assert (done.outcome, done.source, done.transaction_id) == (Outcome.OK, None, None)
+
+
+def test_next_request_ends_the_one_that_waits() -> None:
+    done = joined(bus(), asked(READ, 0), asked(WRITE, 300), told(WRITE, 305))
+    assert [(one.function, one.outcome) for one in done] == [
+        (3, Outcome.NO_ANSWER), (6, Outcome.OK),
+    ]  # fmt: skip
+
+
+def test_retries_are_counted_until_the_answer() -> None:
+    done = joined(
+        bus(),
+        asked(READ, 0), asked(READ, 300), asked(READ, 600), told(ANSWER, 605), asked(READ, 900),
+    )  # fmt: skip
+    assert [(one.outcome, one.retries) for one in done] == [
+        (Outcome.NO_ANSWER, 0), (Outcome.NO_ANSWER, 1), (Outcome.OK, 2), (Outcome.NO_ANSWER, 0),
+    ]  # fmt: skip
+
+
+def test_answer_from_another_unit_leaves_the_request_open() -> None:
+    done = joined(bus(), asked(READ, 0), told(ANSWER, 5, unit=2), told(ANSWER, 9))
+    assert [(one.unit, one.outcome) for one in done] == [
+        (2, Outcome.UNSOLICITED), (1, Outcome.OK),
+    ]  # fmt: skip
+
+
+def test_broadcast_is_complete_at_once_and_ends_the_request_that_waits() -> None:
+    pairing = bus()
+    pairing.feed(asked(READ, 0))
+    done = pairing.feed(asked(WRITE, 300, unit=0))
+    assert outcomes(done) == [Outcome.NO_ANSWER, Outcome.BROADCAST]
+    assert pairing.close() == []
+
+
+def test_unit_0_is_no_broadcast_on_a_network() -> None:
+    (done,) = joined(network(), asked(WRITE, 0, 1, unit=0), told(WRITE, 5, 1, unit=0))
+    assert done.outcome is Outcome.OK
+
+
+def test_request_on_a_bus_is_given_up_earlier() -> None:
+    pairing = bus()
+    pairing.feed(asked(READ, 0))
+    assert pairing.advance(MS + BUS_TIMEOUT_NS) == []
+    assert outcomes(pairing.advance(MS + BUS_TIMEOUT_NS + 1)) == [Outcome.NO_ANSWER]
+
+
+def test_counts_of_unanswered_requests_are_bounded() -> None:
+    pairing = bus()
+    for address in range(MAX_OPEN_REQUESTS + 2):
+        pairing.feed(asked(f"03 {address:04X} 0001", 300 * address))
+    first = asked("03 0000 0001", 300 * (MAX_OPEN_REQUESTS + 2))
+    pairing.feed(first)
+    (done,) = pairing.close()
+    assert (done.address, done.retries) == (0, 0)  # The oldest count was given up.

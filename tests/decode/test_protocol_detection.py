@@ -1,0 +1,364 @@
+"""Modbus told from other protocols by what a connection says."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Connection, Direction, Endpoint, EventKind, WireEvent
+from mbtool.decode import Decoded, ProtocolDetector, ProtocolState
+from mbtool.decode.protocol_detection import ENOUGH, ENOUGH_BYTES, GAP_COUNTS, MAX_TOLD, NOISE
+from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from tests.modbus.reading import adus, transactions, wire_events
+
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+CONNECTION = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 1502), 1)
+
+READ = bytes.fromhex("03 0000 0002")  # read holding registers, address 0, quantity 2
+VALUES = bytes.fromhex("03 04 1234 5678")  # four bytes, two registers
+WRITE_ONE = bytes.fromhex("06 0010 1234")  # write single register, address 16
+LONG_READ = bytes.fromhex("03 0000 0002 00")  # a byte more than the function has
+OWN_FUNCTION = bytes.fromhex("41 01")  # a function that no table knows
+
+TLS_DATA = bytes.fromhex("17 0303 0022") + bytes(range(0x80, 0xA2))
+TLS = bytes.fromhex("16 0301 0200 01 0001fc 0303")  # a record, version 3.1, with a ClientHello
+LDAP_BIND = bytes.fromhex(
+    "30 84 0000000f"  # a SEQUENCE of 15 bytes: protocol id 0 and length 15 to Modbus
+    "02 01 01"  # message 1: unit 2, function 01
+    "60 84 00000006"  # a bind request
+    "02 01 03 04 00 80"
+)
+LDAP_ANSWER = bytes.fromhex("30 84 0000000f 02 01 01 61 84 00000006 0a 01 00 04 00 80")
+
+Piece = tuple[Direction, bytes]
+
+
+class Port(Protocol):
+    def __call__(self, *, joined: bool = False) -> ProtocolDetector: ...
+
+
+TCP_PAIR: list[Piece] = [(REQUEST, mbap_adu(1, 1, READ)), (RESPONSE, mbap_adu(1, 1, VALUES))]
+RTU_PAIR: list[Piece] = [(REQUEST, rtu_adu(1, READ)), (RESPONSE, rtu_adu(1, VALUES))]
+
+
+def expected(*, joined: bool = False) -> ProtocolDetector:
+    """A connection to a port that the user named."""
+    return ProtocolDetector(CONNECTION, joined=joined)
+
+
+def at_its_own_port(*, joined: bool = False) -> ProtocolDetector:
+    """A connection to a port of Modbus/TCP, where any other port may be one of RTU."""
+    return ProtocolDetector(CONNECTION, joined=joined, rtu=True)
+
+
+def anywhere(*, joined: bool = False) -> ProtocolDetector:
+    """A connection to any port."""
+    return ProtocolDetector(CONNECTION, joined=joined, expected=False, rtu=True)
+
+
+def fed(recognition: ProtocolDetector, pieces: list[Piece]) -> list[Decoded]:
+    return [
+        one
+        for place, (direction, data) in enumerate(pieces)
+        for one in recognition.feed(direction, data, place)
+    ]
+
+
+def in_pieces(pieces: list[Piece], size: int) -> list[Piece]:
+    return [
+        (direction, data[at : at + size])
+        for direction, data in pieces
+        for at in range(0, len(data), size)
+    ]
+
+
+def is_one_event(decoded: list[Decoded]) -> bool:
+    return [one.kind for one in decoded if isinstance(one, WireEvent)] == [EventKind.FOREIGN] and (
+        len(decoded) == 1
+    )
+
+
+def test_an_expected_connection_is_modbus_with_its_first_adu() -> None:
+    recognition = expected()
+    assert len(adus(fed(recognition, TCP_PAIR[:1]))) == 1
+    assert recognition.state is ProtocolState.MODBUS
+
+
+def test_an_expected_function_that_no_table_knows_is_modbus() -> None:
+    assert len(adus(fed(expected(), [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))]))) == 1
+
+
+@pytest.mark.parametrize("pair", [TCP_PAIR, RTU_PAIR], ids=["tcp", "rtu"])
+def test_elsewhere_a_request_waits_for_its_answer_and_nothing_is_lost(pair: list[Piece]) -> None:
+    recognition = anywhere()
+    assert fed(recognition, pair[:1]) == []
+    decoded = fed(recognition, pair[1:])
+    assert len(adus(decoded)) == 2
+    (one,) = transactions(decoded)
+    assert one.response_values == [0x1234, 0x5678]
+    assert len(transactions(fed(recognition, pair))) == 1
+
+
+@pytest.mark.parametrize("kind", [mbap_adu(1, 1, READ), rtu_adu(1, READ)], ids=["tcp", "rtu"])
+def test_elsewhere_enough_requests_in_a_row_are_modbus(kind: bytes) -> None:
+    recognition = anywhere()
+    assert fed(recognition, [(REQUEST, kind)] * (ENOUGH - 1)) == []
+    assert len(adus(fed(recognition, [(REQUEST, kind)]))) == ENOUGH
+
+
+def test_elsewhere_functions_that_no_table_knows_prove_nothing() -> None:
+    recognition = anywhere()
+    assert fed(recognition, [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))] * 9) == []
+    assert recognition.close() != []
+    assert recognition.state is ProtocolState.FOREIGN
+
+
+@pytest.mark.parametrize(
+    ("pieces", "name"),
+    [
+        ([(REQUEST, TLS), (RESPONSE, TLS)], "TLS"),
+        ([(REQUEST, b"GET / HTTP/1.1\r\n"), (RESPONSE, b"HTTP/1.1 200 OK\r\n")], "HTTP"),
+        ([(RESPONSE, b"SSH-2.0-OpenSSH\r\n"), (REQUEST, b"SSH-2.0-scan\r\n")], "SSH"),
+        ([(REQUEST, LDAP_BIND), (RESPONSE, LDAP_ANSWER)], "LDAP"),
+        ([(REQUEST, b"\x03\x00\x00\x13\x0e\xe0" + bytes(13)), (RESPONSE, b"\xff" * 9)], "TPKT"),
+    ],
+)
+@pytest.mark.parametrize("port", [expected, anywhere])
+def test_another_protocol_is_one_event_that_names_it(
+    pieces: list[Piece],
+    name: str,
+    port: Port,
+) -> None:
+    recognition = port()
+    decoded = [*fed(recognition, pieces), *fed(recognition, pieces * 9), *recognition.close()]
+    assert is_one_event(decoded)
+    assert name in wire_events(decoded)[0].message
+
+
+def test_another_protocol_that_was_joined_is_one_event_too() -> None:
+    recognition = expected(joined=True)
+    decoded = [*fed(recognition, [(REQUEST, TLS)] * 200), *recognition.close()]
+    assert is_one_event(decoded)
+
+
+@pytest.mark.parametrize("size", [1, 3, 500])
+def test_tls_joined_in_the_middle_is_told_with_the_first_record_of_each_side(size: int) -> None:
+    recognition = expected(joined=True)
+    said = in_pieces([(REQUEST, TLS_DATA)] * 3, size)
+    assert fed(recognition, said) == []
+    decoded = fed(recognition, in_pieces([(RESPONSE, TLS_DATA), (REQUEST, TLS_DATA)], size))
+    assert is_one_event(decoded)
+    assert wire_events(decoded)[0].message == (
+        "the connection is TLS: only its ends can read it; "
+        "a tap with --tls-cert and --tls-target-ca records it in clear"
+    )
+
+
+def test_tls_that_lost_a_segment_is_still_tls() -> None:
+    recognition = expected(joined=True)
+    assert fed(recognition, [(REQUEST, TLS_DATA)]) == []
+    assert recognition.gap(RESPONSE, 500, 0) == []
+    assert is_one_event([*fed(recognition, [(RESPONSE, TLS_DATA)]), *recognition.close()])
+
+
+def test_rtu_that_looks_like_records_of_tls_is_rtu() -> None:
+    request = rtu_adu(0x17, bytes.fromhex("03 0100 0001"))
+    answer = rtu_adu(0x17, bytes.fromhex("03 02 1234"))
+    recognition = ProtocolDetector(CONNECTION, joined=True, tcp=False, rtu=True)
+    begun: list[Piece] = [(REQUEST, request[:5]), (RESPONSE, answer[:5])]
+    decoded = fed(recognition, [*begun, (REQUEST, request[5:]), (RESPONSE, answer[5:])])
+    assert [one.unit for one in adus(decoded)] == [0x17, 0x17]
+
+
+def test_a_client_that_nobody_answers_is_one_event_when_it_ends() -> None:
+    recognition = expected()
+    assert fed(recognition, [(REQUEST, TLS)]) == []
+    assert is_one_event(recognition.close())
+
+
+def test_where_it_is_expected_one_side_alone_may_speak_modbus() -> None:
+    noise: Piece = (REQUEST, b"\x00\x01\x00\x00\x88\x04\x05\x07")
+    decoded = fed(expected(), [noise, TCP_PAIR[1]])
+    assert [one.pdu for one in adus(decoded)] == [VALUES]
+
+
+def test_where_it_is_expected_adus_of_a_wrong_length_are_told_when_it_ends_at_the_latest() -> None:
+    long: Piece = (REQUEST, mbap_adu(1, 1, LONG_READ))
+    recognition = expected()
+    assert fed(recognition, [long]) == []
+    assert len(adus(recognition.close())) == 1
+    assert len(adus(fed(expected(), [long] * 3))) == 3
+
+
+def test_where_it_is_expected_missing_bytes_speak_for_nothing_else() -> None:
+    recognition = expected()
+    (gap,) = recognition.gap(REQUEST, 12, 0)
+    assert isinstance(gap, WireEvent)
+    assert (gap.kind, recognition.state) == (EventKind.GAP, ProtocolState.MODBUS)
+
+
+def test_rtu_at_a_port_of_modbus_tcp_is_told_with_the_option_that_reads_it() -> None:
+    # Unit 1, function 03, address 300H: no protocol id.
+    request, response = bytes.fromhex("03 0300 0001"), bytes.fromhex("03 02 0007")
+    decoded = fed(expected(), [(REQUEST, rtu_adu(1, request)), (RESPONSE, rtu_adu(1, response))])
+    assert is_one_event(decoded)
+    assert "--rtu-port" in wire_events(decoded)[0].message
+
+
+def test_a_frame_that_is_also_an_adu_is_a_frame_because_of_its_crc() -> None:
+    # 01 03 00 00 00 02 C4 0B: transaction 0103H, length 2, unit C4H, function 0BH.
+    assert rtu_adu(1, READ)[4:6] == b"\x00\x02"
+    decoded = fed(at_its_own_port(), RTU_PAIR)
+    assert [one.pdu for one in adus(decoded)] == [READ, VALUES]
+
+
+def test_an_adu_that_is_also_a_frame_is_an_adu_where_the_answer_is_one() -> None:
+    request = RTU_PAIR[0]
+    answer = bytes.fromhex("0103 0000 0006 C4 0B 0000 0000")  # Its counter stands at 0.
+    (one,) = transactions(
+        [
+            *fed(recognition := at_its_own_port(), [request, (RESPONSE, answer)]),
+            *recognition.close(),
+        ]
+    )
+    assert (one.function, one.unit) == (0x0B, 0xC4)
+
+
+def test_one_frame_by_chance_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+    chance = rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
+    for joined in (False, True):
+        recognition = at_its_own_port(joined=joined)
+        said = [(REQUEST, b"\xff" * 90 + chance + b"\xff" * 90)]
+        assert is_one_event([*fed(recognition, said), *recognition.close()])
+
+
+def test_one_frame_before_a_gap_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+    recognition = at_its_own_port(joined=True)
+    chance = b"\xff" * 90 + rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
+    decoded = fed(recognition, [(REQUEST, chance)]) + recognition.gap(REQUEST, 9, 0)
+    assert is_one_event([*decoded, *recognition.close()])
+
+
+def test_where_modbus_tcp_is_expected_frames_are_shown_as_elsewhere() -> None:
+    assert len(transactions(fed(at_its_own_port(), RTU_PAIR))) == 1
+    recognition = at_its_own_port()
+    assert len(adus(fed(recognition, [(REQUEST, rtu_adu(1, WRITE_ONE))] * ENOUGH))) == ENOUGH
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu", "any"])
+@pytest.mark.parametrize("noise", [b"\xff" * 9, b"\xff\x2b\x17" * 400])
+def test_bytes_of_another_protocol_are_one_event_when_the_connection_ends(
+    kind: str, noise: bytes
+) -> None:
+    recognition = ProtocolDetector(CONNECTION, joined=True, tcp=kind != "rtu", rtu=kind != "tcp")
+    assert is_one_event([*fed(recognition, [(REQUEST, noise)]), *recognition.close()])
+
+
+def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends() -> None:
+    tcp = expected(joined=True)
+    assert fed(tcp, [(REQUEST, mbap_adu(1, 1, READ)[:7])]) == []
+    assert [one.kind for one in wire_events(tcp.close())] == [EventKind.SKIPPED]
+    wrong_length = expected()
+    assert fed(wrong_length, [(REQUEST, b"\x00\x01\x00\x00\x88\x04\x05\x07")]) == []
+    assert {one.kind for one in wire_events(wrong_length.close())} == {EventKind.SKIPPED}
+    rtu = ProtocolDetector(CONNECTION, joined=True, tcp=False, rtu=True)
+    assert fed(rtu, [(REQUEST, rtu_adu(1, READ)[:-1] + b"\xee")]) == []
+    assert [one.kind for one in wire_events(rtu.close())] == [EventKind.BAD_CHECK]
+
+
+@pytest.mark.parametrize(("before", "found"), [(NOISE - 8, 2), (NOISE - 7, 0)])
+def test_elsewhere_a_frame_is_looked_for_in_the_first_bytes_only(before: int, found: int) -> None:
+    for size in (1, 7, 1000):
+        recognition = anywhere(joined=True)
+        said = [(REQUEST, b"\xff" * before + RTU_PAIR[0][1]), RTU_PAIR[1]]
+        decoded = fed(recognition, in_pieces(said, size)) + recognition.close()
+        assert len(adus(decoded)) == found
+
+
+def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
+    recognition = anywhere(joined=True)
+    recognition.hold(
+        WireEvent(
+            ts_ns=0,
+            link=CONNECTION.link,
+            kind=EventKind.OPENED,
+            message="connection joined",
+            source=str(CONNECTION.master),
+            destination=str(CONNECTION.slave),
+        )
+    )
+    exchanged = [(RESPONSE, TCP_PAIR[0][1]), (REQUEST, TCP_PAIR[1][1])]
+    decoded = fed(recognition, exchanged)
+    (one,) = transactions(decoded)
+    assert (one.source, one.destination) == ("10.0.0.9:1502", "10.0.0.1:50211")
+    (opened,) = wire_events(decoded)
+    assert (opened.source, opened.destination) == (one.source, one.destination)
+    assert len(transactions(fed(recognition, exchanged))) == 1
+
+
+@given(st.lists(st.tuples(st.sampled_from([REQUEST, RESPONSE]), st.binary(max_size=300))))
+def test_what_is_held_is_bounded(pieces: list[Piece]) -> None:
+    recognition = anywhere(joined=True)
+    given_out = fed(recognition, pieces)
+    size = sum(len(data) for _, data in pieces)
+    if recognition.state is ProtocolState.UNDECIDED:
+        assert not given_out
+        assert size < ENOUGH_BYTES
+
+
+def test_gaps_without_end_are_bounded() -> None:
+    recognition = anywhere()
+    gaps = [recognition.gap(REQUEST, 1, 7 + place) for place in range(ENOUGH_BYTES // GAP_COUNTS)]
+    assert not any(gaps[:-1])
+    assert is_one_event(gaps[-1])
+    assert [event.ts_ns for event in wire_events(gaps[-1])] == [7]
+
+
+PIECES: list[Piece] = [
+    *TCP_PAIR,
+    *RTU_PAIR,
+    (REQUEST, TLS),
+    (REQUEST, LDAP_BIND),
+    (RESPONSE, LDAP_ANSWER),
+    (REQUEST, mbap_adu(2, 1, LONG_READ)),
+    (REQUEST, mbap_adu(3, 1, OWN_FUNCTION)),
+    (RESPONSE, bytes(40)),
+    (REQUEST, b"\xff" * 500),
+]
+
+
+@given(
+    pieces=st.lists(st.sampled_from(PIECES), max_size=12),
+    size=st.integers(1, 40),
+    kind=st.sampled_from([expected, at_its_own_port, anywhere]),
+    joined=st.booleans(),
+)
+def test_where_segments_end_does_not_matter(
+    pieces: list[Piece], size: int, kind: Port, joined: bool
+) -> None:
+    whole, cut = kind(joined=joined), kind(joined=joined)
+    wanted = [one for way, data in pieces for one in whole.feed(way, data, 0)] + whole.close()
+    found = [
+        one
+        for way, data in pieces
+        for start in range(0, len(data), size)
+        for one in cut.feed(way, data[start : start + size], 0)
+    ] + cut.close()
+    assert cut.state is whole.state
+    assert adus(found) == adus(wanted)
+    assert transactions(found) == transactions(wanted)
+
+
+def test_what_is_told_of_a_connection_is_held_within_bounds() -> None:
+    recognition = anywhere()
+    for ts_ns in range(2 * MAX_TOLD):
+        overlap = WireEvent(
+            ts_ns=ts_ns, link="x", kind=EventKind.OVERLAP, message="", raw=bytes(3 * ENOUGH_BYTES)
+        )
+        recognition.hold(overlap)
+    told = wire_events(fed(recognition, TCP_PAIR))
+    assert [event.ts_ns for event in told] == list(range(MAX_TOLD))
+    assert {len(event.raw) for event in told} == {ENOUGH_BYTES}

@@ -1,0 +1,118 @@
+"""Which response belongs to which request."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import Direction
+from mbtool.decode.pairing import BUS_TIMEOUT_NS
+from mbtool.decode.tap_alignment import MOST, SKEW_NS, TapRequest, asker_of_first, can_answer
+from mbtool.modbus.adu import Adu, DirectionBy, Transport
+
+MS = 1_000_000
+LENGTH_MS = 4
+END_NS = 10_000 * MS
+READ = bytes.fromhex("03 0000 0001")  # read holding registers, address 0, quantity 1
+ANSWER = bytes.fromhex("03 02 0007")
+TOO_LONG = bytes.fromhex("03 04 0007 0008")
+REFUSED = bytes.fromhex("83 02")
+
+
+def _adu(direction: Direction, pdu: bytes, at_ms: float, unit: int) -> Adu:
+    start_ns = int(at_ms * MS)
+    return Adu(
+        start_ns=start_ns,
+        end_ns=start_ns + LENGTH_MS * MS,
+        transport=Transport.RTU,
+        direction=direction,
+        direction_by=DirectionBy.PORT,
+        confidence=1.0,
+        unit=unit,
+        pdu=pdu,
+        raw=pdu,
+    )
+
+
+def asked(at_ms: float, pdu: bytes = READ, unit: int = 1) -> TapRequest:
+    return TapRequest.of(_adu(Direction.REQUEST, pdu, at_ms, unit))
+
+
+def answered(at_ms: float, pdu: bytes = ANSWER, unit: int = 1) -> Adu:
+    return _adu(Direction.RESPONSE, pdu, at_ms, unit)
+
+
+@pytest.mark.parametrize(
+    ("request_at_ms", "responses_at_ms", "asker"),
+    [
+        ([0], [10], 0),
+        ([0, 200], [10, 210], 0),
+        ([0, 200], [210], 1),  # Nobody answered the first, and the master asked again.
+        ([0, 200], [190], 0),  # A slow slave.
+        ([0], [0], 0),  # Read before the request was.
+        ([50], [5], 0),
+        ([0, 20], [25, 45], 0),  # Read behind the next request.
+        ([0, 200], [], None),
+        ([], [10], None),
+    ],
+)
+def test_the_first_response_belongs_to(
+    request_at_ms: list[float], responses_at_ms: list[float], asker: int | None
+) -> None:
+    requests = [asked(at_ms) for at_ms in request_at_ms]
+    responses = [answered(at_ms) for at_ms in responses_at_ms]
+    assert asker_of_first(requests, responses, END_NS) == asker
+
+
+def test_only_the_same_unit_and_function_can_answer() -> None:
+    request = asked(0).adu
+    assert can_answer(request, answered(10))
+    assert can_answer(request, answered(10, REFUSED))
+    assert not can_answer(request, answered(10, unit=2))
+    assert not can_answer(request, answered(10, bytes.fromhex("04 02 0007")))
+    assert asker_of_first([asked(0), asked(20, unit=2)], [answered(10, unit=2)], END_NS) == 1
+
+
+def test_a_response_of_the_right_size_goes_before_one_of_another() -> None:
+    longer = asked(200, bytes.fromhex("03 0000 0002"))
+    assert asker_of_first([asked(0), longer], [answered(195, TOO_LONG)], END_NS) == 1
+    assert asker_of_first([asked(0), asked(200, unit=2)], [answered(10, TOO_LONG)], END_NS) == 0
+
+
+def test_more_than_the_skew_is_too_much() -> None:
+    skew_ms = SKEW_NS / MS
+    assert asker_of_first([asked(skew_ms)], [answered(LENGTH_MS)], END_NS) == 0
+    assert asker_of_first([asked(skew_ms)], [answered(LENGTH_MS - 1)], END_NS) is None
+
+
+def test_a_request_does_not_wait_longer_than_the_bus() -> None:
+    after_ms = LENGTH_MS + BUS_TIMEOUT_NS / MS
+    assert asker_of_first([asked(0)], [answered(after_ms)], END_NS) == 0
+    assert asker_of_first([asked(0)], [answered(after_ms + 1)], END_NS) is None
+
+
+def test_polls_behind_a_lone_response_are_not_shifted_only_at_the_start() -> None:
+    requests = [asked(10 + 20 * number) for number in range(6)]
+    responses = [answered(20 * number) for number in range(6)]
+    assert asker_of_first(requests, responses, END_NS, at_start=True) is None
+    assert asker_of_first(requests, responses, END_NS) == 0
+
+
+def test_what_is_known_of_delays_is_no_strain() -> None:
+    # A request, 300 ms of silence, then polls whose responses seem 7 ms early.
+    requests = [asked(0), asked(300), asked(320)]
+    responses = [answered(297), answered(317)]
+    assert asker_of_first(requests, responses, END_NS) == 0
+    assert asker_of_first(requests, responses, END_NS, ahead_ns=7 * MS) == 1
+
+
+def test_its_request_may_be_still_to_come() -> None:
+    # Nobody knows what the master says behind 120 ms; the slave may have been quicker to be read.
+    requests, responses = [asked(0), asked(60)], [answered(10), answered(105), answered(110)]
+    assert asker_of_first(requests, responses, 120 * MS) == 0
+    assert asker_of_first([], [answered(110)], 120 * MS) is None
+
+
+def test_looks_at_no_more_than_it_says() -> None:
+    requests = [asked(number) for number in range(100 * MOST)]
+    responses = [answered(number) for number in range(100 * MOST)]
+    assert asker_of_first(requests, responses, END_NS) is not None

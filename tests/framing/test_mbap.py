@@ -1,0 +1,190 @@
+"""One direction of a Modbus/TCP stream, cut into ADUs."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from mbtool.core import Direction, EventKind
+from mbtool.framing import MbapSplitter
+from mbtool.framing.skips import MAX_RUN
+from mbtool.modbus.adu import DirectionBy, Transport, Verdict
+from mbtool.modbus.adu_bytes import mbap_adu
+from tests.feeding import every_way
+from tests.modbus.reading import adus, pdus, raw, skipped
+
+READ_HOLDING_REQUEST = bytes.fromhex(
+    "0001"          # transaction id
+    "0000"          # protocol id
+    "0006"          # length
+    "11"            # unit id
+    "03 006B 0003"  # read holding registers, address 107, quantity 3
+)  # fmt: skip
+WRITE_COIL_REQUEST = bytes.fromhex("0002 0000 0006 11 05 00AC FF00")
+READ = (0x11, "03006b0003")
+WRITE = (0x11, "0500acff00")
+
+
+def requests() -> MbapSplitter:
+    return MbapSplitter(Direction.REQUEST)
+
+
+def responses() -> MbapSplitter:
+    return MbapSplitter(Direction.RESPONSE)
+
+
+def test_reads_an_adu() -> None:
+    (adu,) = adus(every_way(requests, READ_HOLDING_REQUEST))
+    assert adu.transport is Transport.TCP
+    assert (adu.direction, adu.direction_by, adu.confidence) == (
+        Direction.REQUEST, DirectionBy.PORT, 1.0,
+    )  # fmt: skip
+    assert (adu.transaction_id, adu.unit, adu.pdu.hex()) == (1, *READ)
+    assert adu.raw == READ_HOLDING_REQUEST
+    assert adu.checksum is None
+    assert adu.verdicts == ()
+
+
+def test_finds_each_of_several_adus_in_a_segment() -> None:
+    events = every_way(requests, READ_HOLDING_REQUEST + WRITE_COIL_REQUEST + READ_HOLDING_REQUEST)
+    assert pdus(events) == [READ, WRITE, READ]
+    assert skipped(events) == []
+
+
+def test_adu_has_the_times_of_the_segments_that_began_and_completed_it() -> None:
+    splitter = requests()
+    assert splitter.feed(READ_HOLDING_REQUEST[:5], 100) == []
+    assert splitter.feed(READ_HOLDING_REQUEST[5:9], 200) == []
+    (first,) = adus(splitter.feed(READ_HOLDING_REQUEST[9:] + WRITE_COIL_REQUEST[:1], 300))
+    (second,) = adus(splitter.feed(WRITE_COIL_REQUEST[1:], 400))
+    assert (first.start_ns, first.end_ns) == (100, 300)
+    assert (second.start_ns, second.end_ns) == (300, 400)
+
+
+@pytest.mark.parametrize("length", [2, 254])
+def test_length_may_be_from_2_to_254(length: int) -> None:
+    adu = mbap_adu(7, 1, bytes(length - 1))
+    assert adus(every_way(requests, adu))[0].raw == adu
+
+
+@pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
+def test_finds_the_next_adu_after_a_header_that_cannot_be(length: int) -> None:
+    garbage = bytes.fromhex("0001 0000") + length.to_bytes(2) + b"\x11\x03"
+    events = every_way(requests, garbage + READ_HOLDING_REQUEST)
+    assert [type(event).__name__ for event in events] == ["Skipped", "Adu"]
+    assert skipped(events)[0].raw == garbage
+    assert skipped(events)[0].kind is EventKind.SKIPPED
+    assert adus(events)[0].verdicts == (Verdict.RESYNCHRONISED,)
+
+
+def test_is_back_in_step_after_the_adu_it_found() -> None:
+    unknown = mbap_adu(3, 1, b"\x41\x00")
+    events = every_way(requests, b"\xff" * 9 + READ_HOLDING_REQUEST + unknown)
+    assert pdus(events) == [READ, (1, "4100")]
+    assert adus(events)[1].verdicts == ()
+
+
+def test_is_not_deceived_by_zeros_in_register_data() -> None:
+    # Out of step, `0000 0000 0002 05 06` looks like a header, but 06 has more than one byte.
+    data = bytes.fromhex("FFFF FFFF FFFF 0000 0000 0002 05 06")
+    events = every_way(requests, data + READ_HOLDING_REQUEST)
+    assert pdus(events) == [READ]
+    assert skipped(events)[0].raw == data
+
+
+def test_is_not_deceived_by_a_header_that_leaves_no_room_for_its_function() -> None:
+    # Out of step, a length of 2 behind which 0F stands, whose byte count would come later.
+    data = bytes.fromhex("FFFF FFFF FFFF FF 0000 0000 0002 01 0F")
+    events = every_way(requests, data + READ_HOLDING_REQUEST)
+    assert pdus(events) == [READ]
+    assert skipped(events)[0].raw == data
+
+
+def test_is_not_deceived_by_register_data_behind_a_gap() -> None:
+    splitter = requests()
+    splitter.gap()
+    data = bytes.fromhex("0000 0000 0003 01 06 05")
+    assert pdus(splitter.feed(data + READ_HOLDING_REQUEST, 1)) == [READ]
+
+
+def test_unknown_function_is_skipped_out_of_step_only() -> None:
+    unknown = mbap_adu(3, 1, b"\x41\x00")
+    assert pdus(every_way(requests, unknown)) == [(1, "4100")]
+    events = every_way(requests, b"\xff" * 7 + unknown + READ_HOLDING_REQUEST)
+    assert pdus(events) == [READ]
+
+
+def test_malformed_pdu_is_an_adu_in_step() -> None:
+    malformed = mbap_adu(3, 1, bytes.fromhex("03 006B"))
+    assert pdus(every_way(requests, malformed + READ_HOLDING_REQUEST)) == [(1, "03006b"), READ]
+
+
+def test_foreign_protocol_is_one_event_and_keeps_the_step() -> None:
+    foreign = bytes.fromhex("0000 0001 0006 00 02 0000 0010")  # Protocol id 1.
+    events = every_way(requests, foreign + READ_HOLDING_REQUEST)
+    assert [(one.kind, one.raw) for one in skipped(events)] == [(EventKind.FOREIGN, foreign)]
+    assert skipped(events)[0].reason == "protocol id 0001H, where Modbus has 0000H"
+    assert adus(events)[0].verdicts == ()
+
+
+def test_adu_that_never_ends_comes_out_as_skipped() -> None:
+    events = every_way(requests, READ_HOLDING_REQUEST + WRITE_COIL_REQUEST[:-1])
+    assert pdus(events) == [READ]
+    assert [(one.reason, one.raw) for one in skipped(events)] == [
+        ("an ADU that never ends", WRITE_COIL_REQUEST[:-1])
+    ]
+
+
+def test_resynchronises_behind_a_gap() -> None:
+    splitter = requests()
+    assert splitter.feed(READ_HOLDING_REQUEST[:9], 100) == []
+    assert raw(splitter.gap()) == READ_HOLDING_REQUEST[:9]
+    events = splitter.feed(READ_HOLDING_REQUEST[-3:] + WRITE_COIL_REQUEST, 200)
+    assert pdus(events) == [WRITE]
+    assert skipped(events)[0].raw == READ_HOLDING_REQUEST[-3:]
+    assert adus(events)[0].verdicts == (Verdict.RESYNCHRONISED,)
+    assert splitter.close() == []
+
+
+def test_believes_an_unknown_function_only_right_behind_a_gap() -> None:
+    unknown = mbap_adu(3, 0x11, bytes.fromhex("63 0102"))
+    splitter = requests()
+    splitter.gap()
+    (adu,) = adus(splitter.feed(unknown, 100))
+    assert (adu.pdu.hex(), adu.verdicts) == ("630102", (Verdict.RESYNCHRONISED,))
+    splitter.gap()
+    assert adus(splitter.feed(b"\xff" + unknown, 200)) == []
+
+
+def test_direction_says_which_structure_to_expect_out_of_step() -> None:
+    response = mbap_adu(1, 0x11, bytes.fromhex("03 02 1234"))
+    assert pdus(every_way(responses, b"\xff" * 7 + response)) == [(0x11, "03021234")]
+    assert pdus(every_way(requests, b"\xff" * 7 + response)) == []
+
+
+def test_holds_no_more_than_one_adu_and_a_run_of_skipped_bytes() -> None:
+    noise = random.Random(4).randbytes(1 << 20)
+    splitter = requests()
+    held = most = 0
+    for at in range(0, len(noise), 100):
+        held += 100 - len(raw(splitter.feed(noise[at : at + 100], at)))
+        most = max(most, held)
+    assert most < 260 + MAX_RUN
+
+
+def test_a_megabyte_in_one_segment_loses_nothing() -> None:
+    noise = random.Random(5).randbytes(1 << 20)
+    splitter = requests()
+    events = splitter.feed(noise + READ_HOLDING_REQUEST * 3, 1)
+    assert raw(events + splitter.close()) == noise + READ_HOLDING_REQUEST * 3
+    assert pdus(events)[-2:] == [READ, READ]
+
+
+def test_is_idle_in_step_and_with_nothing_held() -> None:
+    splitter = requests()
+    idle = []
+    for piece in (b"", READ_HOLDING_REQUEST[:5], READ_HOLDING_REQUEST[5:], b"\xff" * 20):
+        splitter.feed(piece, 1)
+        idle.append(splitter.is_idle)
+    assert idle == [True, False, True, False]

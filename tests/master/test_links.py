@@ -1,0 +1,224 @@
+"""Links that a master asks on."""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink, UsageError, parse_link
+from mbtool.master.links import Answered, MasterLink, SerialMaster, open_master
+from mbtool.modbus import Response, mbap_adu, rtu_adu
+from mbtool.slave.shells import SerialSlave, TcpSlave
+from mbtool.sources.virtual_line import VirtualLine
+from tests.slave.scripted import PATIENCE_S, Scripted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+READ = bytes.fromhex("03 0000 0002")
+VALUES = bytes.fromhex("03 04 0007 0008")
+VENDOR = bytes.fromhex("42 0013")
+SECOND_NS = 1_000_000_000
+
+
+def _answers(unit: int, pdu: bytes) -> Response | None:
+    return Response({READ: VALUES}.get(pdu, pdu)) if unit else None
+
+
+def _received(master: MasterLink, count: int = 1) -> list[Answered]:
+    """So many answers, or fails when they do not come."""
+    answers: list[Answered] = []
+    until = time.monotonic() + PATIENCE_S
+    while len(answers) < count:
+        assert time.monotonic() < until
+        answers += master.receive(SECOND_NS)
+    return answers
+
+
+@pytest.fixture
+def listening() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(PATIENCE_S)
+        yield server
+
+
+def _link(server: socket.socket, *, rtu: bool = False) -> TcpLink:
+    return TcpLink(Endpoint(*server.getsockname()[:2]), rtu=rtu)
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_an_answer_over_tcp_has_its_requests_number(scheme: str) -> None:
+    link = parse_link(f"{scheme}:127.0.0.1:0")
+    assert isinstance(link, TcpLink)
+    with (
+        TcpSlave(link, Scripted(_answers)) as slave,
+        open_master(parse_link(slave.place), SECOND_NS) as master,
+    ):
+        for number in (5, 9):
+            before_ns = time.monotonic_ns()
+            master.send(number, 1, READ)
+            (answer,) = _received(master)
+            assert (answer.number, answer.pdu) == (number, VALUES)
+            assert before_ns < answer.start_ns <= answer.end_ns <= time.monotonic_ns()
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+@pytest.mark.parametrize("pdu", [READ, VENDOR])
+def test_an_answer_on_a_line_has_its_requests_number(scheme: str, pdu: bytes) -> None:
+    with VirtualLine() as line:
+        ours, slaves = (parse_link(f"{scheme}:{port}@115200-8N1") for port in line.ports)
+        assert isinstance(slaves, SerialLink)
+        with SerialSlave(slaves, Scripted(_answers)), open_master(ours, SECOND_NS) as master:
+            assert master.limits.one_at_a_time
+            for number in (5, 9):
+                master.send(number, 1, pdu)
+                (answer,) = _received(master)
+                assert (answer.number, answer.pdu) == (number, VALUES if pdu == READ else VENDOR)
+
+
+def test_waiting_differently_long_leaves_the_ports_settings_alone() -> None:
+    """Parity, which a pseudo-terminal may refuse when it is set a second time."""
+    with VirtualLine() as line:
+        ours, slaves = (parse_link(f"rtu:{port}@19200-8E1") for port in line.ports)
+        assert isinstance(slaves, SerialLink)
+        with SerialSlave(slaves, Scripted(_answers)), open_master(ours, SECOND_NS) as master:
+            for wait_ns in (0, 1_000, 1_000_000, 9_000_000):
+                assert list(master.receive(wait_ns)) == []
+            master.send(1, 1, READ)
+            (answer,) = _received(master)
+            assert answer.pdu == VALUES
+
+
+def test_answers_in_another_order_find_their_requests(listening: socket.socket) -> None:
+    with open_master(_link(listening), SECOND_NS) as master:
+        peer, _ = listening.accept()
+        with peer:
+            for number in range(3):
+                master.send(number, 1, READ)
+            sent = b""
+            while len(sent) < 3 * 12:
+                sent += peer.recv(100)
+            for place in (2, 0, 1):
+                peer.sendall(sent[place * 12 : place * 12 + 2] + mbap_adu(0, 1, VALUES)[2:])
+            assert [answer.number for answer in _received(master, 3)] == [2, 0, 1]
+
+
+def test_an_answer_that_nobody_asked_for_has_no_number(listening: socket.socket) -> None:
+    with open_master(_link(listening), SECOND_NS) as master:
+        peer, _ = listening.accept()
+        with peer:
+            peer.sendall(mbap_adu(77, 1, VALUES))
+            assert _received(master)[0].number == -1
+
+
+def test_another_units_frame_is_no_answer(listening: socket.socket) -> None:
+    with open_master(_link(listening, rtu=True), SECOND_NS) as master:
+        peer, _ = listening.accept()
+        with peer:
+            master.send(5, 1, READ)
+            peer.sendall(rtu_adu(2, VALUES) + rtu_adu(1, VALUES))
+            assert [answer.number for answer in _received(master, 2)] == [-1, 5]
+
+
+def test_a_connection_that_was_closed_is_opened_again(listening: socket.socket) -> None:
+    with open_master(_link(listening), SECOND_NS) as master:
+        first, _ = listening.accept()
+        first.close()
+        assert list(master.receive(SECOND_NS)) == []
+        master.send(1, 1, READ)
+        again, _ = listening.accept()
+        with again:
+            again.sendall(mbap_adu(1, 1, VALUES))
+            assert [answer.number for answer in _received(master)] == [1]
+
+
+def test_without_a_slave_requests_have_no_answer() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        master = open_master(_link(server), SECOND_NS)
+    with master:
+        for number in range(3):
+            master.send(number, 1, READ)
+            assert list(master.receive(1_000_000)) == []
+            assert master.lost() == [number]
+
+
+def test_what_was_asked_on_a_connection_that_closes_is_lost(listening: socket.socket) -> None:
+    with open_master(_link(listening), SECOND_NS) as master:
+        peer, _ = listening.accept()
+        with peer:
+            for number in (3, 4):
+                master.send(number, 1, READ)
+            assert master.lost() == []
+        until = time.monotonic() + PATIENCE_S
+        lost: list[int] = []
+        while not lost and time.monotonic() < until:
+            master.receive(SECOND_NS)
+            lost += master.lost()
+        assert lost == [3, 4]
+
+
+def test_a_refused_connection_is_told_once_and_when_it_is_back() -> None:
+    said: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = _link(server)
+        master = open_master(link, SECOND_NS, said.append)
+    with master:
+        until = time.monotonic() + PATIENCE_S
+        while not said and time.monotonic() < until:
+            master.send(1, 1, READ)
+            master.receive(1_000_000)
+        for number in range(3):
+            master.send(number, 1, READ)
+        assert said == [
+            f"mbtool: the connection was lost; {link}: cannot be reached: Connection refused; "
+            "does a slave listen there?"
+        ]
+        with socket.create_server((link.endpoint.host, link.endpoint.port)) as server:
+            server.settimeout(PATIENCE_S)
+            while len(said) < 2 and time.monotonic() < until:
+                master.send(9, 1, READ)
+            again, _ = server.accept()
+            again.close()
+        assert said[1:] == [f"mbtool: {link}: connected again"]
+
+
+def test_a_slave_that_is_not_there_is_said_to_be() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = _link(server)
+    with pytest.raises(LinkError, match="cannot be reached: Connection refused; does a slave"):
+        open_master(link, SECOND_NS)
+
+
+def test_receive_returns_when_the_time_is_over(listening: socket.socket) -> None:
+    with open_master(_link(listening), SECOND_NS) as master, VirtualLine() as line:
+        begin_ns = time.monotonic_ns()
+        assert list(master.receive(20_000_000)) == []
+        serial = open_master(parse_link(f"rtu:{line.ports[0]}@115200-8N1"), SECOND_NS)
+        with serial:
+            assert list(serial.receive(20_000_000)) == []
+        assert time.monotonic_ns() - begin_ns >= 40_000_000
+
+
+def test_a_lost_port_ends_it() -> None:
+    line = VirtualLine()
+    with line:
+        master = open_master(parse_link(f"rtu:{line.ports[0]}@115200-8N1"), SECOND_NS)
+        assert isinstance(master, SerialMaster)
+
+    def ask_on() -> None:
+        for number in range(100):
+            master.send(number, 1, READ)
+            master.receive(1_000_000)
+
+    with master, pytest.raises(LinkError, match="lost; is it still plugged in"):
+        ask_on()
+
+
+def test_nobody_asks_on_an_interface() -> None:
+    with pytest.raises(UsageError, match="a master needs rtu:PORT"):
+        open_master(parse_link("net:eth0"), SECOND_NS)
+    with pytest.raises(UsageError, match="name one"):
+        open_master(parse_link("rtu:/dev/a,/dev/b@19200-8N1"), SECOND_NS)

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Direction
+from mbtool.framing import MbapSplitter
+from mbtool.modbus.adu import Adu, Transport
+from mbtool.modbus.adu_bytes import ascii_adu, crc, lrc, mbap_adu, rtu_adu
+from mbtool.modbus.distortion import Distortion, wire_pieces
+from mbtool.modbus.response import Response
+
+PDU = bytes.fromhex("03 02 1234")  # two bytes, one register
+FRAMED = {
+    Transport.RTU: rtu_adu(1, PDU),
+    Transport.RTU_TCP: rtu_adu(1, PDU),
+    Transport.ASCII: ascii_adu(1, PDU),
+    Transport.TCP: mbap_adu(7, 1, PDU),
+}
+
+
+def _sent(spoiling: Distortion | None, transport: Transport = Transport.RTU) -> bytes:
+    return b"".join(
+        data for _, data in wire_pieces(Response(PDU, spoiling=spoiling), transport, 1, 7)
+    )
+
+
+@pytest.mark.parametrize("transport", Transport)
+@pytest.mark.parametrize("spoiling", [None, Distortion()])
+def test_an_answer_that_is_not_spoilt_leaves_whole(
+    transport: Transport, spoiling: Distortion | None
+) -> None:
+    assert wire_pieces(Response(PDU, spoiling=spoiling), transport, 1, 7) == [
+        (0, FRAMED[transport])
+    ]
+
+
+def test_another_unit_has_a_good_check() -> None:
+    assert _sent(Distortion(unit_by=2)) == rtu_adu(3, PDU)
+    assert _sent(Distortion(unit_by=255), Transport.TCP) == mbap_adu(7, 0, PDU)
+
+
+def test_another_transaction_id_wraps() -> None:
+    assert _sent(Distortion(id_by=0xFFFF), Transport.TCP) == mbap_adu(6, 1, PDU)
+
+
+@pytest.mark.parametrize("transport", [Transport.RTU, Transport.RTU_TCP])
+def test_a_wrong_crc_is_wrong(transport: Transport) -> None:
+    sent = _sent(Distortion(wrong_check=True), transport)
+    assert sent[:-2] == FRAMED[transport][:-2]
+    assert crc(sent) != 0
+
+
+def test_a_wrong_lrc_is_wrong_and_still_hexadecimal() -> None:
+    sent = _sent(Distortion(wrong_check=True), Transport.ASCII)
+    body = bytes.fromhex(sent[1:-2].decode())
+    assert sent[:-4] == FRAMED[Transport.ASCII][:-4]
+    assert lrc(body[:-1]) != body[-1]
+
+
+def test_modbus_tcp_has_no_check_that_could_be_wrong() -> None:
+    assert _sent(Distortion(wrong_check=True), Transport.TCP) == FRAMED[Transport.TCP]
+
+
+def test_bytes_are_missing_and_others_follow() -> None:
+    assert _sent(Distortion(cut=2, extra=b"\xff")) == FRAMED[Transport.RTU][:-2] + b"\xff"
+
+
+def test_nothing_is_left_of_an_answer_that_is_cut_off_whole() -> None:
+    assert wire_pieces(Response(PDU, spoiling=Distortion(cut=99)), Transport.RTU, 1) == []
+
+
+def test_silence_is_silence() -> None:
+    answer = Response(PDU, spoiling=Distortion(silent=True, extra=b"\xff"))
+    assert wire_pieces(answer, Transport.RTU, 1) == []
+
+
+@given(st.integers(1, 300), st.integers(0, 10**9))
+def test_pieces_are_the_whole_with_silence_between_them(pieces: int, gap_ns: int) -> None:
+    spoiling = Distortion(pieces=pieces, gap_ns=gap_ns)
+    sent = wire_pieces(Response(PDU, spoiling=spoiling), Transport.TCP, 1, 7)
+    assert b"".join(data for _, data in sent) == FRAMED[Transport.TCP]
+    assert len(sent) == min(pieces, len(FRAMED[Transport.TCP]))
+    assert all(data for _, data in sent)
+    assert [at_ns for at_ns, _ in sent] == [number * gap_ns for number in range(len(sent))]
+
+
+@given(st.binary(min_size=1, max_size=253), st.integers(0, 0xFFFF), st.integers(0, 255))
+def test_what_is_not_damaged_is_read_back(pdu: bytes, transaction_id: int, unit: int) -> None:
+    spoiling = Distortion(unit_by=3, id_by=5, pieces=3)
+    splitter = MbapSplitter(Direction.RESPONSE)
+    events = [
+        event
+        for _, data in wire_pieces(
+            Response(pdu, spoiling=spoiling), Transport.TCP, unit, transaction_id
+        )
+        for event in splitter.feed(data, 0)
+    ]
+    (adu,) = events
+    assert isinstance(adu, Adu)
+    assert (adu.unit, adu.pdu) == (unit + 3 & 0xFF, pdu)
+    assert adu.transaction_id == transaction_id + 5 & 0xFFFF

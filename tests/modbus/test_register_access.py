@@ -1,0 +1,133 @@
+"""What requests reach."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Direction
+from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.register_access import (
+    REACHING,
+    RegisterAccess,
+    keeps_limits,
+    register_access,
+    response_to,
+    values_after,
+)
+from mbtool.modbus.tables import Table
+
+COILS, INPUTS = Table.COILS, Table.DISCRETE_INPUTS
+HOLDING, REGISTERS = Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS
+
+
+def _reach(request: str) -> RegisterAccess | None:
+    return register_access(parse_pdu(bytes.fromhex(request), Direction.REQUEST))
+
+
+@pytest.mark.parametrize(
+    ("request_", "reach"),
+    [
+        ("01 0010 0003", RegisterAccess(COILS, reads=range(16, 19))),
+        ("02 0010 0003", RegisterAccess(INPUTS, reads=range(16, 19))),
+        ("03 006B 0003", RegisterAccess(HOLDING, reads=range(107, 110))),
+        ("04 FFFF 0001", RegisterAccess(REGISTERS, reads=range(0xFFFF, 0x10000))),
+        ("05 0010 FF00", RegisterAccess(COILS, writes=range(16, 17))),
+        ("06 0010 1234", RegisterAccess(HOLDING, writes=range(16, 17))),
+        ("0F 0010 0003 01 05", RegisterAccess(COILS, writes=range(16, 19))),
+        ("10 0010 0002 04 0001 0002", RegisterAccess(HOLDING, writes=range(16, 18))),
+        ("16 0010 00F2 0025", RegisterAccess(HOLDING, writes=range(16, 17))),
+        ("17 0003 0006 000E 0001 02 00FF", RegisterAccess(HOLDING, range(3, 9), range(14, 15))),
+        # Past the last address: whether an address exists is not the request's form.
+        ("03 FFFF 0002", RegisterAccess(HOLDING, range(0xFFFF, 0x10001))),
+    ],
+)
+def test_names_what_is_read_and_written(request_: str, reach: RegisterAccess) -> None:
+    assert _reach(request_) == reach
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        "03 0000 0000",  # quantity 0
+        "03 0000 007E",  # over the limit
+        "03 0000",  # too short
+        "05 0000 1234",  # neither on nor off
+        "0F 0000 0009 01 FF",  # nine coils in one byte
+        "10 0000 0002 02 0001",  # two registers in two bytes
+        "17 0000 0000 000E 0001 02 00FF",  # reads nothing
+        "18 0000",  # a FIFO queue
+        "2B 0E 01 00",
+        "41 00",
+    ],
+)
+def test_knows_no_reach_of_what_is_wrong_or_reaches_no_table(request_: str) -> None:
+    assert _reach(request_) is None
+
+
+@pytest.mark.parametrize(
+    ("request_", "keeps"),
+    [
+        ("01 0300 07D0", True),
+        ("01 0300 0000", False),
+        ("02 0300 07D1", False),
+        ("03 FFFF 0001", True),
+        ("03 FFFF 0002", False),
+        ("17 0003 0006 FFFF 0001 02 00FF", True),
+        ("17 0003 0006 FFFF 0002 04 00FF 0001", False),
+        ("14 07 06 0004 0001 0002", True),
+        ("14 07 05 06 000D FE00 20", False),
+        ("41 00", True),
+    ],
+)
+def test_request_keeps_the_limits_of_its_function(request_: str, keeps: bool) -> None:
+    assert keeps_limits(parse_pdu(bytes.fromhex(request_), Direction.REQUEST)) is keeps
+
+
+@pytest.mark.parametrize(
+    ("request_", "before", "after"),
+    [
+        ("05 0010 FF00", [0], (1,)),
+        ("05 0010 0000", [1], (0,)),
+        ("06 0010 1234", [0], (0x1234,)),
+        ("0F 0010 0003 01 05", [0, 0, 0], (1, 0, 1)),
+        ("10 0010 0002 04 0001 0002", [0, 0], (1, 2)),
+        ("16 0010 00F2 0025", [0x12], (0x17,)),  # V1.1b3, 6.16
+        ("17 0003 0006 000E 0002 04 00FF 0001", [0, 0], (0xFF, 1)),
+    ],
+)
+def test_tells_what_a_write_leaves(
+    request_: str, before: list[int], after: tuple[int, ...]
+) -> None:
+    assert values_after(parse_pdu(bytes.fromhex(request_), Direction.REQUEST), before) == after
+
+
+@pytest.mark.parametrize(
+    ("request_", "values", "response"),
+    [
+        ("01 0000 000B", [1, 0, 0, 0, 0, 1, 0, 0, 1, 1, 0], "01 02 21 03"),
+        ("04 0000 0001", [0x1234], "04 02 12 34"),
+        ("06 0010 1234", [], "06 00 10 12 34"),
+        ("10 0010 0001 02 0001", [], "10 00 10 00 01"),
+        ("17 0003 0001 000E 0001 02 00FF", [7], "17 02 00 07"),
+    ],
+)
+def test_makes_the_standards_response(request_: str, values: list[int], response: str) -> None:
+    pdu = bytes.fromhex(request_)
+    made = response_to(parse_pdu(pdu, Direction.REQUEST), pdu, values)
+    assert made.hex(" ") == response
+
+
+@given(st.sampled_from(sorted(REACHING)), st.binary(max_size=260))
+def test_what_has_an_access_can_be_executed(function: int, data: bytes) -> None:
+    pdu = bytes([function]) + data
+    request = parse_pdu(pdu, Direction.REQUEST)
+    reach = register_access(request)
+    if reach is None:
+        return
+    assert reach.reads or reach.writes
+    if reach.writes:
+        assert len(values_after(request, [0] * len(reach.writes))) == len(reach.writes)
+    response = response_to(request, pdu, [0] * len(reach.reads))
+    assert parse_pdu(response, Direction.RESPONSE).problem is None

@@ -1,0 +1,80 @@
+"""Which response belongs to which request."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Direction
+from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.request_match import answers, is_answer_to, mismatch
+from tests.strategies import Exchange, exchanges
+
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+READ = bytes.fromhex("03 006B 0003")
+
+
+@pytest.mark.parametrize(
+    ("request_", "response", "problem"),
+    [
+        ("03 006B 0003", "03 06 022B 0000 0064", None),
+        ("03 006B 0003", "03 04 022B 0000", "2 registers for a quantity of 3"),
+        ("01 0000 0011", "01 03 000000", None),
+        ("01 0000 0010", "01 03 000000", "3 bytes of bits for a quantity of 16"),
+        ("05 0001 FF00", "05 0001 FF00", None),
+        ("05 0001 FF00", "05 0002 FF00", "address 2 for 1"),
+        ("05 0001 FF00", "05 0001 0000", "value 0 for 65280"),
+        ("08 0001 0000", "08 0002 0000", "sub function 2 for 1"),
+        ("0F 0000 0008 01 FF", "0F 0000 0009", "quantity 9 for 8"),
+        ("10 0001 0001 02 0000", "10 0001 0001", None),
+        ("10 0001 0001 02 0000", "10 0002 0001", "address 2 for 1"),
+        ("16 0001 00F2 0025", "16 0001 00F3 0025", "and mask 243 for 242"),
+        ("16 0001 00F2 0025", "16 0001 00F2 0026", "or mask 38 for 37"),
+        ("17 0000 0001 0009 0001 02 0000", "17 02 1234", None),
+        (
+            "17 0000 0001 0009 0001 02 0000",
+            "17 04 1234 0000",
+            "2 registers for a quantity of 1",
+        ),
+        ("08 0000 A537", "08 0000 A537", None),
+        ("08 0000 A537", "08 0000 A536", "data (42294,) for (42295,)"),
+        ("2B 0E 01 00", "2B 0D", "mei type 13 for 14"),
+        ("07", "07 6D", None),
+    ],
+)
+def test_response_belongs_to_its_request(request_: str, response: str, problem: str | None) -> None:
+    asked = parse_pdu(bytes.fromhex(request_), REQUEST)
+    answer = bytes.fromhex(response)
+    assert mismatch(asked, parse_pdu(answer, RESPONSE)) == problem
+    assert is_answer_to(asked, answer) == (problem is None)
+
+
+@pytest.mark.parametrize(
+    ("response", "fits"),
+    [("83 02", True), ("83", False), ("83 02 00", False), ("84 02", False), ("", False)],
+)
+def test_exception_response_belongs_to_a_request_of_its_function(response: str, fits: bool) -> None:
+    assert is_answer_to(parse_pdu(READ, REQUEST), bytes.fromhex(response)) is fits
+
+
+def test_function_code_above_127_is_answered_by_itself_only() -> None:
+    assert answers(0x83, 0x83)
+    assert not answers(0x83, 0x03)
+    assert answers(0x03, 0x83)
+
+
+@given(exchange=exchanges(), place=st.integers(0, 300), byte=st.integers(0, 255))
+def test_what_fits_by_its_bytes_belongs_together(exchange: Exchange, place: int, byte: int) -> None:
+    """Of the two that judge an answer, by its bytes and by its meaning, the first is stricter."""
+    expected = ExpectedResponse.of(exchange.request)
+    if expected is None or exchange.response is None:
+        return
+    asked = parse_pdu(exchange.request, REQUEST)
+    assert is_answer_to(asked, exchange.response)
+    at = place % len(exchange.response)
+    altered = exchange.response[:at] + bytes([byte]) + exchange.response[at + 1 :]
+    answer = parse_pdu(altered, RESPONSE)
+    if expected.fits(altered) and answer.problem is None:
+        assert mismatch(asked, answer) is None

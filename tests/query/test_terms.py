@@ -1,0 +1,51 @@
+"""What a filter can speak of."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mbtool.modbus import Outcome
+from mbtool.query.terms import NAMES, ValueKind, complaint
+from tests.logs.samples import NAMED, transaction
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+EMPTY = transaction(
+    source=None,
+    destination=None,
+    address=None,
+    quantity=None,
+    request_values=None,
+    response_values=None,
+    latency_ns=None,
+)
+PYTHON = {ValueKind.NUMBER: int | float, ValueKind.TEXT: str, ValueKind.LIST: list}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_is_of_the_kind_that_it_says_or_does_not_apply(name: str) -> None:
+    term = NAMES[name]
+    for one in (NAMED, EMPTY):
+        value = term.value(one)
+        assert value is None or isinstance(value, PYTHON[term.kind])
+        for item in value if isinstance(value, list) else ():
+            assert isinstance(item, PYTHON[term.items[0].kind])
+        if term.words and value is not None:
+            assert value in term.words
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_can_be_compared_with_itself(name: str) -> None:
+    assert complaint(NAMES[name], NAMES[name], membership=False) is None
+
+
+def test_the_words_of_an_outcome_are_all_of_them() -> None:
+    assert NAMES["outcome"].words == tuple(Outcome)
+
+
+def test_the_readme_has_every_name_and_no_other() -> None:
+    _, _, behind = README.read_text(encoding="utf-8").partition("The names are ")
+    sentence, _, _ = behind.partition(". ")
+    assert set(re.findall(r"`([a-z_-]+)`", sentence)) == {*NAMES, *Outcome}

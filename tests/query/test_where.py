@@ -1,0 +1,254 @@
+"""The language of --where."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import UsageError
+from mbtool.devices import NamedTransaction, PointValue
+from mbtool.modbus import Outcome, Verdict
+from mbtool.query.terms import NAMES
+from mbtool.query.where import MAX_DEPTH, MAX_LENGTH, parse_where
+from tests.logs.samples import transaction, transactions
+
+READ = transaction(
+    transaction_id=7,
+    source="10.0.0.1:50211",
+    destination="10.0.0.9:502",
+    address=40,
+    device="idec-ft1a-touch",
+    reference="HR400041..400042",
+    latency_ns=12_500_000,
+    points=[PointValue(name="level", reference="HR400041", value=2.5, text="2.5 m")],
+    findings=["FT1A-Q3"],
+    verdicts=[Verdict.GLUED],
+)
+REFUSED = transaction(
+    outcome=Outcome.EXCEPTION, exception=2, response_values=None, latency_ns=None, address=None
+)
+
+
+@pytest.mark.parametrize(
+    ("expression", "read", "refused"),
+    [
+        ("unit == 1", True, True),
+        ("unit != 1", False, False),
+        ("function in (3, 16)", True, True),
+        ("function in [4]", False, False),
+        ("function not in (3, 16)", False, False),
+        ('outcome == "exception"', False, True),
+        ("exception == 2", False, True),
+        ("latency_ms > 12", True, False),
+        ("latency_ms <= 12.5", True, False),
+        ("40 <= address < 50", True, False),
+        ("4660 in values", True, False),
+        ("values == (4660, 22136)", True, False),
+        ("retries == -1", False, False),
+        ('link == "rs485" and transport == "rtu"', True, True),
+        ('source == "10.0.0.1:50211" or destination == "10.0.0.9:502"', True, False),
+        ("transaction_id == 7", True, False),
+        ("quantity >= 2", True, True),
+        ('device == "idec-ft1a-touch"', True, False),
+        ('"HR4" in reference', True, False),
+        ('"level" in points', True, False),
+        ('"FT1A-Q3" in findings', True, False),
+        ('"glued" in verdicts', True, False),
+        ("not unit == 1", False, False),
+        ("not (unit == 2 or exception == 2)", True, False),
+        ("unit == 1 and not function == 4 and retries == 0", True, True),
+        (" unit == 1\n", True, True),
+    ],
+)
+def test_chooses_transactions(expression: str, read: bool, refused: bool) -> None:
+    wanted = parse_where(expression)
+    assert (wanted(READ), wanted(REFUSED)) == (read, refused)
+
+
+@pytest.mark.parametrize("operator", ["==", "!=", "<", ">", "in", "not in"])
+def test_what_does_not_apply_compares_as_false(operator: str) -> None:
+    group = "(40, 41)" if "in" in operator else "40"
+    assert not parse_where(f"address {operator} {group}")(REFUSED)
+    if operator != "in":
+        assert not parse_where(f"40 {operator.replace('not in', '!=')} address")(REFUSED)
+
+
+def test_a_name_in_a_list_that_does_not_apply_is_neither_more_nor_less() -> None:
+    for operator in ("<", ">"):
+        assert parse_where(f"(1, address) {operator} (1, 2)")(REFUSED) is False
+
+
+@pytest.mark.parametrize(
+    ("expression", "why"),
+    [
+        (
+            'outcome == "no_answer"',
+            "outcome is never 'no_answer'; it is ok, exception, no-answer, unsolicited, broadcast "
+            "or malformed",
+        ),
+        ('"fine" != outcome', "outcome is never 'fine'; it is ok, "),
+        ('outcome in ("ok", "fine")', "outcome is never 'fine'; it is ok, "),
+        ('transport == "modbus"', "transport is never 'modbus'; it is "),
+        ('"glue" in verdicts', "one of verdicts is never 'glue'; it is "),
+        ('unit == "1"', "unit is a number and '1' is a text; they cannot be compared"),
+        ('latency_ms < "5"', "latency_ms is a number and '5' is a text; they cannot be"),
+        ("link > 1", "link is a text and 1 is a number; they cannot be compared"),
+        ("unit == link", "unit is a number and link is a text; they cannot be compared"),
+        ('unit in (1, "2")', "unit is a number and '2' is a text; they cannot be compared"),
+        (
+            "values == 4660",
+            "values is a list of numbers and 4660 is a number; write 4660 in values",
+        ),
+        ("address == (40, 41)", "(40, 41) is a list of numbers; write address in (40, 41)"),
+        ("points == 5", "points is a list of texts and 5 is a number; they cannot be compared"),
+        ("5 in points", "5 is a number and one of points is a text; they cannot be compared"),
+        ("(1, 2) in values", "(1, 2) is a list of numbers and one of values is a number"),
+        ("unit in 5", "5 is a number, and in looks into a list: unit in (1, 2)"),
+        ("5 not in unit", "unit is a number, and in looks into a list: unit in (1, 2)"),
+        ("5 in reference", "5 is a number and reference is a text; they cannot be compared"),
+        ("1 < unit < 'a'", "unit is a number and 'a' is a text"),
+        ("not (unit == 1 or unit == 'a')", "unit is a number and 'a' is a text"),
+    ],
+)
+def test_a_comparison_that_can_never_hold_is_refused_with_what_would_be_right(
+    expression: str, why: str
+) -> None:
+    with pytest.raises(UsageError, match=re.escape(why)) as caught:
+        parse_where(expression)
+    assert str(caught.value).startswith(f"--where {expression!r}: ")
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        '"answer" in outcome',
+        'outcome in ("ok", "no-answer")',
+        'transport != "rtu-tcp"',
+        "unit in ()",
+        "values == ()",
+        "(1, unit) < values",
+        "unit == 5.0",
+        "source == destination",
+        "unit in (function, 5)",
+        '"HR" in "HR1"',
+    ],
+)
+def test_a_comparison_that_can_hold_is_taken(expression: str) -> None:
+    assert parse_where(expression)(READ) in (True, False)
+
+
+@pytest.mark.parametrize(
+    ("expression", "problem"),
+    [
+        ("", "--where '' is no expression"),
+        ("unit =", "--where 'unit =' is no expression"),
+        ("unit = 5", "--where 'unit = 5' is no expression"),
+        ("unit == 5 and", "--where 'unit == 5 and' is no expression"),
+        ("unit == 1\0", "is no expression"),
+        ("unit", "'unit' is not a comparison"),
+        ("unit + 1", "'unit + 1' is not a comparison"),
+        ("print(unit)", "'print(unit)' is not a comparison"),
+        ("unit if unit == 1 else unit", "is not a comparison"),
+        ("unit == 1j", "'1j' is neither a name, a number nor a text"),
+        ("unit == None", "'None' is neither a name, a number nor a text"),
+        ("unit == link.upper", "'link.upper' is neither"),
+        ("unit == values[0]", "'values[0]' is neither"),
+        ("unit in ((1, 2), 3)", "'(1, 2)' is neither"),
+        ("unit == -unit", "'-unit' is neither"),
+        ('unit == f"{unit}"', "is neither"),
+        ("unit is 5", "compare with == and !=, not with is"),
+        ("unti == 5", "there is no 'unti'; there are link, transport, "),
+        ("__import__ == 5", "there is no '__import__'"),
+    ],
+)
+def test_refuses_what_is_no_comparison_and_says_what_would_be(
+    expression: str, problem: str
+) -> None:
+    with pytest.raises(UsageError, match=re.escape(problem)) as caught:
+        parse_where(expression)
+    assert "unit" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "not " * MAX_DEPTH + "unit == 1",
+        "not " * (MAX_LENGTH // 4 - 5) + "unit == 1",
+        "(" * 1000 + "unit == 1" + ")" * 1000,
+        "unit == " + "-" * 5000 + "1",
+        "+".join(["1"] * 4000),
+        "unit == " + "9" * 5000,
+        "unit" + ".a" * 4000 + " == 1",
+        "unit == 1 and " * 2000 + "unit == 1",
+    ],
+    ids=lambda text: text[:16],
+)
+def test_refuses_what_is_too_deep_or_too_long_in_one_short_line(expression: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_where(expression)
+    assert len(str(caught.value)) < 500
+    assert "\n" not in str(caught.value)
+
+
+def test_takes_as_much_as_it_says() -> None:
+    assert parse_where("not " * (MAX_DEPTH - 1) + "unit == 2")(READ) is True
+    many = "unit in (" + "2, " * (MAX_LENGTH // 3 - 10) + "1)"
+    assert parse_where(many)(READ) is True
+
+
+def test_python_does_not_warn_of_a_text() -> None:
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        parse_where(r'link == "\d"')
+    assert warned == []
+
+
+_terms = st.one_of(
+    st.sampled_from(sorted(NAMES)),
+    st.integers(-3, 70_000).map(str),
+    st.floats(allow_nan=False).map(repr).filter(lambda text: "inf" not in text),
+    st.text(st.characters(codec="ascii"), max_size=5).map(repr),
+    st.lists(st.sampled_from([*sorted(NAMES), "1", "'ok'"]), max_size=3).map(
+        lambda items: f"[{', '.join(items)}]"
+    ),
+)
+_operators = st.sampled_from(["==", "!=", "<", "<=", ">", ">=", "in", "not in"])
+_comparisons = st.builds(
+    lambda first, rest: " ".join([first, *(f"{operator} {term}" for operator, term in rest)]),
+    _terms,
+    st.lists(st.tuples(_operators, _terms), min_size=1, max_size=3),
+)
+_expressions = st.recursive(
+    _comparisons,
+    lambda inner: st.one_of(
+        inner.map(lambda text: f"not ({text})"),
+        st.builds(lambda a, b: f"({a}) and ({b})", inner, inner),
+        st.builds(lambda a, b: f"({a}) or ({b})", inner, inner),
+    ),
+    max_leaves=6,
+)
+
+
+@given(_expressions, transactions)
+def test_an_expression_says_yes_or_no_of_any_transaction(
+    expression: str, one: NamedTransaction
+) -> None:
+    try:
+        wanted = parse_where(expression)
+    except UsageError:  # It can never hold.
+        return
+    assert wanted(one) in (True, False)
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_an_expression_or_refused(text: Any) -> None:
+    try:
+        wanted = parse_where(text)
+    except UsageError:
+        return
+    assert wanted(READ) in (True, False)

@@ -1,0 +1,105 @@
+"""What is told of the front of a line without a search."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core import Direction
+from mbtool.modbus.adu import DirectionBy
+from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.serial_line.bus_model import BusModel, Classification
+from mbtool.serial_line.fast_path import FastPath
+
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+READ = rtu_adu(1, bytes.fromhex("03 0000 0002"))
+ANSWER = rtu_adu(1, bytes.fromhex("03 04 0001 0002"))
+REFUSAL = rtu_adu(1, bytes.fromhex("83 02"))
+OTHER = rtu_adu(2, bytes.fromhex("04 0000 0001"))
+MOST = 512
+
+
+def front(*heard: bytes, speaker: Direction | None = None) -> FastPath:
+    """What looks at a line on which these were heard, requests and responses by turns."""
+    turns = BusModel()
+    for place, raw in enumerate(heard):
+        role = (REQUEST, RESPONSE)[place % 2]
+        turns.hear(Classification(role, DirectionBy.FORM, 1.0), raw[0], raw[1:-2], 0, 1)
+    return FastPath(turns, speaker, MOST)
+
+
+def taken(
+    looking: FastPath, data: bytes, *, burst_over: bool = True
+) -> tuple[int, Direction] | None:
+    told = looking.frame(data, 2, burst_over)
+    return None if told is None else (told[0], told[1].direction)
+
+
+def test_whole_frame_is_told_when_a_silence_or_a_byte_follows() -> None:
+    looking = front()
+    assert taken(looking, READ, burst_over=False) is None
+    assert looking.awaited == len(READ) + 1
+    assert taken(looking, READ + OTHER[:1], burst_over=False) == (len(READ), REQUEST)
+    assert taken(front(READ), ANSWER) == (len(ANSWER), RESPONSE)
+    assert taken(front(READ), REFUSAL) == (len(REFUSAL), RESPONSE)
+
+
+def test_what_begins_anew_is_measured_anew() -> None:
+    looking = front()
+    assert taken(looking, READ[:4]) is None
+    looking.begin(behind_noise=False)
+    assert taken(looking, OTHER) == (len(OTHER), REQUEST)
+
+
+def test_response_that_nobody_asked_for_needs_a_search() -> None:
+    assert taken(front(), ANSWER) is None
+    assert taken(front(OTHER), ANSWER) is None
+
+
+def test_request_of_this_line_is_one_though_another_waits() -> None:
+    assert taken(front(READ, ANSWER, OTHER), READ) == (len(READ), REQUEST)
+    behind_noise = front(READ, ANSWER, OTHER)
+    behind_noise.begin(behind_noise=True)
+    assert taken(behind_noise, READ) is None
+
+
+def test_request_that_may_begin_the_response_that_is_due_needs_a_search() -> None:
+    assert taken(front(READ, ANSWER, READ), READ) is None
+
+
+def test_request_whose_crc_ends_in_zero_is_not_the_shorter_response_in_it() -> None:
+    """Its CRC is right after seven bytes and after eight."""
+    raw = next(
+        raw
+        for quantity in range(1, 256)
+        if (raw := rtu_adu(1, bytes((1, 2, 7, 0, quantity))))[-1] == 0
+    )
+    pair = raw, rtu_adu(1, bytes.fromhex("01 02 FFFF"))
+    assert taken(front(*pair), raw) == (len(raw), REQUEST)
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_beginning_of_what_is_due_is_no_more_than_that(size: int) -> None:
+    assert front(READ).is_begun(ANSWER[:size], ())
+    assert front(READ, ANSWER).is_begun(READ[:size], ())
+
+
+def test_what_is_not_due_is_searched() -> None:
+    assert not front().is_begun(READ[:5], ())
+    assert not front(READ).is_begun(OTHER[:5], ())
+    assert not front(READ, speaker=RESPONSE).is_begun(ANSWER[:5], ())
+    assert not front(READ).is_begun(ANSWER, ())
+
+
+def test_frame_behind_a_silence_shows_that_what_was_begun_is_not_due_any_more() -> None:
+    data = ANSWER[:3] + OTHER
+    long_read = rtu_adu(1, bytes.fromhex("03 0000 0014"))
+    head = rtu_adu(1, bytes.fromhex("03 28") + bytes(40))[:3]
+    assert front(long_read).is_begun(head + b"\x01\x02", (3,))
+    assert not front(long_read).is_begun(head + OTHER, (3,))
+    assert not front(READ).is_begun(data, (3,))
+
+
+def test_who_is_known_to_speak_decides() -> None:
+    told = front(speaker=RESPONSE).frame(ANSWER, 2, True)
+    assert told is not None
+    assert (told[1].direction, told[1].by, told[1].confidence) == (RESPONSE, DirectionBy.PORT, 1.0)

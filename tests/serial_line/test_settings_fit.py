@@ -1,0 +1,121 @@
+"""How well line settings explain what was heard."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import Direction, SerialFormat
+from mbtool.modbus.adu_bytes import ascii_adu, rtu_adu
+from mbtool.modbus.pdu import encode_pdu
+from mbtool.serial_line.settings_fit import (
+    ENOUGH,
+    ENOUGH_WITHOUT_FRAME,
+    Hearing,
+    LineScore,
+    other_parity,
+    settings_to_hear,
+)
+
+MS = 1_000_000
+EVEN = SerialFormat(19200, 8, "E", 1)
+NONE = SerialFormat(9600, 8, "N", 1)
+READ = encode_pdu(3, Direction.REQUEST, address=0, quantity=2)
+
+
+def heard(
+    heard_as: SerialFormat, *reads: bytes, damaged: bool = False, only_ascii: bool = False
+) -> Hearing:
+    hearing = Hearing(heard_as, only_ascii=only_ascii)
+    at_ns = 10**9
+    for data in reads:
+        hearing.feed(data, range(len(data)) if damaged else (), at_ns)
+        hearing.advance(at_ns + 90 * MS)
+        at_ns += 100 * MS
+    return hearing
+
+
+def with_parity(data: bytes, parity: str) -> bytes:
+    """Seven bits and their parity as eight bits without."""
+    odd = parity == "O"
+    high = [1 if parity == "N" else (byte.bit_count() + odd) % 2 for byte in data]
+    return bytes(byte | bit << 7 for byte, bit in zip(data, high, strict=True))
+
+
+def best(hearing: Hearing) -> LineScore:
+    return hearing.scores()[0]
+
+
+def test_three_frames_are_sure() -> None:
+    hearing = heard(EVEN, *[rtu_adu(1, READ)] * 3)
+    assert best(hearing).is_sure
+    assert hearing.is_decided
+    assert str(best(hearing)) == "19200-8E1 RTU: 3 of 3 frames have a correct CRC"
+
+
+def test_two_frames_are_likely_and_one_is_nothing() -> None:
+    two, one = (best(heard(EVEN, *[rtu_adu(1, READ)] * count)) for count in (2, 1))
+    assert (two.is_sure, two.is_likely) == (False, True)
+    assert not one.is_likely
+
+
+def test_frames_whose_every_byte_is_damaged_explain_nothing() -> None:
+    score = best(heard(EVEN, *[rtu_adu(1, READ)] * 9, damaged=True))
+    assert (score.frames, score.fit, score.is_likely) == (9, 0, False)
+    assert str(score) == ("19200-8E1 RTU: 9 of 9 frames have a correct CRC, 72 of 72 bytes damaged")
+
+
+def test_noise_lowers_the_fit_by_its_bytes() -> None:
+    frame = rtu_adu(1, READ)
+    score = best(heard(EVEN, frame, bytes(8), frame, frame))
+    assert score.fit == 0.75
+    assert str(score).startswith("19200-8E1 RTU: 3 of 4 frames")
+
+
+@pytest.mark.parametrize(("parity", "stop_bits"), [("E", 1), ("O", 1), ("N", 2)])
+def test_ascii_with_seven_bits_is_read_from_eight(parity: str, stop_bits: int) -> None:
+    score = best(heard(NONE, *[with_parity(ascii_adu(1, READ), parity)] * 3))
+    assert score.settings.ascii
+    assert score.settings.format == SerialFormat(9600, 7, parity, stop_bits)
+    assert score.is_sure
+
+
+@pytest.mark.parametrize("heard_as", [EVEN, NONE, SerialFormat(9600, 8, "O", 1)])
+def test_ascii_with_eight_bits_is_known_by_its_high_bit(heard_as: SerialFormat) -> None:
+    score = best(heard(heard_as, *[ascii_adu(1, READ)] * 3))
+    assert (score.settings.ascii, score.settings.format) == (True, heard_as)
+    assert str(score).endswith("3 of 3 frames have a correct LRC")
+
+
+def test_where_only_ascii_is_looked_for_rtu_is_nothing() -> None:
+    assert not best(heard(EVEN, *[rtu_adu(1, READ)] * 3, only_ascii=True)).frames
+
+
+def test_what_explains_nothing_is_given_up_early_and_noise_late() -> None:
+    assert not heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME - 1)).is_decided
+    assert heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME)).is_decided
+    frame, noise = rtu_adu(1, READ), b"\x55" * 8
+    some = [frame, noise] * (ENOUGH // 16)
+    assert not heard(EVEN, *some[:30]).is_decided
+    assert heard(EVEN, *some, noise).is_decided
+
+
+def test_the_standards_default_is_heard_first_and_nothing_twice() -> None:
+    to_hear = settings_to_hear()
+    assert to_hear[0] == EVEN
+    assert len(set(to_hear)) == len(to_hear) == 24
+
+
+def test_the_other_parity_of_even_is_odd() -> None:
+    assert str(other_parity(EVEN)) == "19200-8O1"
+    assert other_parity(other_parity(EVEN)) == EVEN
+
+
+@given(st.lists(st.binary(max_size=60), max_size=20), st.sampled_from([EVEN, NONE]), st.booleans())
+def test_whatever_is_heard_a_fit_is_a_share(
+    reads: list[bytes], heard_as: SerialFormat, damaged: bool
+) -> None:
+    hearing = heard(heard_as, *reads, damaged=damaged)
+    assert hearing.heard == sum(map(len, reads))
+    assert all(0 <= score.fit <= 1 for score in hearing.scores())

@@ -1,0 +1,75 @@
+"""Hints at the model of a slave."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbtool.devices import Assignments, Namer, Profile, parse_assignment
+from mbtool.modbus import mbap_adu, rtu_adu
+from mbtool.modbus.adu import Transport
+from mbtool.workflows.shared.model_hints import MAX_HINTS, ModelHints
+from tests.devices.transactions import transaction
+
+SAID = "unit 0 at 192.168.3.250:502 is FA3-AT1M8X analog input module, 8 channels, "
+
+
+def hints(*device: str, code: bytes = b"\x00\x16", times: int = 1, **fields: Any) -> list[str]:
+    assignments = Assignments([parse_assignment(one) for one in device])
+    found = ModelHints(assignments.profile_for)
+    namer = Namer(assignments)
+    defaults: dict[str, Any] = {
+        "destination": "192.168.3.250:502",
+        "transport": Transport.TCP,
+        "unit": 0,
+        "response_raw": mbap_adu(0, 0, b"\x42" + code),
+    }
+    for _ in range(times):
+        found.note(namer.name(transaction(0x42, **{**defaults, **fields})))
+    return found.remarks
+
+
+def test_a_slave_that_nobody_named_is_hinted_at_once() -> None:
+    assert hints(times=3) == [
+        f"{SAID}as its answer to 42H says; name it with --device 192.168.3.250/0=fa3-at1m8x"
+    ]
+
+
+def test_one_that_is_named_as_another_model_is_a_remark() -> None:
+    assert hints("all=fa3-at1m8y") == [
+        f"{SAID}as its answer to 42H says, but it is named as fa3-at1m8y: "
+        "give --device 192.168.3.250/0=fa3-at1m8x"
+    ]
+
+
+def test_one_that_is_named_rightly_or_as_another_device_is_left_alone() -> None:
+    assert hints("all=fa3-at1m8x") == []
+    assert hints("all=wago-750") == []
+
+
+def test_what_is_no_model_code_is_none() -> None:
+    assert hints(code=b"\x12\x34") == []
+    assert hints(code=b"\x00\x16\x00") == []
+    assert hints(exception=1) == []
+
+
+def test_a_device_on_a_serial_line_is_no_module_of_a_network() -> None:
+    raw = rtu_adu(1, b"\x42\x00\x16")
+    assert hints(destination=None, transport=Transport.RTU, response_raw=raw) == []
+
+
+def test_hints_are_bounded() -> None:
+    found = ModelHints(lambda _: None)
+    raw = mbap_adu(0, 0, b"\x42\x00\x16")
+    for unit in range(MAX_HINTS + 5):
+        one = transaction(0x42, transport=Transport.TCP, unit=unit, response_raw=raw)
+        found.note(Namer().name(one))
+    assert len(found.remarks) == MAX_HINTS
+
+
+def test_other_functions_load_no_profile() -> None:
+    def never(_: object) -> Profile | None:
+        raise AssertionError
+
+    found = ModelHints(never)
+    found.note(Namer().name(transaction(3, 0, quantity=1, response_values=[0x16])))
+    assert found.remarks == []

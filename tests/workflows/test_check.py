@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import InputError, UsageError
+from mbtool.devices import Assignments, load_profile, parse_assignment, profile_to_json
+from mbtool.logs import LogWriter
+from mbtool.workflows.check import Checking, Selection
+from mbtool.workflows.shared.reading import ReadingOptions
+from tests.golden.findings_captures import Bus, Net
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FOLDER = Path(__file__).resolve().parents[2] / "captures"
+FINDINGS = FOLDER / "findings"
+
+BROKEN = "05 0000 0001"
+
+
+def checked(
+    *paths: Path, devices: Sequence[str] = (), selection: Selection | None = None
+) -> Checking:
+    options = ReadingOptions(assignments=Assignments(map(parse_assignment, devices)))
+    return Checking([str(path) for path in paths], options, selection)
+
+
+def codes(
+    *paths: Path, devices: Sequence[str] = (), selection: Selection | None = None
+) -> list[str]:
+    checking = checked(*paths, devices=devices, selection=selection)
+    return [placed.finding.code for placed in checking.findings()]
+
+
+def test_a_capture_is_held_against_the_rules_of_all() -> None:
+    assert codes(FINDINGS / "MB-103.pcap") == ["MB-103"]
+    assert codes(FINDINGS / "FT1A-Q16.pcap") == []
+
+
+def test_a_device_that_the_user_names_has_its_rules() -> None:
+    assert codes(FINDINGS / "FT1A-Q16.pcap", devices=["1=idec-ft1a-touch"]) == ["FT1A-Q16"]
+
+
+def test_a_log_brings_its_devices_and_its_lines() -> None:
+    assert codes(FOLDER / "ft1a-touch-line.mcap") == ["FT1A-F15", "FT1A-A3"]
+    log = FOLDER / "torn-and-glued-frames.mcap"
+    assert "RTU-104" in codes(log)
+    assert "MB-402" in codes(log)
+
+
+def test_what_the_user_names_stands_in_place_of_the_logs_devices() -> None:
+    log = FOLDER / "ft1a-touch-line.mcap"
+    found = codes(log, devices=["1=idec-ft1a-smartaxis"])
+    assert not [code for code in found if code.startswith("FT1A")]
+
+
+def test_findings_are_counted_and_placed() -> None:
+    checking = checked(FINDINGS / "MB-401.pcap", FINDINGS / "MB-103.pcap")
+    placed = [(one.finding.code, Path(one.place).name) for one in checking.findings()]
+    assert placed == [("MB-401", "MB-401.pcap"), ("MB-103", "MB-103.pcap")]
+    assert checking.counts == {"MB-401": 1, "MB-103": 1}
+    assert checking.transactions == 6
+
+
+def test_captures_do_not_speak_to_one_another(tmp_path: Path) -> None:
+    """A request that one leaves open is not answered in another of an earlier time."""
+    net = Net()
+    talk = net.open()
+    net.ask(talk, "03 0000 0001")
+    (tmp_path / "open.pcap").write_bytes(net.file())
+    earlier = Net(now_ns=net.now_ns - 10**12)
+    earlier.asked(earlier.open())
+    (tmp_path / "other.pcap").write_bytes(earlier.file())
+    assert codes(tmp_path / "open.pcap", tmp_path / "other.pcap") == []
+
+
+def test_the_parts_of_one_capture_are_one(tmp_path: Path) -> None:
+    net = Net()
+    talk = net.open()
+    net.ask(talk, "03 0000 0001")
+    first = net.file()
+    net.packets.clear()
+    net.wait(1500).answer(talk, "03 02 1234").wait(2000).asked(talk)
+    (tmp_path / "a.pcap").write_bytes(first)
+    (tmp_path / "b.pcap").write_bytes(net.file())
+    assert codes(tmp_path / "a.pcap", tmp_path / "b.pcap") == []
+
+
+def test_what_stands_before_a_cut_is_checked(tmp_path: Path) -> None:
+    net = Net()
+    talk = net.open()
+    data = net.asked(talk, BROKEN, "85 03").asked(talk).file()
+    (tmp_path / "cut.pcap").write_bytes(data[:-5])
+    checking = checked(tmp_path / "cut.pcap")
+    with pytest.raises(InputError, match="middle of a record"):
+        list(checking.findings())
+    assert checking.counts == {"MB-103": 1}
+
+
+def test_a_packed_capture_is_read(tmp_path: Path) -> None:
+    (tmp_path / "x.pcap.gz").write_bytes(gzip.compress((FINDINGS / "MB-103.pcap").read_bytes()))
+    assert codes(tmp_path / "x.pcap.gz") == ["MB-103"]
+
+
+def test_bytes_without_times_tell_nothing_of_times(tmp_path: Path) -> None:
+    bus = Bus()
+    for number in range(48):
+        bus.frame(1, "03 0000 0001", after_ms=200 if number % 8 else 400)
+        bus.frame(1, "03 02 1234")
+    (tmp_path / "line.pcap").write_bytes(bus.file())
+    (tmp_path / "line.bin").write_bytes(b"".join(packet.data for packet in bus.packets))
+    assert codes(tmp_path / "line.pcap") == ["MB-404"]
+    from mbtool.core import parse_line
+
+    options = ReadingOptions(line=parse_line("rtu"))
+    assert not [*Checking([str(tmp_path / "line.bin")], options).findings()]
+
+
+@pytest.mark.parametrize(
+    ("select", "ignore", "taken"),
+    [
+        ([], [], ["FT1A-Q16", "MB-101", "MB-401", "RTU-101"]),
+        (["MB"], [], ["MB-101", "MB-401"]),
+        (["mb-1, rtu"], [], ["MB-101", "RTU-101"]),
+        ([], ["MB"], ["FT1A-Q16", "RTU-101"]),
+        (["MB"], ["MB-4"], ["MB-101"]),
+        (["MB-401"], ["MB"], ["MB-401"]),
+        (["MB"], ["MB"], []),
+        (["FT1A-Q"], [], ["FT1A-Q16"]),
+    ],
+)
+def test_codes_are_selected_by_their_beginning(
+    select: list[str], ignore: list[str], taken: list[str]
+) -> None:
+    selection = Selection.parse(select, ignore)
+    every = ["FT1A-Q16", "MB-101", "MB-401", "RTU-101"]
+    assert [code for code in every if selection.takes(code)] == taken
+
+
+def test_what_is_not_wanted_is_not_counted() -> None:
+    checking = checked(FINDINGS / "MB-103.pcap", selection=Selection.parse([], ["MB"]))
+    assert not [*checking.findings()]
+    assert not checking.counts
+
+
+@pytest.mark.parametrize(
+    "known", ["RTU", "rtu-1", "MB-401", "F", "FA3-X", "FA3", "FT1A-Q16", "WAGO-"]
+)
+def test_a_beginning_that_some_code_has_is_taken(known: str) -> None:
+    checked(FINDINGS / "MB-103.pcap", selection=Selection.parse([known], [])).demand_selection()
+
+
+@pytest.mark.parametrize("unknown", ["RUT", "RTU-9", "FT1A-Z", "Q16", "FT1A-1"])
+def test_a_beginning_that_no_code_has_is_refused(unknown: str) -> None:
+    checking = checked(FINDINGS / "MB-103.pcap", selection=Selection.parse([], [unknown]))
+    with pytest.raises(UsageError, match=f"no code begins with '{unknown}'"):
+        checking.demand_selection()
+
+
+OWN_DEVICE = """
+extends = "idec-ft1a-touch"
+name = "line-7"
+title = "Operator interface of line 7"
+finding_prefix = "LINE7"
+"""
+
+
+def test_codes_of_the_users_own_device_are_known(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(OWN_DEVICE)
+    selection = Selection.parse(["LINE7-Q"], [])
+    with pytest.raises(UsageError):
+        checked(FINDINGS / "FT1A-Q16.pcap", selection=selection).demand_selection()
+    checking = checked(
+        FINDINGS / "FT1A-Q16.pcap",
+        devices=[f"1={tmp_path / 'own.toml'}"],
+        selection=selection,
+    )
+    checking.demand_selection()
+    assert [one.finding.code for one in checking.findings()] == ["LINE7-Q16"]
+
+
+def test_codes_of_a_device_that_a_log_carries_are_known(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(OWN_DEVICE)
+    profile = load_profile(str(tmp_path / "own.toml"))
+    with LogWriter(tmp_path / "x.mcap", capture={}) as log:
+        log.add_profile(profile.name, profile_to_json(profile))
+        log.add_device("1", profile.name)
+    checked(tmp_path / "x.mcap", selection=Selection.parse(["LINE7"], [])).demand_selection()
+    with pytest.raises(UsageError, match=r"no code begins with 'LINE8'; they begin with .*LINE7"):
+        checked(tmp_path / "x.mcap", selection=Selection.parse(["LINE8"], [])).demand_selection()
+
+
+def test_silences_that_are_too_few_for_a_finding_are_a_remark() -> None:
+    checking = checked(FINDINGS / "RTU-101-nearly.pcap")
+    assert not [*checking.findings()]
+    remark = checking.remarks[-1]
+    assert ": a silence longer than t1.5 inside a frame in 1 of 16 transactions; so few" in remark
+
+
+def test_a_slave_that_says_its_model_is_a_remark() -> None:
+    checking = checked(FOLDER / "fa3-at1m8x-setup.pcap")
+    assert not [*checking.findings()]
+    (remark,) = checking.remarks
+    assert remark.endswith("name it with --device 127.0.0.1/0=fa3-at1m8x")

@@ -1,0 +1,226 @@
+"""A recording played as the master."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+
+from mbtool.core import InputError, UsageError, parse_link
+from mbtool.modbus import Response
+from mbtool.replay import Control, TimeRange, Tolerance
+from mbtool.slave.shells import open_shell
+from mbtool.workflows.replay_master import MasterOptions, MasterRun, Report, junit
+from mbtool.workflows.shared.reading import ReadingOptions
+from tests.packets.building import pcap
+from tests.slave.scripted import Scripted
+from tests.workflows.evidence import READ, VALUES, capture_file, captured
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.replay import Progress, Step
+
+LINE = Path(__file__).resolve().parents[2] / "captures" / "ft1a-touch-line.mcap"
+OTHER_VALUES = bytes.fromhex("03 04 1234 0001")
+SAME = "holding 0..1"
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(3))
+    return path
+
+
+def _run(path: Path, **options: object) -> MasterRun:
+    given = {"reading": ReadingOptions(), "rate": None, "timeout_ns": 200_000_000, **options}
+    return MasterRun(str(path), MasterOptions(**given))  # type: ignore[arg-type]
+
+
+def _report(
+    run: MasterRun,
+    script: Callable[[int, bytes], Response | None],
+    **options: Callable[..., object],
+) -> Report:
+    with open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(script)) as shell:
+        return run.play(parse_link(shell.place), **options)  # type: ignore[arg-type]
+
+
+def test_right_answers_make_no_difference(capture: Path) -> None:
+    report = _report(_run(capture), lambda _, __: Response(VALUES))
+    assert (report.requests, report.different, report.differences) == (3, 0, [])
+    assert [(one.reference, one.count) for one in report.asked] == [(SAME, 3)]
+
+
+def test_wrong_answers_are_told_in_json_and_as_junit(capture: Path) -> None:
+    report = _report(_run(capture), lambda _, __: Response(OTHER_VALUES))
+    document = json.loads(msgspec.json.encode(report))
+    assert document["different"] == 3
+    assert document["differences"] == [
+        {
+            "kind": "value",
+            "unit": 1,
+            "reference": "holding 1",
+            "what": "read",
+            "a": {"text": "22136", "values": [22136]},
+            "b": {"text": "1", "values": [1], "count": 3},
+        }
+    ]
+    root = ElementTree.fromstring(junit(report))
+    assert (root.get("tests"), root.get("failures")) == ("2", "2")
+    failures = {case.get("name"): case.findtext("failure") for case in root}
+    assert failures == {
+        f"03 read holding {SAME}": "3 of 3 answers not as recorded",
+        "value of holding 1": "recorded 22136, answered 1",
+    }
+
+
+def test_an_exception_fails_its_request_in_junit(capture: Path) -> None:
+    report = _report(_run(capture), lambda _, pdu: Response(bytes([pdu[0] | 0x80, 2])))
+    (case,) = ElementTree.fromstring(junit(report))
+    assert (case.findtext("failure") or "").splitlines() == [
+        "3 of 3 answers not as recorded",
+        "recorded ok, answered exception 02 illegal data address",
+    ]
+
+
+def test_a_request_of_which_some_answers_differ_fails_in_junit(capture: Path) -> None:
+    answers = iter((VALUES, OTHER_VALUES, VALUES))
+    report = _report(_run(capture), lambda _, __: Response(next(answers)))
+    failures = [case.findtext("failure") for case in ElementTree.fromstring(junit(report))]
+    assert failures == ["1 of 3 answers not as recorded", "recorded 22136, answered 1 (1 of 3)"]
+
+
+def test_silence_is_a_difference(capture: Path) -> None:
+    report = _report(_run(capture, timeout_ns=20_000_000), lambda _, __: None)
+    assert [(one.a.text, one.b.text, one.b.count) for one in report.differences] == [
+        ("ok", "no answer", 3)
+    ]
+
+
+def test_a_slave_that_dies_is_not_waited_for(capture: Path) -> None:
+    remarks: list[str] = []
+    options = MasterOptions(reading=ReadingOptions(), rate=None, timeout_ns=600_000_000_000)
+    run = MasterRun(str(capture), options, remarks.append)
+    shell = open_shell(parse_link("tcp:127.0.0.1:0"), Scripted(lambda _, __: Response(VALUES)))
+    told: list[tuple[bytes | None, bool]] = []
+
+    def on_answer(_: Step, answer: bytes | None, is_right: bool) -> None:
+        told.append((answer, is_right))
+        shell.__exit__(None, None, None)
+
+    report = run.play(parse_link(shell.__enter__().place), on_answer=on_answer)
+    assert told == [(VALUES, True), (None, False), (None, False)]
+    assert [one.b.text for one in report.differences] == ["no answer (2 of 3)"]
+    assert len(remarks) == 1
+    assert "the connection was lost; " in remarks[0]
+
+
+def test_registers_can_be_ignored_or_learned(capture: Path) -> None:
+    ignoring = _run(capture, ignore=["holding 1"])
+    assert _report(ignoring, lambda _, __: Response(OTHER_VALUES)).different == 0
+    learning = _run(capture, learns=True)
+    report = _report(learning, lambda _, __: Response(OTHER_VALUES))
+    assert (report.differences, report.learned) == ([], ["holding 1"])
+
+
+def test_late_answers_can_count(capture: Path) -> None:
+    run = _run(capture, tolerance=Tolerance(share=0.0))
+    (found,) = _report(run, lambda _, __: Response(VALUES, 30_000_000)).differences
+    assert found.kind.value == "latency"
+
+
+def test_recorded_times_are_kept(capture: Path) -> None:
+    run = _run(capture, rate=Fraction(1))
+    report = _report(run, lambda _, __: Response(VALUES))
+    assert report.different == 0
+    assert report.lateness_p99_ns is not None
+    assert report.lateness_p99_ns >= 0
+
+
+def test_each_answer_is_told_as_it_comes(capture: Path) -> None:
+    told: list[tuple[int, bytes | None, bool]] = []
+
+    def on_answer(step: Step, answer: bytes | None, is_right: bool) -> None:
+        told.append((step.number, answer, is_right))
+
+    _report(_run(capture), lambda _, __: Response(VALUES), on_answer=on_answer)
+    assert told == [(number, VALUES, True) for number in range(3)]
+
+
+def test_it_ends_when_it_is_told_to(capture: Path) -> None:
+    assert _report(_run(capture), lambda _, __: None, stops=lambda: True).requests == 0
+
+
+def test_only_what_is_wanted_is_asked() -> None:
+    run = _run(LINE, wanted=lambda one: one.function == 4)
+    assert {step.pdu[0] for step in run.script.steps} == {4}
+
+
+def test_a_cut_recording_is_played_as_far_as_it_goes(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap(captured(2))[:-1])
+    remarks: list[str] = []
+    run = MasterRun(str(path), MasterOptions(reading=ReadingOptions()), remarks.append)
+    assert len(run.script.steps) == 2
+    assert "playing what is there" in remarks[0]
+
+
+def test_a_recording_without_a_request_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(0))
+    with pytest.raises(InputError, match="no request to ask"):
+        _run(path)
+
+
+def test_a_range_that_no_device_has_is_refused() -> None:
+    with pytest.raises(UsageError, match="'RWr2' is no range"):
+        _run(LINE, ignore=["RWr2"])
+
+
+def test_what_was_asked_is_what_was_recorded(capture: Path) -> None:
+    scripted = Scripted(lambda _, __: Response(VALUES))
+    with open_shell(parse_link("tcp:127.0.0.1:0"), scripted) as shell:
+        _run(capture).play(parse_link(shell.place))
+    assert scripted.asked == [(1, READ)] * 3
+
+
+class _Desk:
+    """Someone who pauses at once, steps once, and then goes on."""
+
+    def __init__(self) -> None:
+        self.wanted = [Control.PAUSE, Control.STEP]
+        self.shown: list[Progress] = []
+
+    def controls(self) -> list[Control]:
+        if not self.wanted and self.shown[-1].is_paused and "1 requests" in self.shown[-1].done:
+            self.wanted.append(Control.PAUSE)
+        return [self.wanted.pop(0)] if self.wanted else []
+
+    def show(self, progress: Progress) -> None:
+        self.shown.append(progress)
+
+
+def test_it_is_steered_from_a_desk(capture: Path) -> None:
+    desk = _Desk()
+    report = _report(
+        _run(capture, rate=Fraction(1)),
+        lambda _, __: Response(VALUES),
+        desk=desk,  # type: ignore[arg-type]
+    )
+    assert (report.requests, report.different) == (3, 0)
+    assert any(one.is_paused and one.done.startswith("1 requests") for one in desk.shown)
+
+
+def test_only_a_window_is_asked(capture: Path) -> None:
+    whole = _run(capture).script
+    later = whole.steps[1].place_ns
+    assert len(_run(capture, window=TimeRange(later)).script.steps) == 2
+    with pytest.raises(InputError, match="to ask in the part from 99 s on; give another"):
+        _run(capture, window=TimeRange(99_000_000_000))

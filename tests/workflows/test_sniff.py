@@ -1,0 +1,434 @@
+"""Runs of the sniffer on links that are real, but have no hardware."""
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import suppress
+from functools import partial
+from threading import Thread
+from typing import TYPE_CHECKING
+from unittest.mock import Mock
+
+import pytest
+
+from mbtool.core import (
+    Endpoint,
+    EventKind,
+    LinkError,
+    LinkSpec,
+    OutputError,
+    Quiet,
+    SerialFormat,
+    SerialLink,
+    TapLink,
+    TargetTls,
+    UsageError,
+    WireEvent,
+    parse_link,
+)
+from mbtool.decode.decoder import Decoder
+from mbtool.devices import Assignments, NamedTransaction, Namer
+from mbtool.logs import LogReader
+from mbtool.logs.opening import begin_log
+from mbtool.sources.serial_capture import SerialSource
+from mbtool.sources.tap import TapSource
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.sniff import Sniffer, serial_lines
+from tests.certificates import CA, STRANGER, slave_context
+from tests.sources.live_helpers import PATIENCE_S, stop_marking
+from tests.workflows.bench import ANY, Bench, ask, call_in_vain, speak, until
+from tests.workflows.evidence import READ, VALUES, WRITE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from mbtool.core import Chunk, Packet
+    from mbtool.decode.decoder import Record
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    with Bench() as one:
+        yield one
+
+
+def _sniffer(*links: LinkSpec, log: Path | None = None, **more: object) -> Sniffer:
+    decoder = Decoder(Namer(), lines=serial_lines(links))
+    begin = partial(begin_log, str(log), links, Assignments()) if log is not None else None
+    return Sniffer(links, decoder, begin_log=begin, **more)  # type: ignore[arg-type]
+
+
+def _transactions(records: list[Record]) -> list[NamedTransaction]:
+    return [record for record in records if isinstance(record, NamedTransaction)]
+
+
+def _run(sniffer: Sniffer, count: int) -> list[Record]:
+    """Records until there are so many transactions."""
+    records: list[Record] = []
+    stop = until(records, lambda found: len(_transactions(found)) >= count)
+    for record in sniffer.records(stop):
+        records.append(record)
+    return records
+
+
+def test_hears_a_relay_and_logs_it(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with _sniffer(bench.tap(), log=path) as sniffer:
+        ask(sniffer, WRITE, count=3)
+        records = _run(sniffer, 3)
+    assert [one.request_values for one in _transactions(records)] == [[7]] * 3
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    assert logged == records
+    raw = list(Reading([str(path)], ReadingOptions(raw=True)).records())
+    assert _transactions(raw) == _transactions(records)
+    with LogReader.open(path) as log:
+        list(log.items())
+        assert log.closed
+        assert log.capture["discarded_packets"] == log.capture["discarded_bytes"] == "0"
+
+
+def test_the_log_is_begun_before_a_tap_lets_anybody_in(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    accept = TapSource.accept
+
+    def noted(tap: TapSource) -> None:
+        done.append("accepts")
+        accept(tap)
+
+    monkeypatch.setattr(TapSource, "accept", noted)
+    links = [bench.tap()]
+
+    def begin() -> Mock:
+        done.append("log")
+        return Mock()
+
+    with Sniffer(links, Decoder(Namer()), begin_log=begin) as sniffer:
+        assert done == ["log", "accepts"]
+        ask(sniffer, WRITE)
+        assert len(_run(sniffer, 1)) >= 1
+
+
+def test_hears_a_serial_line_and_logs_it(bench: Bench, tmp_path: Path) -> None:
+    link, descriptor = bench.line(tmp_path)
+    path = tmp_path / "a.mcap"
+    with _sniffer(link, log=path) as sniffer:
+        speak(descriptor, READ)
+        speak(descriptor, VALUES)
+        records = _run(sniffer, 1)
+        # What is heard after the last look is logged all the same.
+        speak(descriptor, WRITE)
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    assert logged[0] == records[0]
+    assert list(Reading([str(path)], ReadingOptions(raw=True)).records()) == logged
+
+
+def test_hears_several_links_at_once(bench: Bench, tmp_path: Path) -> None:
+    link, descriptor = bench.line(tmp_path)
+    tap = bench.tap()
+    with _sniffer(link, tap) as sniffer:
+        speak(descriptor, WRITE)
+        speak(descriptor, WRITE)
+        ask(sniffer, WRITE)
+        records = _run(sniffer, 2)
+    assert {one.link for one in _transactions(records)} == {link.name, tap.name}
+
+
+def test_a_slave_that_cannot_be_reached_is_told_once_and_logged_each_time(
+    bench: Bench, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    tap = bench.refusing_tap()
+    told: list[WireEvent] = []
+    records: list[Record] = []
+    with _sniffer(tap, log=path, on_refused=told.append) as sniffer:
+        call_in_vain(sniffer, 3)
+        stop = until(records, lambda found: len(found) >= 3)
+        for record in sniffer.records(stop):
+            records.append(record)
+    events = [one for one in records if isinstance(one, WireEvent)]
+    assert [one.kind for one in events] == [EventKind.REFUSED] * 3
+    why = f"{tap.target} cannot be reached: Connection refused"
+    assert {one.message for one in events} == {why}
+    assert told == events[:1]
+    assert list(Reading([str(path)], ReadingOptions()).records()) == records
+
+
+def test_a_slave_that_refuses_the_tap_behind_the_handshake_is_told_once() -> None:
+    """With TLS 1.3 each connection opens first."""
+    told: list[WireEvent] = []
+    records: list[Record] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        target = Endpoint(*server.getsockname())
+        tap = TapLink(ANY, target, target_tls=TargetTls(CA, STRANGER))
+        with _sniffer(tap, on_refused=told.append) as sniffer:
+            slave = Thread(target=_refuse_certificates, args=(server, 3))
+            slave.start()
+            call_in_vain(sniffer, 3)
+            slave.join(PATIENCE_S)
+            for record in sniffer.records(until(records, lambda found: len(found) >= 9)):
+                records.append(record)
+    kinds = [one.kind for one in records if isinstance(one, WireEvent)]
+    assert kinds == [EventKind.OPENED, EventKind.REFUSED, EventKind.CLOSED] * 3
+    assert told == records[1:2]
+
+
+def _refuse_certificates(server: socket.socket, count: int) -> None:
+    context = slave_context(ca=CA)
+    for _ in range(count):
+        connection, _ = server.accept()
+        with connection, suppress(OSError):
+            context.wrap_socket(connection, server_side=True)
+
+
+def test_says_where_a_tap_listens_that_asked_for_any_port(bench: Bench) -> None:
+    tap = bench.tap()
+    with _sniffer(tap) as sniffer:
+        (place,) = sniffer.places
+        opened = parse_link(place)
+    assert isinstance(opened, TapLink)
+    assert (opened.listen.host, opened.target) == ("127.0.0.1", tap.target)
+    assert opened.listen.port != 0
+
+
+def test_a_reader_that_leaves_early_leaves_a_complete_log(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with _sniffer(bench.tap(), log=path) as sniffer:
+        ask(sniffer, WRITE, count=20)
+        next(sniffer.records(until([], lambda _: False)))
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    assert len(_transactions(logged)) == 20
+    assert isinstance(logged[-1], WireEvent)
+    with LogReader.open(path) as log:
+        list(log.items())
+        assert log.closed
+
+
+def test_a_reader_that_leaves_in_the_rest_leaves_a_complete_log(
+    bench: Bench, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    with _sniffer(bench.tap(), log=path) as sniffer:
+        ask(sniffer, WRITE, count=20)
+        next(sniffer.records(lambda _: True))
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    assert len(_transactions(logged)) == 20
+
+
+def test_an_exception_of_the_reader_leaves_a_complete_log(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+
+    def read_and_fail() -> None:
+        with _sniffer(bench.tap(), log=path) as sniffer:
+            ask(sniffer, WRITE)
+            for _ in sniffer.records(until([], lambda _: False)):
+                raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        read_and_fail()
+    assert _transactions(list(Reading([str(path)], ReadingOptions()).records()))
+
+
+def test_a_port_that_is_not_there_leaves_no_log_and_no_process(
+    bench: Bench, tmp_path: Path
+) -> None:
+    link, _ = bench.line(tmp_path)
+    path = tmp_path / "a.mcap"
+    sniffer = _sniffer(link, SerialLink(str(tmp_path / "absent"), link.format), log=path)
+    with pytest.raises(LinkError, match="absent: is not there"):
+        sniffer.__enter__()
+    assert not path.exists()
+    (opened,) = sniffer.sources
+    assert isinstance(opened, SerialSource)
+    assert opened._child is not None
+    assert opened._child.poll() is not None
+
+
+def test_a_log_that_cannot_be_begun_closes_the_links(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_text("mine")
+    tap = bench.tap()
+    sniffer = _sniffer(tap, log=path)
+    with pytest.raises(UsageError, match="the file exists"):
+        sniffer.__enter__()
+    place = parse_link(sniffer.places[0])
+    assert isinstance(place, TapLink)
+    # The port is free again.
+    with _sniffer(TapLink(place.listen, tap.target)):
+        pass
+
+
+def test_a_link_that_goes_away_is_told_and_the_others_stay(bench: Bench, tmp_path: Path) -> None:
+    lost: list[LinkError] = []
+    records: list[Record] = []
+    asked = False
+
+    def is_enough(found: list[Record]) -> bool:
+        nonlocal asked
+        if lost and not asked:
+            asked = True
+            ask(sniffer, WRITE)
+        return bool(_transactions(found))
+
+    with Bench() as other:
+        link, _ = other.line(tmp_path)
+        with _sniffer(link, bench.tap(), on_lost=lost.append) as sniffer:
+            other.close()
+            for record in sniffer.records(until(records, is_enough)):
+                records.append(record)
+    assert _transactions(records)
+    assert len(lost) == 1
+    assert "lost" in str(lost[0])
+
+
+def test_the_last_link_that_goes_away_is_an_error_and_the_log_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+
+    def sniff() -> None:
+        with Bench() as other:
+            link, descriptor = other.line(tmp_path)
+            with _sniffer(link, log=path) as sniffer:
+                speak(descriptor, WRITE)
+                other.close()
+                for _ in sniffer.records(until([], lambda _: False)):
+                    pass
+
+    with pytest.raises(LinkError, match="lost"):
+        sniff()
+    with LogReader.open(path) as log:
+        list(log.items())
+        assert log.closed
+
+
+class _Log:
+    """A log that the disk takes no more for, after so many items."""
+
+    def __init__(self, room: int) -> None:
+        self._room = room
+        self.ticks = 0
+        self.final: Mapping[str, str] | None = None
+
+    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None:
+        if self._room == 0:
+            raise OutputError("a.mcap: the disk is full")
+        self._room -= 1
+
+    def tick(self, now_ns: int) -> None:
+        self.ticks += 1
+
+    def close(self, final: Mapping[str, str]) -> None:
+        self.final = final
+
+
+def test_a_full_disk_ends_the_run_and_the_log_is_closed(bench: Bench) -> None:
+    log = _Log(room=3)
+    tap = bench.tap()
+
+    def sniff() -> None:
+        with Sniffer([tap], Decoder(Namer()), begin_log=lambda: log) as sniffer:
+            ask(sniffer, WRITE, count=3)
+            for _ in sniffer.records(until([], lambda _: False)):
+                pass
+
+    with pytest.raises(OutputError, match="disk is full"):
+        sniff()
+    assert log.final is not None
+
+
+def test_the_log_learns_the_time_while_nothing_comes(bench: Bench) -> None:
+    log = _Log(room=100)
+    with Sniffer([bench.tap()], Decoder(Namer()), begin_log=lambda: log) as sniffer:
+        for _ in sniffer.records(until([], lambda _: log.ticks >= 3)):
+            pass
+    assert log.ticks >= 3
+
+
+def test_what_bounds_have_cost_is_counted_and_told(bench: Bench) -> None:
+    log = _Log(room=100)
+    told: list[WireEvent] = []
+    decoder = Decoder(Namer())
+    with Sniffer(
+        [bench.tap()], decoder, begin_log=lambda: log, on_discarded=told.append
+    ) as sniffer:
+        for missing, packets in ((42, 0), (0, 7), (100, 2), (0, 0)):
+            sniffer._inbox.put(
+                WireEvent(
+                    ts_ns=1,
+                    link="x",
+                    kind=EventKind.DISCARDED,
+                    message="",
+                    missing=missing,
+                    packets=packets,
+                )
+            )
+        for _ in sniffer.records(lambda _: True):
+            pass
+    assert log.final == {"discarded_packets": "9", "discarded_bytes": "142"}
+    assert [(one.missing, one.packets) for one in told] == [(42, 0), (0, 7), (100, 2)]
+
+
+def test_what_is_in_the_log_is_not_counted_as_lost(bench: Bench) -> None:
+    """A decoder's bound costs an explanation, no evidence."""
+    log = _Log(room=100)
+    told: list[WireEvent] = []
+    given_up = WireEvent(ts_ns=1, link="x", kind=EventKind.DISCARDED, message="", missing=42)
+    decoder = Mock(Decoder, feed=lambda _: [given_up], close=lambda: [given_up])
+    with Sniffer(
+        [bench.tap()], decoder, begin_log=lambda: log, on_discarded=told.append
+    ) as sniffer:
+        sniffer._inbox.put(Quiet(1, "x"))
+        for _ in sniffer.records(lambda _: True):
+            pass
+    assert log.final == {"discarded_packets": "0", "discarded_bytes": "0"}
+    assert not told
+
+
+def test_an_endpoint_cannot_be_listened_to() -> None:
+    sniffer = _sniffer(parse_link("tcp:127.0.0.1:1502"))
+    with pytest.raises(UsageError, match="put a tap before it"):
+        sniffer.__enter__()
+
+
+@pytest.mark.parametrize(
+    "links",
+    [
+        ("rtu:/dev/ttyUSB0", "ascii:/run/ttyUSB0"),
+        ("tap:127.0.0.1:0=10.0.0.9:502", "tap:127.0.0.1:1502=10.0.0.9"),
+    ],
+)
+def test_two_links_of_one_name_are_refused(links: tuple[str, ...]) -> None:
+    with pytest.raises(UsageError, match="two links are called"):
+        serial_lines([parse_link(link) for link in links])
+
+
+def test_serial_links_are_known_by_the_name_their_bytes_carry() -> None:
+    serial, tap = parse_link("rtu:/dev/ttyUSB0@9600-8N2"), TapLink(ANY, Endpoint("10.0.0.9", 502))
+    assert serial_lines([serial, tap]) == {"ttyUSB0": serial}
+
+
+def _has_damage(records: list[Record]) -> bool:
+    return any(getattr(one, "kind", None) is EventKind.LINE_ERROR for one in records)
+
+
+def test_damage_that_the_driver_tells_is_shown_and_logged(tmp_path: Path) -> None:
+    near, far = os.openpty()
+    link = SerialLink(os.ttyname(far), SerialFormat())
+    path = tmp_path / "a.mcap"
+    records: list[Record] = []
+    try:
+        with _sniffer(link, log=path) as sniffer:
+            stop_marking(link.port)
+            os.write(near, b"\xff\x00\xf8")  # What a driver gives for a damaged F8.
+            for record in sniffer.records(until(records, _has_damage)):
+                records.append(record)
+    finally:
+        os.close(near)
+        os.close(far)
+    (damage,) = [
+        one for one in records if isinstance(one, WireEvent) and one.kind is EventKind.LINE_ERROR
+    ]
+    assert damage.message == "parity or framing error at byte F8H"
+    assert damage in list(Reading([str(path)], ReadingOptions()).records())
