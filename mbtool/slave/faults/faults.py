@@ -125,7 +125,7 @@ class FaultySlave:
 class _Active:
     """One fault, and what it has seen."""
 
-    def __init__(self, fault: Fault, chance: random.Random) -> None:
+    def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault
         self._chance = chance
         self._seen = 0
