@@ -8,6 +8,7 @@
 #     C1 = 1
 #     "CH1 digital value" = { ramp = [0, 16000], seconds = 10 }
 #     HR400020 = { sine = [0, 100], seconds = 60 }
+#     HR400023 = { steps = [0, 50, 100], seconds = 5 }
 #     HR400021 = { walk = [0, 100], step = 2, seconds = 0.5, seed = 7 }
 #     HR400022 = { from = "site.mcap", what = "HR400001", unit = 3, speed = 2, loop = false }
 #
@@ -29,7 +30,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from mbtool.core import UsageError
 from mbtool.devices.toml_file import read_toml
 from mbtool.modbus.tables import Table
-from mbtool.slave.device.signals import Ramp, Signal, Sine, Walk
+from mbtool.slave.device.signals import Ramp, Signal, Sine, Steps, Walk
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ MAX_SECONDS = 10_000_000
 _FORMS = {
     "ramp": ("seconds",),
     "sine": ("seconds",),
+    "steps": ("seconds",),
     "walk": ("step", "seconds", "seed"),
     "from": ("what", "unit", "link", "speed", "loop"),
 }
@@ -188,8 +190,10 @@ class _Movement:
         return lambda moment_ns: spot.nearest(signal.at(moment_ns))
 
     def _signal(self) -> Signal:
-        first, last = self._pair()
         seconds_ns = round(self._number("seconds", None, 0.001, MAX_SECONDS) * 1e9)
+        if self._form == "steps":
+            return Steps(self._listed(), seconds_ns)
+        first, last = self._pair()
         if self._form == "ramp":
             return Ramp(first, last, seconds_ns)
         lowest, highest = min(first, last), max(first, last)
@@ -235,6 +239,12 @@ class _Movement:
         if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_number, pair)):
             self._wrong(self._form, f"{reprlib.repr(pair)}: write two numbers, such as [0, 100]")
         return float(pair[0]), float(pair[1])
+
+    def _listed(self) -> list[float]:
+        values = self._table[self._form]
+        if not isinstance(values, list) or not values or not all(map(_is_number, values)):
+            self._wrong(self._form, f"{reprlib.repr(values)}: write numbers, such as [0, 50, 100]")
+        return [float(value) for value in values]
 
     def _number(self, key: str, default: float | None, least: float, greatest: float) -> float:
         if key not in self._table and default is not None:
