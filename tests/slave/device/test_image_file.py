@@ -133,7 +133,7 @@ def test_what_moves_is_given_back_and_leaves_the_image_alone(tmp_path: Path) -> 
     )
     image = RegisterImage()
     driven = load_image(file, load_profile("idec-ft1a-touch"), image)
-    assert [one.spot.address for one in driven] == [0, 1, 2, 3, 4]
+    assert [one.target.address for one in driven] == [0, 1, 2, 3, 4]
     assert [one.course(0) for one in driven] == [[0], [50], [50], [50], [7]]
     assert [one.course(2_500_000_000) for one in driven[:2]] == [[25], [100]]
     assert driven[4].course(2_500_000_000) == [9]
