@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core.wording import counted
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.framing.mbap import MbapSplitter
@@ -121,12 +122,11 @@ def _join(
 
 def _told(skipped: Skipped, ends: Ends, direction: Direction | None) -> WireEvent:
     source, destination = _ordered(ends, direction)
-    size = len(skipped.raw)
     return WireEvent(
         ts_ns=skipped.ts_ns,
         link=ends.link,
         kind=skipped.kind,
-        message=f"{size} byte{'' if size == 1 else 's'}: {skipped.reason}",
+        message=f"{counted(len(skipped.raw), 'byte')}: {skipped.reason}",
         source=source,
         destination=destination,
         raw=skipped.raw,

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
+from mbtool.core.wording import counted
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.tap_alignment import MOST, SKEW_NS, TapRequest, asker_of_first, can_answer
 from mbtool.decode.transactions import Ends
@@ -211,12 +212,11 @@ class TapPair:
             )
 
     def _told(self, skipped: Skipped, speaker: Direction) -> WireEvent:
-        size = len(skipped.raw)
         return WireEvent(
             ts_ns=skipped.ts_ns,
             link=self._link,
             kind=skipped.kind,
-            message=f"{size} byte{'' if size == 1 else 's'} of {_SPEAKERS[speaker]}: "
+            message=f"{counted(len(skipped.raw), 'byte')} of {_SPEAKERS[speaker]}: "
             f"{skipped.reason}",
             raw=skipped.raw,
         )
