@@ -200,7 +200,7 @@ class TcpReassembler:
             self._connections[key] = connection
         self._connections.move_to_end(key)
         connection.feed(segment, ts_ns, from_lower=from_lower)
-        if connection.waiting:  # Who no longer waits is taken out by _advance.
+        if connection.holds_bytes:  # Who no longer waits is taken out by _advance.
             self._waiting[key] = connection
             if len(self._waiting) > MAX_WAITING:
                 self._waiting.pop(next(iter(self._waiting))).flush()
@@ -226,7 +226,7 @@ class TcpReassembler:
         self._checked_ns = now_ns
         for key, connection in list(self._waiting.items()):
             connection.advance(now_ns)
-            if not connection.waiting:
+            if not connection.holds_bytes:
                 del self._waiting[key]
         while self._connections:
             oldest = next(iter(self._connections.values()))

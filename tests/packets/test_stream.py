@@ -18,12 +18,12 @@ from mbtool.packets.stream import (
 
 def _stream(first: int = 0) -> Stream:
     stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
-    stream.first = first
+    stream.origin = first
     return stream
 
 
 def _piece(start: int, data: bytes) -> HeldBytes:
-    return HeldBytes(start, start + len(data), data, after=0, ts_ns=0, arrival=0)
+    return HeldBytes(start, start + len(data), data, acknowledged=0, ts_ns=0, arrival=0)
 
 
 @given(
