@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.adu_bytes import MBAP_BYTES
 from mbtool.modbus.pdu import pdu_length
 
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from mbtool.core import Direction
 
 MIN_LENGTH = 2
-MAX_LENGTH = 254
+MAX_LENGTH = 1 + MAX_PDU
 
 _MODBUS = b"\x00\x00"
-_HEADER = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
+_HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
 """A transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
 
 

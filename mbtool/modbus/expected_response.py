@@ -9,7 +9,14 @@ from functools import lru_cache
 
 import msgspec
 
-from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, QUERY_DATA, READ_BITS, READ_REGISTERS
+from mbtool.modbus.functions import (
+    ECHOING,
+    EXCEPTION_BIT,
+    QUERY_DATA,
+    READ_BITS,
+    READ_REGISTERS,
+    WRITE_SEVERAL,
+)
 from mbtool.modbus.packing import bit_bytes
 
 UNKNOWN_SIZE = 0
@@ -17,7 +24,6 @@ MAX_KNOWN = 1024
 """Requests whose responses are remembered; beyond that the one unasked longest is forgotten."""
 
 _ECHOED = ECHOING - {0x08}  # Of which only some sub-functions are.
-_ADDRESS_AND_QUANTITY_ECHOED = frozenset({0x0F, 0x10})
 _FIXED = {0x07: 2, 0x0B: 5}
 _FORCE_LISTEN_ONLY = 4
 """The sub-function of 08 that nobody answers (V1.1b3, 6.8.1)."""
@@ -44,7 +50,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
             count = 2 * quantity if code in READ_REGISTERS else bit_bytes(quantity)
             # More than a byte can count has no response but an exception: no PDU is so long.
             return cls(code, bytes((code, count & 0xFF)), 2 + count)
-        if code in _ADDRESS_AND_QUANTITY_ECHOED:
+        if code in WRITE_SEVERAL:
             return cls(code, request[:5], 5)
         if code == 0x08:
             sub_function = int.from_bytes(request[1:3])

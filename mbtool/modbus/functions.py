@@ -148,18 +148,27 @@ FUNCTIONS: dict[int, Function] = {
     ),
 }  # fmt: skip
 
+TABLE_FUNCTIONS = frozenset(code for code, one in FUNCTIONS.items() if one.table is not None)
+"""Functions that read or write addresses of a table."""
 READ_BITS = frozenset({0x01, 0x02})
 READ_REGISTERS = frozenset({0x03, 0x04, 0x17})
-"""Functions whose responses have the registers that were asked for, and nothing else."""
+READS = READ_BITS | READ_REGISTERS
+"""Functions whose response is a byte count and the requested values, and nothing else."""
+WRITE_ONE = frozenset({0x05, 0x06, 0x16})
+"""Functions whose response repeats the request."""
+WRITE_SEVERAL = frozenset({0x0F, 0x10})
+"""Functions whose response repeats the address and the quantity of the request."""
 
-ECHOING = frozenset({0x05, 0x06, 0x08, 0x15, 0x16})
-"""Functions whose response may be the same as its request."""
+ECHOING = WRITE_ONE | {0x08, 0x15}
+"""Functions whose response may be equal to its request."""
 NEVER_ECHOED = frozenset(FUNCTIONS) - ECHOING - {0x2B}
-"""Functions whose response is not; of 2B only its MEI types could tell."""
+"""Functions whose response is never equal to its request. For 2B it depends on the MEI type."""
 
 QUERY_DATA = 0
 """The sub-function of 08 that returns its data, however much that is (6.8.1)."""
 
+READ_LIMIT = FUNCTIONS[0x03].limit
+"""How many registers a request reads at most (6.3)."""
 WRITE_LIMIT_17H = 121
 """How many registers function 17H writes at most (6.17)."""
 

@@ -23,7 +23,7 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.modbus.adu import MAX_PDU, Transport
 from mbtool.modbus.ascii_frame import read_frame
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_SEVERAL
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 
 _EXCEPTION = Layout(("exception_code", 1))
@@ -91,7 +91,7 @@ def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
         raise ValueError(f"function code {code} is not in 0..255")
     values = fields.get("values")
     if direction is Direction.REQUEST and isinstance(values, tuple | list):
-        if code in (0x0F, 0x10):
+        if code in WRITE_SEVERAL:
             fields.setdefault("quantity", len(values))
         elif code == 0x17:
             fields.setdefault("write_quantity", len(values))

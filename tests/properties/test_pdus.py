@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus import parse_pdu, pdu_length
+from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.request_match import is_answer_to
 from tests.strategies import Message, messages
 
