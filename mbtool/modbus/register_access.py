@@ -37,24 +37,15 @@ def register_access(request: Pdu) -> RegisterAccess | None:
     if request.code not in TABLE_FUNCTIONS or request.problem is not None:
         return None
     function = FUNCTIONS[request.code]
-    table, address = cast("Table", function.table), _number(request, "address")
-    match request.code:
-        case 0x01 | 0x02 | 0x03 | 0x04:
-            access = RegisterAccess(table, reads=_addresses(address, _number(request, "quantity")))
-        case 0x05 if _number(request, "value") not in COIL_VALUES:
-            return None
-        case 0x05 | 0x06 | 0x16:
-            access = RegisterAccess(table, writes=_addresses(address, 1))
-        case 0x0F | 0x10:
-            access = RegisterAccess(table, writes=_addresses(address, _number(request, "quantity")))
-        case _:  # 17
-            access = RegisterAccess(
-                table,
-                reads=_addresses(address, _number(request, "quantity")),
-                writes=_addresses(
-                    _number(request, "write_address"), _number(request, "write_quantity")
-                ),
-            )
+    table = cast("Table", function.table)
+    addressed = _addresses(_number(request, "address"), request.number("quantity"))
+    if request.code == 0x17:
+        written = _addresses(_number(request, "write_address"), request.number("write_quantity"))
+        access = RegisterAccess(table, addressed, written)
+    elif function.writes:
+        access = RegisterAccess(table, writes=addressed)
+    else:
+        access = RegisterAccess(table, reads=addressed)
     return access if _is_allowed(access, request, function.limit) else None
 
 
@@ -101,8 +92,9 @@ def _is_allowed(access: RegisterAccess, request: Pdu, limit: int) -> bool:
     return 1 <= len(access.reads or access.writes) <= limit
 
 
-def _addresses(address: int, quantity: int) -> range:
-    return range(address, address + quantity)
+def _addresses(address: int, quantity: int | None) -> range:
+    """The addresses of so many values; of one value if the function has no quantity."""
+    return range(address, address + (1 if quantity is None else quantity))
 
 
 def _number(request: Pdu, name: str) -> int:

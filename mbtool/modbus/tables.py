@@ -9,7 +9,7 @@ ADDRESSES = 0x10000
 
 
 class Table(StrEnum):
-    """Which table an address belongs to."""
+    """The table that an address belongs to."""
 
     COILS = "coils"
     DISCRETE_INPUTS = "discrete_inputs"

@@ -22,7 +22,7 @@ FRAMED = {
 
 def _sent(spoiling: Distortion | None, transport: Transport = Transport.RTU) -> bytes:
     return b"".join(
-        data for _, data in wire_pieces(Response(PDU, spoiling=spoiling), transport, 1, 7)
+        data for _, data in wire_pieces(Response(PDU, distortion=spoiling), transport, 1, 7)
     )
 
 
@@ -31,7 +31,7 @@ def _sent(spoiling: Distortion | None, transport: Transport = Transport.RTU) -> 
 def test_an_answer_that_is_not_spoilt_leaves_whole(
     transport: Transport, spoiling: Distortion | None
 ) -> None:
-    assert wire_pieces(Response(PDU, spoiling=spoiling), transport, 1, 7) == [
+    assert wire_pieces(Response(PDU, distortion=spoiling), transport, 1, 7) == [
         (0, FRAMED[transport])
     ]
 
@@ -68,18 +68,18 @@ def test_bytes_are_missing_and_others_follow() -> None:
 
 
 def test_nothing_is_left_of_an_answer_that_is_cut_off_whole() -> None:
-    assert wire_pieces(Response(PDU, spoiling=Distortion(cut=99)), Transport.RTU, 1) == []
+    assert wire_pieces(Response(PDU, distortion=Distortion(cut=99)), Transport.RTU, 1) == []
 
 
 def test_silence_is_silence() -> None:
-    answer = Response(PDU, spoiling=Distortion(silent=True, extra=b"\xff"))
+    answer = Response(PDU, distortion=Distortion(silent=True, extra=b"\xff"))
     assert wire_pieces(answer, Transport.RTU, 1) == []
 
 
 @given(st.integers(1, 300), st.integers(0, 10**9))
 def test_pieces_are_the_whole_with_silence_between_them(pieces: int, gap_ns: int) -> None:
     spoiling = Distortion(pieces=pieces, gap_ns=gap_ns)
-    sent = wire_pieces(Response(PDU, spoiling=spoiling), Transport.TCP, 1, 7)
+    sent = wire_pieces(Response(PDU, distortion=spoiling), Transport.TCP, 1, 7)
     assert b"".join(data for _, data in sent) == FRAMED[Transport.TCP]
     assert len(sent) == min(pieces, len(FRAMED[Transport.TCP]))
     assert all(data for _, data in sent)
@@ -93,7 +93,7 @@ def test_what_is_not_damaged_is_read_back(pdu: bytes, transaction_id: int, unit:
     events = [
         event
         for _, data in wire_pieces(
-            Response(pdu, spoiling=spoiling), Transport.TCP, unit, transaction_id
+            Response(pdu, distortion=spoiling), Transport.TCP, unit, transaction_id
         )
         for event in splitter.feed(data, 0)
     ]

@@ -117,7 +117,7 @@ class FaultySlave:
             if answer is not None:
                 answer = fault.applied(unit, pdu, request, reach, answer)
             elif fault.ends_connections:
-                silence = Response(b"", spoiling=Distortion(silent=True))
+                silence = Response(b"", distortion=Distortion(silent=True))
                 answer = fault.applied(unit, pdu, request, reach, silence)
         return answer
 
@@ -167,8 +167,8 @@ class _Active:
             case FaultKind.STUCK | FaultKind.OFFSET:
                 return self._with_other_values(unit, pdu, request, reach, answer)
             case _:
-                spoiling = _spoilt(fault, answer.spoiling or Distortion())
-                return replace(answer, spoiling=spoiling)
+                spoiling = _spoilt(fault, answer.distortion or Distortion())
+                return replace(answer, distortion=spoiling)
 
     def _with_other_values(
         self, unit: int, pdu: bytes, request: Pdu, reach: RegisterAccess | None, answer: Response
