@@ -1,4 +1,4 @@
-"""The words every room shares. Standard library only."""
+"""Classes and errors that every room uses. Imports the standard library only."""
 
 from mbtool.core.errors import (
     CutError,
