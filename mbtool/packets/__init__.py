@@ -1,4 +1,4 @@
-"""From capture files to the bytes of TCP connections, without I/O."""
+"""Reads capture files and gives the bytes of TCP connections and serial lines. Opens no file."""
 
 from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
 from mbtool.packets.pcap import PCAP_MAGICS

@@ -11,8 +11,7 @@
 # The fraction counts microseconds or nanoseconds, as the magic says. The modified format of old
 # Linux patches (magic a1b2cd34) has eight more bytes in each record's header, which are skipped.
 #
-# Limits: a captured length above MAX_CAPTURED is libpcap's bound for a snapshot, so more of it is
-# damage and not a packet.
+# Limit: libpcap captures at most MAX_CAPTURED bytes of a packet, so a longer one is damage.
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ PCAP_MAGICS = tuple(_FORMATS)
 
 
 def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
-    """Give the packets behind a magic that is read already. Raises InputError, CutError."""
+    """Give the packets of a file whose magic is read already. Raises InputError, CutError."""
     order, unit_ns, extra = _FORMATS[magic]
     header = stream.read(20)
     if len(header) < 20:
@@ -49,7 +48,7 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     major, minor, link_field = struct.unpack(order + "HH12xI", header)
     if major != 2:
         raise InputError(f"{name}: pcap version {major}.{minor} is unknown; 2.4 is read")
-    link_type = link_field & 0xFFFF  # The upper bits tell of frame check sequences.
+    link_type = link_field & 0xFFFF  # The upper bits describe frame check sequences.
     record = struct.Struct(f"{order}IIII{extra}x")
     size = record.size
     number = 0
