@@ -40,8 +40,9 @@ _ALL = (
     "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
 )
 
-_HOST = re.compile(r"[^\s/@\[\]]+")
-_PORT = re.compile(r"\d{1,5}", re.ASCII)
+_ENDPOINT = re.compile(
+    r"(?:\[(?P<bracketed>[^\s/@\[\]]+)\]|(?P<host>[^\s/@\[\]:]+))(?::(?P<port>[0-9]{1,5}))?"
+)
 
 _OWN_ADDRESSES = {
     "0.0.0.0": ("127.0.0.1", "localhost"),
@@ -226,14 +227,13 @@ def _parse_serial(
     text: str, scheme: str, rest: str, example: str | None = None
 ) -> SerialLink | AutoLink:
     """Read `PORT@SETTINGS`. `example` is the example for messages if the link is a relay."""
-    port, at, settings = rest.rpartition("@")
-    if not at:
-        port = rest
-    port, *others = port.split(",")
-    if not all(PurePath(each).name for each in (port, *others)):
+    listed, at, settings = rest.rpartition("@")
+    ports = (listed if at else rest).split(",")
+    is_ascii = scheme == "ascii"
+    if not all(PurePath(port).name for port in ports):
         example = example or f"{scheme}:/dev/ttyUSB0@19200-8E1"
         raise UsageError(f"link {text!r}: no port is named, for example {example}")
-    if len(others) > 1 or port in others:
+    if len(ports) > 2 or len(set(ports)) < len(ports):
         raise UsageError(
             f"link {text!r}: a line has one tap, or two different ones, the first on the master's "
             f"side, for example {scheme}:/dev/ttyUSB0,/dev/ttyUSB1@19200-8E1"
@@ -245,13 +245,11 @@ def _parse_serial(
                 f"link {text!r}: {AUTO} takes no silences; give them with --t1-5 and --t3-5, "
                 f"for example {text.removesuffix(settings)}{AUTO} --t3-5 5ms"
             )
-        return AutoLink((port, *others), only_ascii=scheme == "ascii")
-    is_ascii = scheme == "ascii"
+        return AutoLink(tuple(ports), is_ascii)
     format_ = SerialFormat.parse(settings) if at else SerialFormat.usual(is_ascii=is_ascii)
     if not is_ascii:
-        ports = ",".join((port, *others))
-        format_.demand_rtu(f"link {text!r}", example or f"{scheme}:{ports}@19200-8E1")
-    return SerialLink(port, format_, is_ascii, *others)
+        format_.demand_rtu(f"link {text!r}", example or f"{scheme}:{','.join(ports)}@19200-8E1")
+    return SerialLink(ports[0], format_, is_ascii, *ports[1:])
 
 
 def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
@@ -293,20 +291,14 @@ def _parse_interfaces(text: str, rest: str) -> InterfaceLink:
 
 
 def _parse_endpoint(text: str, part: str) -> Endpoint:
-    host, colon, port = part.rpartition(":")
-    if part.startswith("[") and part.endswith("]"):
-        host, colon, port = part, ":", str(MODBUS_PORT)
-    elif not colon:
-        host, port = part, str(MODBUS_PORT)
-    bracketed = host.startswith("[") and host.endswith("]")
-    bare = host[1:-1] if bracketed else host
-    valid_host = _HOST.fullmatch(bare) is not None and (bracketed or ":" not in bare)
-    if not valid_host or _PORT.fullmatch(port) is None or int(port) > 65535:
+    match = _ENDPOINT.fullmatch(part)
+    port = int(match["port"] or MODBUS_PORT) if match is not None else 0
+    if match is None or port > 65535:
         raise UsageError(
             f"link {text!r}: {part!r} is no address; write HOST:PORT, "
             "for example 127.0.0.1:1502 or [::1]:1502"
         )
-    return Endpoint(bare, int(port))
+    return Endpoint(match["host"] or match["bracketed"], port)
 
 
 def _demand_other_target(text: str, tap: TapLink) -> None:

@@ -122,22 +122,19 @@ class SerialFormat:
         """The longest silence inside a frame."""
         if self.t1_5 is not None:
             return self._ns(self.t1_5)
-        return min(self._standard_t1_5_ns, self.t3_5_ns)
-
-    @property
-    def _standard_t1_5_ns(self) -> int:
-        if self.baud > _FIXED_ABOVE_BAUD:
-            return _FIXED_T1_5_NS
-        return self.character_bits * 1_500_000_000 // self.baud
+        return min(self._standard_ns(3, _FIXED_T1_5_NS), self.t3_5_ns)
 
     @property
     def t3_5_ns(self) -> int:
         """The shortest silence between frames."""
         if self.t3_5 is not None:
             return self._ns(self.t3_5)
+        return self._standard_ns(7, _FIXED_T3_5_NS)
+
+    def _standard_ns(self, half_characters: int, fixed_ns: int) -> int:
         if self.baud > _FIXED_ABOVE_BAUD:
-            return _FIXED_T3_5_NS
-        return self.character_bits * 3_500_000_000 // self.baud
+            return fixed_ns
+        return self.character_bits * half_characters * 500_000_000 // self.baud
 
     @classmethod
     def usual(cls, *, is_ascii: bool) -> Self:

@@ -62,8 +62,12 @@ class MbapSplitter:
         """Take the bytes of one segment."""
         self._buffer.append(data, ts_ns)
         events: list[Adu | Skipped] = []
-        while self._step(events):
-            pass
+        while (size := self._first_size()) is not None and size <= len(self._buffer):
+            if size:
+                self._skips.end(events)
+                self._emit(size, events)
+            else:
+                self._drop(events)
         return events
 
     def gap(self) -> list[Adu | Skipped]:
@@ -82,18 +86,6 @@ class MbapSplitter:
             held = self._buffer.take(len(self._buffer))
             events.append(Skipped(ts_ns, EventKind.SKIPPED, "an ADU that never ends", held))
         return events
-
-    def _step(self, events: list[Adu | Skipped]) -> bool:
-        """Consume one ADU, or bytes that begin none; False if more bytes are needed to decide."""
-        size = self._first_size()
-        if size is None or size > len(self._buffer):
-            return False
-        if size:
-            self._skips.end(events)
-            self._emit(size, events)
-        else:
-            self._drop(events)
-        return True
 
     def _first_size(self) -> int | None:
         """The size of the ADU at the start of the buffer.

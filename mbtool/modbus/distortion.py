@@ -59,22 +59,17 @@ def wire_pieces(
     response: Response, transport: Transport, unit: int, transaction_id: int = 0
 ) -> list[tuple[int, bytes]]:
     """The bytes to send for a response, in pieces, each with its ns after the first piece."""
-    distortion = response.distortion or Distortion()
-    if distortion.silent:
+    faults = response.distortion or Distortion()
+    if faults.silent:
         return []
-    adu = _adu(
-        response.pdu,
-        transport,
-        unit + distortion.unit_by & 0xFF,
-        transaction_id + distortion.id_by,
-    )
-    if distortion.wrong_check:
+    adu = _adu(response.pdu, transport, unit + faults.unit_by & 0xFF, transaction_id + faults.id_by)
+    if faults.wrong_check:
         adu = _with_wrong_check(adu, transport)
-    adu = adu[: max(len(adu) - distortion.cut, 0)] + distortion.extra
-    count = max(min(distortion.pieces, len(adu)), 1)
+    adu = adu[: max(len(adu) - faults.cut, 0)] + faults.extra
+    count = max(min(faults.pieces, len(adu)), 1)
     starts = [len(adu) * number // count for number in range(count + 1)]
     return [
-        (number * distortion.gap_ns, adu[starts[number] : starts[number + 1]])
+        (number * faults.gap_ns, adu[starts[number] : starts[number + 1]])
         for number in range(count)
         if adu
     ]

@@ -12,9 +12,10 @@ import msgspec
 from mbtool.modbus.functions import (
     ECHOING,
     EXCEPTION_BIT,
+    FUNCTIONS,
     QUERY_DATA,
     READ_BITS,
-    READ_REGISTERS,
+    READS,
     WRITE_SEVERAL,
 )
 from mbtool.modbus.packing import bit_bytes
@@ -24,7 +25,8 @@ MAX_KNOWN = 1024
 """How many requests are remembered with their expected response; the least recent is dropped."""
 
 _ECHOED = ECHOING - {0x08}  # For 08 it depends on the sub-function.
-_FIXED = {0x07: 2, 0x0B: 5}
+_SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}
+"""The response sizes that follow from the function alone."""
 _FORCE_LISTEN_ONLY = 4
 """The sub-function of 08 that has no response (V1.1b3, 6.8.1)."""
 
@@ -46,9 +48,9 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         code = request[0]
         if code in _ECHOED:
             return cls(code, request, len(request))
-        if code in READ_REGISTERS or code in READ_BITS:
+        if code in READS:
             quantity = int.from_bytes(request[3:5])
-            count = 2 * quantity if code in READ_REGISTERS else bit_bytes(quantity)
+            count = bit_bytes(quantity) if code in READ_BITS else 2 * quantity
             # A quantity above the limit (count > 255) fits no response: no PDU is so long.
             return cls(code, bytes((code, count & 0xFF)), 2 + count)
         if code in WRITE_SEVERAL:
@@ -61,7 +63,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
             return cls(code, echoed, len(request))
         if code == 0x2B:
             return cls(code, request[:2])
-        return cls(code, request[:1], _FIXED.get(code, UNKNOWN_SIZE))
+        return cls(code, request[:1], _SIZES.get(code, UNKNOWN_SIZE))
 
     def fits(self, pdu: bytes) -> bool:
         """True if a PDU can be the response or an exception response."""

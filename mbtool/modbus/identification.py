@@ -51,8 +51,6 @@ def identities(transaction: Transaction) -> list[Identity]:
     """The properties that the response of a transaction reports; empty if it reports none."""
     if transaction.function not in (REPORT_SERVER_ID, ENCAPSULATED):
         return []
-    if transaction.exception is not None:
-        return []
     pdu = whole_pdu(transaction.transport, transaction.response_raw)
     if pdu is None or pdu[0] != transaction.function:
         return []

@@ -39,11 +39,10 @@ def mismatch(request: Pdu, response: Pdu) -> str | None:
             held = f"{len(values) // 8} bytes of bits" if bits else f"{len(values)} registers"
             return f"{held} for a quantity of {quantity}"
     for name in response.fields:
-        if name not in _REPEATED:
-            continue
-        asked, answered = request.number(name), response.number(name)
-        if asked is not None and answered is not None and asked != answered:
-            return f"{name.replace('_', ' ')} {answered} for {asked}"
+        if name in _REPEATED:
+            asked, answered = request.number(name), response.number(name)
+            if asked is not None and answered not in (None, asked):
+                return f"{name.replace('_', ' ')} {answered} for {asked}"
     if request.code == 0x08 and request.number("sub_function") == 0:
         asked_for, echo = request.numbers("values"), response.numbers("values")
         if asked_for is not None and echo is not None and asked_for != echo:

@@ -65,8 +65,6 @@ class TcpConnection:
         "_master_is_lower",
         "_now_ns",
         "_out",
-        "_requests",
-        "_responses",
         "closed",
         "identity",
         "keep_alives",
@@ -92,19 +90,17 @@ class TcpConnection:
         """The number of segments until now."""
         self._now_ns = ts_ns
         self._out = out
-        self._requests = Stream(Direction.REQUEST, identity.master, identity.slave)
-        self._responses = Stream(Direction.RESPONSE, identity.slave, identity.master)
-        self._directions = (
-            (self._requests, self._responses),
-            (self._responses, self._requests),
-        )
+        requests = Stream(Direction.REQUEST, identity.master, identity.slave)
+        responses = Stream(Direction.RESPONSE, identity.slave, identity.master)
+        self._directions = ((requests, responses), (responses, requests))
         """The sender's stream and the other one, if the master sends, and if the slave does."""
         out.append(StreamOpened(ts_ns, identity, joined))
 
     @property
     def holds_bytes(self) -> bool:
         """True if bytes wait for bytes that precede them or that they acknowledge."""
-        return bool(self._requests.held or self._responses.held)
+        requests, responses = self._directions[0]
+        return bool(requests.held or responses.held)
 
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
         """True if a segment belongs to another connection between the same ends."""
@@ -186,7 +182,7 @@ class TcpConnection:
 
     def _reset_reason(self, sender: Stream) -> CloseReason:
         """REFUSED if the slave resets a connection before either end has sent a byte."""
-        requests = self._requests
+        requests, _ = self._directions[0]
         is_first_word = sender is not requests and sender.origin is None
         if is_first_word and not requests.position and not requests.held:
             return CloseReason.REFUSED
@@ -285,9 +281,7 @@ class TcpConnection:
                     moved = True
             if not moved:
                 # A joined stream goes first: its beginning is decided before bytes are forced out.
-                streams = sorted(
-                    (self._requests, self._responses), key=lambda stream: not stream.joining
-                )
+                streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
                 moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
@@ -348,7 +342,7 @@ class TcpConnection:
             stream.finish is not None
             and not stream.held
             and (stream.joining or stream.position >= stream.finish)
-            for stream, _ in self._directions
+            for stream in self._directions[0]
         )
 
 

@@ -23,15 +23,16 @@ from bisect import bisect_right, insort
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from enum import Enum
-from ipaddress import ip_address
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Endpoint, EventKind, WireEvent
+from mbtool.core import EventKind, WireEvent
 from mbtool.packets.segment import (
     IPV6_AUTHENTICATION,
     IPV6_EXTENSIONS,
     IPV6_FRAGMENT,
     TCP,
+    endpoint,
     walk_ipv6,
 )
 
@@ -53,6 +54,9 @@ _IPV6_HEADER = struct.Struct(">IHBB")
 
 Key = tuple[bytes, bytes, int, int]
 """Source, destination, protocol (0 in IPv6) and identification."""
+_Header = tuple[Key, int, int, bool, int, int]
+"""Key, following protocol, start of the fragment in the payload, True if it is the last fragment,
+and where its data begins and ends in the captured bytes."""
 
 
 class Fragment(NamedTuple):
@@ -232,11 +236,8 @@ class Fragments:
 
     def close(self) -> list[Datagram]:
         """End the capture. Gives the packets that are not whole."""
-        return [
-            one
-            for key in list(self._datagrams)
-            for one in self._give_up(key, DatagramEnd.INCOMPLETE)
-        ]
+        given_up = [self._give_up(key, DatagramEnd.INCOMPLETE) for key in list(self._datagrams)]
+        return list(chain.from_iterable(given_up))
 
     def _give_up(self, key: tuple[str, Key], ending: DatagramEnd) -> list[Datagram]:
         datagram = self._forget(key)
@@ -253,20 +254,34 @@ class Fragments:
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
     """Read the fragment in the IP packet at an offset; None if it is none, or holds no TCP."""
-    if len(data) < at + 20:
+    found = None
+    if len(data) >= at + 20 and data[at] >> 4 == 4:
+        found = _read_ipv4(data, at, original_length)
+    elif len(data) >= at + 40 and data[at] >> 4 == 6:
+        found = _read_ipv6(data, at, original_length)
+    if found is None:
         return None
-    version = data[at] >> 4
-    if version == 4:
-        first, total, identification, offset, protocol = _IPV4.unpack_from(data, at)
-        header = (first & 0x0F) * 4
-        if protocol != TCP or header < 20 or not offset & 0x3FFF:
-            return None
-        key = (data[at + 12 : at + 16], data[at + 16 : at + 20], protocol, identification)
-        begin, last = at + header, not offset & 0x2000
-        end = at + total if total else original_length
-        return _fragment(data, key, TCP, (offset & 0x1FFF) * 8, last, begin, end, original_length)
-    if version != 6 or len(data) < at + 40:
+    key, following, start, is_last, begin, end = found
+    # As in read_segment: if a packet claims to be longer than its frame, the claim is wrong.
+    length = min(end, original_length) - begin
+    if not is_last:
+        length &= ~7  # Offsets are multiples of 8 bytes.
+    if length <= 0 or start + length > _MAX_PAYLOAD:
         return None
+    return Fragment(key, following, start, start + length, is_last, data[begin : begin + length])
+
+
+def _read_ipv4(data: bytes, at: int, original_length: int) -> _Header | None:
+    first, total, identification, offset, protocol = _IPV4.unpack_from(data, at)
+    header = (first & 0x0F) * 4
+    if protocol != TCP or header < 20 or not offset & 0x3FFF:
+        return None
+    key = (data[at + 12 : at + 16], data[at + 16 : at + 20], protocol, identification)
+    end = at + total if total else original_length
+    return key, TCP, (offset & 0x1FFF) * 8, not offset & 0x2000, at + header, end
+
+
+def _read_ipv6(data: bytes, at: int, original_length: int) -> _Header | None:
     end, following, begin = walk_ipv6(data, at, original_length)
     if following != IPV6_FRAGMENT or begin + 8 > min(end, len(data)):
         return None
@@ -276,28 +291,7 @@ def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None
     offset = data[begin + 2] << 8 | data[begin + 3]
     identification = int.from_bytes(data[begin + 4 : begin + 8], "big")
     key = (data[at + 8 : at + 24], data[at + 24 : at + 40], 0, identification)
-    last = not offset & 1
-    begin += 8
-    return _fragment(data, key, following, offset & 0xFFF8, last, begin, end, original_length)
-
-
-def _fragment(
-    data: bytes,
-    key: Key,
-    following: int,
-    start: int,
-    last: bool,
-    begin: int,
-    end: int,
-    original_length: int,
-) -> Fragment | None:
-    # As in read_segment: if a packet claims to be longer than its frame, the claim is wrong.
-    length = min(end, original_length) - begin
-    if not last:
-        length &= ~7  # Offsets are multiples of 8 bytes.
-    if length <= 0 or start + length > _MAX_PAYLOAD:
-        return None
-    return Fragment(key, following, start, start + length, last, data[begin : begin + length])
+    return key, following, offset & 0xFFF8, not offset & 1, begin + 8, end
 
 
 def fragment_events(
@@ -322,8 +316,8 @@ def fragment_events(
             link=datagram.link,
             kind=kind,
             message=message,
-            source=str(Endpoint(str(ip_address(source)), source_port)),
-            destination=str(Endpoint(str(ip_address(destination)), destination_port)),
+            source=str(endpoint(source, source_port)),
+            destination=str(endpoint(destination, destination_port)),
             raw=datagram.payload,
             missing=0 if datagram.total is None else datagram.total - datagram.held,
         )

@@ -54,7 +54,7 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     number = 0
     while head := stream.read(size):
         if len(head) < size:
-            raise _cut(name, number)
+            raise cut_error(name, number)
         seconds, fraction, captured, original = record.unpack(head)
         if captured > MAX_CAPTURED:
             raise InputError(
@@ -63,7 +63,7 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             )
         data = stream.read(captured)
         if len(data) < captured:
-            raise _cut(name, number)
+            raise cut_error(name, number)
         number += 1
         yield Packet(
             ts_ns=seconds * _NS_PER_SECOND + fraction * unit_ns,
@@ -74,5 +74,6 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
         )
 
 
-def _cut(name: str, number: int) -> CutError:
+def cut_error(name: str, number: int) -> CutError:
+    """The error for a file that ends inside the record behind packet `number`."""
     return CutError(f"{name}: ends in the middle of a record, after {number} whole packets")

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import TYPE_CHECKING, BinaryIO
 
-from mbtool.core import CutError, InputError, Packet
-from mbtool.packets.pcap import MAX_CAPTURED
+from mbtool.core import InputError, Packet
+from mbtool.packets.pcap import MAX_CAPTURED, cut_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,7 +97,7 @@ class _Reader:
         head = PCAPNG_MAGIC + self._stream.read(4)
         while head:
             if len(head) < 8:
-                raise self._cut()
+                raise cut_error(self._name, self._number)
             if head.startswith(PCAPNG_MAGIC):
                 self._begin_section(head)
             else:
@@ -112,7 +112,7 @@ class _Reader:
     def _begin_section(self, head: bytes) -> None:
         byte_order = self._stream.read(4)
         if len(byte_order) < 4:
-            raise self._cut()
+            raise cut_error(self._name, self._number)
         layout = _LAYOUTS.get(byte_order)
         if layout is None:
             raise self._damaged(f"a section's byte order is {byte_order.hex()}")
@@ -131,7 +131,7 @@ class _Reader:
             raise self._damaged(f"a block claims {length} bytes")
         body = self._stream.read(length - done)
         if len(body) < length - done:
-            raise self._cut()
+            raise cut_error(self._name, self._number)
         if body[-4:] != head[4:]:
             raise self._damaged("the two lengths of a block differ")
         return body[:-4]
@@ -194,11 +194,6 @@ class _Reader:
 
     def _damaged(self, problem: str) -> InputError:
         return InputError(f"{self._name}: damaged after packet {self._number}: {problem}")
-
-    def _cut(self) -> CutError:
-        return CutError(
-            f"{self._name}: ends in the middle of a record, after {self._number} whole packets"
-        )
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:

@@ -25,11 +25,10 @@
 
 from __future__ import annotations
 
-import ipaddress
 import struct
 from collections import OrderedDict
 
-from mbtool.core import Connection, Endpoint, EventKind, Packet, WireEvent
+from mbtool.core import Connection, EventKind, Packet, WireEvent
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
 from mbtool.packets.fragments import (
     Datagram,
@@ -39,7 +38,7 @@ from mbtool.packets.fragments import (
     fragment_events,
 )
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
-from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, find_tcp, read_segment
+from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, endpoint, find_tcp, read_segment
 from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
@@ -178,13 +177,8 @@ class TcpReassembler:
             self._scope(datagram.link), source, source_port, destination, destination_port
         )
         known = self._connections.get(key)
-        identity = (
-            Connection(
-                Endpoint(_host(source), source_port), Endpoint(_host(destination), destination_port)
-            )
-            if known is None
-            else known.identity
-        )
+        ends = endpoint(source, source_port), endpoint(destination, destination_port)
+        identity = Connection(*ends) if known is None else known.identity
         self._out += (StreamEvent(identity, event) for event in events)
 
     def _follow(self, segment: TcpSegment, ts_ns: int, link: str) -> None:
@@ -213,13 +207,10 @@ class TcpReassembler:
         if len(self._connections) >= MAX_CONNECTIONS:
             self._drop_oldest(ts_ns, CloseReason.DISCARDED)
         from_master = _is_from_master(segment, self._ports)
-        source = Endpoint(_host(segment.source), segment.source_port)
-        destination = Endpoint(_host(segment.destination), segment.destination_port)
-        identity = (
-            Connection(source, destination, self._opened)
-            if from_master
-            else Connection(destination, source, self._opened)
-        )
+        source = endpoint(segment.source, segment.source_port)
+        destination = endpoint(segment.destination, segment.destination_port)
+        ends = (source, destination) if from_master else (destination, source)
+        identity = Connection(*ends, self._opened)
         self._opened += 1
         joined = not segment.flags & SYN
         return TcpConnection(
@@ -268,7 +259,3 @@ def _is_from_master(segment: TcpSegment, ports: frozenset[int]) -> bool:
     if segment.flags & SYN:
         return not segment.flags & ACK
     return segment.destination_port <= segment.source_port
-
-
-def _host(address: bytes) -> str:
-    return str(ipaddress.ip_address(address))

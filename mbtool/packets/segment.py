@@ -13,7 +13,10 @@
 from __future__ import annotations
 
 import struct
+from ipaddress import ip_address
 from typing import NamedTuple
+
+from mbtool.core import Endpoint
 
 FIN = 0x01
 SYN = 0x02
@@ -134,3 +137,8 @@ def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) ->
         payload,
         end - begin - len(payload),
     )
+
+
+def endpoint(address: bytes, port: int) -> Endpoint:
+    """The endpoint of an IPv4 or IPv6 address as it stands in a header."""
+    return Endpoint(str(ip_address(address)), port)
