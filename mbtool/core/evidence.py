@@ -1,4 +1,4 @@
-"""What sources deliver: bytes and packets with their times, not decoded."""
+"""The data that sources deliver: bytes and packets with their times, not decoded."""
 
 from __future__ import annotations
 

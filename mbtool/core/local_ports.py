@@ -1,4 +1,4 @@
-"""The serial ports and network interfaces of this machine, and what keeps one from opening them."""
+"""The serial ports and network interfaces of this machine, and obstacles to opening them."""
 
 # The room ports finds this out, and a view shows it. Properties that cannot be found out are None.
 
@@ -78,7 +78,7 @@ class LocalInterface:
     has_carrier: bool | None = None
     """True if the cable connects to something; None while the interface is down."""
     troubles: tuple[Trouble, ...] = ()
-    """What keeps a capture from starting, even if the interface is up."""
+    """Problems that keep a capture from starting, even if the interface is up."""
 
     @property
     def link(self) -> str:

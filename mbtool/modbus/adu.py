@@ -1,4 +1,4 @@
-"""What a splitter gives: application data units, and bytes that it could not read."""
+"""The results of a splitter: application data units, and bytes that it could not read."""
 
 # Classes with an instance for every frame are msgspec.Structs, not dataclasses: to make a frozen
 # Struct takes a tenth of the time, and to read one frame of a line makes about six objects.
@@ -33,7 +33,7 @@ class Transport(StrEnum):
 
 
 class DirectionBy(StrEnum):
-    """What decided an ADU's direction."""
+    """The evidence that decided the direction of an ADU."""
 
     PORT = "port"
     """The TCP port, or the tap that heard the ADU. This is certain."""

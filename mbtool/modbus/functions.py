@@ -26,7 +26,7 @@ EXCEPTION_BIT = 0x80
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Function:
-    """What the standard says about one function code."""
+    """The properties of one function code in the standard."""
 
     name: str
     short: str

@@ -57,13 +57,13 @@ class FileGroups:
         for group in _groups(fields, "groups"):
             match group:
                 case (int(file), int(record), int(length)) if not self.with_data:
-                    head, body = (file, record, length), b""
+                    numbers, body = (file, record, length), b""
                 case (int(file), int(record), tuple(registers)) if self.with_data:
-                    head, body = (file, record, len(registers)), pack_words(registers)
+                    numbers, body = (file, record, len(registers)), pack_words(registers)
                 case _:
                     last = "registers" if self.with_data else "length"
                     raise ValueError(f"a group is (file, record, {last}), not {group}")
-            data += bytes([_FILE_REFERENCE]) + pack_words(head) + body
+            data += bytes([_FILE_REFERENCE]) + pack_words(numbers) + body
         return with_byte_count(data, 1)
 
 

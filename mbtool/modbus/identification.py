@@ -1,4 +1,4 @@
-"""What a device says about itself: the responses to functions 2B/0E and 11H, as texts."""
+"""The identity that a device reports: the responses to functions 2B/0E and 11H, as texts."""
 
 # Read device identification (MODBUS Application Protocol V1.1b3, 6.21) gives objects, each with an
 # id and a text. The standard names ids 00 to 06; ids 80 to FF belong to the vendor. Report server

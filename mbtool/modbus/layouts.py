@@ -50,13 +50,13 @@ class Tail(Protocol):
 class Layout:
     """The form of one direction of one function."""
 
-    __slots__ = ("_head", "_names", "_size", "_tail")
+    __slots__ = ("_fixed", "_names", "_size", "_tail")
 
     def __init__(self, *fixed: tuple[str, int], tail: Tail | None = None) -> None:
         """`fixed` are the names of the integers with their widths in bytes, 1 or 2."""
         self._names = tuple(name for name, _ in fixed)
-        self._head = struct.Struct(">" + "".join("xBH"[width] for _, width in fixed))
-        self._size = 1 + self._head.size
+        self._fixed = struct.Struct(">" + "".join("xBH"[width] for _, width in fixed))
+        self._size = 1 + self._fixed.size
         self._tail = tail
 
     def length(self, pdu: bytes, at: int = 0) -> int | None:
@@ -75,7 +75,7 @@ class Layout:
             return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = {}
         if self._names:
-            fields.update(zip(self._names, self._head.unpack_from(pdu, 1), strict=True))
+            fields.update(zip(self._names, self._fixed.unpack_from(pdu, 1), strict=True))
         if self._tail is not None:
             return fields, self._tail.parse(pdu, self._size, fields)
         return fields, self._wrong_size(pdu) if len(pdu) > self._size else None
@@ -84,16 +84,16 @@ class Layout:
         """The bytes after the function code. Raises ValueError if a field is missing or wrong."""
         values = [_field(fields, name) for name in self._names]
         try:
-            head = self._head.pack(*values)
+            fixed = self._fixed.pack(*values)
         except struct.error as error:
             given = dict(zip(self._names, values, strict=True))
             raise ValueError(f"a field does not fit its width: {given}") from error
-        return head + (self._tail.encode(fields) if self._tail is not None else b"")
+        return fixed + (self._tail.encode(fields) if self._tail is not None else b"")
 
     def _parse_short(self, pdu: bytes) -> Fields:
         fields: Fields = {}
         at = 1
-        for name, code in zip(self._names, self._head.format[1:], strict=True):
+        for name, code in zip(self._names, self._fixed.format[1:], strict=True):
             width = 1 if code == "B" else 2
             if at + width > len(pdu):
                 break

@@ -153,7 +153,7 @@ class TcpConnection:
             self.close(ts_ns, CloseReason.FINISHED)
 
     def advance(self, now_ns: int) -> None:
-        """Let time pass: give up what has waited for too long."""
+        """Let time pass: give up holes that have waited too long."""
         self._now_ns = now_ns
         self._deliver_held()
         if not self.closed and self._is_finished():

@@ -52,10 +52,10 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     record = struct.Struct(f"{order}IIII{extra}x")
     size = record.size
     number = 0
-    while head := stream.read(size):
-        if len(head) < size:
+    while record_header := stream.read(size):
+        if len(record_header) < size:
             raise cut_error(name, number)
-        seconds, fraction, captured, original = record.unpack(head)
+        seconds, fraction, captured, original = record.unpack(record_header)
         if captured > MAX_CAPTURED:
             raise InputError(
                 f"{name}: damaged after packet {number}: the next claims {captured} bytes, "

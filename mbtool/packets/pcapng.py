@@ -94,29 +94,29 @@ class _Reader:
         self._ts_ns = 0
 
     def packets(self) -> Iterator[Packet]:
-        head = PCAPNG_MAGIC + self._stream.read(4)
-        while head:
-            if len(head) < 8:
+        header = PCAPNG_MAGIC + self._stream.read(4)
+        while header:
+            if len(header) < 8:
                 raise cut_error(self._name, self._number)
-            if head.startswith(PCAPNG_MAGIC):
-                self._begin_section(head)
+            if header.startswith(PCAPNG_MAGIC):
+                self._begin_section(header)
             else:
-                kind, length = self._layout.block.unpack(head)
-                body = self._read_body(head, length, 8)
+                kind, length = self._layout.block.unpack(header)
+                body = self._read_body(header, length, 8)
                 if kind in _PACKET_BLOCKS:
                     yield self._read_packet(kind, body)
                 elif kind == _INTERFACE:
                     self._describe_interface(body)
-            head = self._stream.read(8)
+            header = self._stream.read(8)
 
-    def _begin_section(self, head: bytes) -> None:
+    def _begin_section(self, header: bytes) -> None:
         byte_order = self._stream.read(4)
         if len(byte_order) < 4:
             raise cut_error(self._name, self._number)
         layout = _LAYOUTS.get(byte_order)
         if layout is None:
             raise self._damaged(f"a section's byte order is {byte_order.hex()}")
-        body = self._read_body(head, layout.block.unpack(head)[1], 12)
+        body = self._read_body(header, layout.block.unpack(header)[1], 12)
         major, minor = self._unpack(layout.pair, body)
         if major != 1:
             raise InputError(
@@ -125,14 +125,14 @@ class _Reader:
         self._layout = layout
         self._interfaces = []
 
-    def _read_body(self, head: bytes, length: int, done: int) -> bytes:
+    def _read_body(self, header: bytes, length: int, done: int) -> bytes:
         """Read the rest of a block of which `done` bytes are read; leave out the second length."""
         if length < done + 4 or length % 4 or length > MAX_BLOCK:
             raise self._damaged(f"a block claims {length} bytes")
         body = self._stream.read(length - done)
         if len(body) < length - done:
             raise cut_error(self._name, self._number)
-        if body[-4:] != head[4:]:
+        if body[-4:] != header[4:]:
             raise self._damaged("the two lengths of a block differ")
         return body[:-4]
 

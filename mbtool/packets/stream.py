@@ -40,7 +40,7 @@ class HeldBytes(NamedTuple):
     start: int
     end: int
     data: bytes
-    """Empty where the capture did not keep the bytes."""
+    """Empty if the capture did not keep the bytes."""
     acknowledged: int
     """Up to which position of the other direction the sender had received; 0 if all is there."""
     ts_ns: int

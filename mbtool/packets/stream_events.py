@@ -1,4 +1,4 @@
-"""What the reassembler gives beside the bytes of a connection, in order with them."""
+"""Items that the reassembler gives beside the bytes of a connection, in order with them."""
 
 from __future__ import annotations
 

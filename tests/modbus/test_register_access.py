@@ -43,7 +43,9 @@ def _access(request: str) -> RegisterAccess | None:
         ("03 FFFF 0002", RegisterAccess(HOLDING, range(0xFFFF, 0x10001))),
     ],
 )
-def test_names_what_is_read_and_written(request_: str, access: RegisterAccess) -> None:
+def test_gives_the_addresses_that_are_read_and_written(
+    request_: str, access: RegisterAccess
+) -> None:
     assert _access(request_) == access
 
 
@@ -62,7 +64,7 @@ def test_names_what_is_read_and_written(request_: str, access: RegisterAccess) -
         "41 00",
     ],
 )
-def test_knows_no_reach_of_what_is_wrong_or_reaches_no_table(request_: str) -> None:
+def test_a_wrong_request_or_one_without_a_table_has_no_register_access(request_: str) -> None:
     assert _access(request_) is None
 
 
@@ -97,7 +99,7 @@ def test_request_keeps_the_limits_of_its_function(request_: str, keeps: bool) ->
         ("17 0003 0006 000E 0002 04 00FF 0001", [0, 0], (0xFF, 1)),
     ],
 )
-def test_tells_what_a_write_leaves(
+def test_gives_the_values_after_a_write(
     request_: str, before: list[int], after: tuple[int, ...]
 ) -> None:
     assert values_after(parse_pdu(bytes.fromhex(request_), Direction.REQUEST), before) == after
@@ -120,7 +122,7 @@ def test_makes_the_standards_response(request_: str, values: list[int], response
 
 
 @given(st.sampled_from(sorted(TABLE_FUNCTIONS)), st.binary(max_size=260))
-def test_what_has_an_access_can_be_executed(function: int, data: bytes) -> None:
+def test_a_request_with_register_access_can_be_executed(function: int, data: bytes) -> None:
     pdu = bytes([function]) + data
     request = parse_pdu(pdu, Direction.REQUEST)
     access = register_access(request)

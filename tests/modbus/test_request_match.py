@@ -66,7 +66,9 @@ def test_function_code_above_127_is_answered_by_itself_only() -> None:
 
 
 @given(exchange=exchanges(), place=st.integers(0, 300), byte=st.integers(0, 255))
-def test_what_fits_by_its_bytes_belongs_together(exchange: Exchange, place: int, byte: int) -> None:
+def test_a_response_that_fits_by_its_bytes_belongs_to_its_request(
+    exchange: Exchange, place: int, byte: int
+) -> None:
     """Of the two that judge an answer, by its bytes and by its meaning, the first is stricter."""
     expected = ExpectedResponse.of(exchange.request)
     if expected is None or exchange.response is None:

@@ -70,7 +70,7 @@ def test_is_overfull_beyond_its_bounds() -> None:
     assert stream.is_overfull()
 
 
-def test_compares_a_second_copy_with_what_it_still_has() -> None:
+def test_compares_a_second_copy_with_the_bytes_that_it_still_has() -> None:
     stream = _stream()
     data = bytes(range(256)) * 8
     stream.advance(data, len(data))
@@ -106,7 +106,7 @@ def test_a_joined_stream_begins_where_its_first_hole_ends() -> None:
     assert stream.take_late(_piece(0, bytes(LEAD))) == b""
 
 
-def test_a_doubt_is_as_old_as_the_acknowledgement_of_what_is_missing() -> None:
+def test_a_wait_begins_with_the_acknowledgement_of_the_missing_bytes() -> None:
     stream = _stream()
     stream.acknowledge(3, arrival=1, ts_ns=0)
     stream.acknowledge(6, arrival=3, ts_ns=0)
@@ -120,7 +120,7 @@ def test_a_doubt_is_as_old_as_the_acknowledgement_of_what_is_missing() -> None:
     assert not stream.is_overdue(99, 3, 999, 100)
 
 
-def test_remembers_so_many_acknowledgements_and_gaps() -> None:
+def test_remembers_a_limited_number_of_acknowledgements_and_gaps() -> None:
     stream = _stream()
     for number in range(1000):
         stream.acknowledge(10 * number + 1, arrival=number, ts_ns=0)
