@@ -118,7 +118,7 @@ class TcpConnection:
         # (a stray RST), or the SYN of the next connection is not in the capture.
         if sender.origin is None:
             return True
-        start = sender.place(segment.sequence)
+        start = sender.position_of(segment.sequence)
         end = start + len(segment.payload) + segment.missing
         return end > sender.position or start < sender.position - WINDOW
 
@@ -172,7 +172,7 @@ class TcpConnection:
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
         """Note an acknowledgement. Gives the position in `stream` to wait for, or 0."""
-        position = stream.place(acknowledgement)
+        position = stream.position_of(acknowledgement)
         if stream.finish is not None:
             position = min(position, stream.finish)  # FIN takes a sequence number, and is no byte.
         if not stream.position < position <= stream.position + WINDOW:
@@ -199,7 +199,7 @@ class TcpConnection:
             # The bytes that this segment acknowledges may follow it in the capture.
             other.join(segment.acknowledgement, arrival, ts_ns)
             acknowledged = LEAD
-        start = sender.place(sequence)
+        start = sender.position_of(sequence)
         if not -WINDOW <= start - sender.position <= WINDOW:
             start = self._continue_at(sender, sequence)
         data, missing = segment.payload, segment.missing
@@ -349,6 +349,6 @@ class TcpConnection:
 def _note_finish(sender: Stream, sequence: int, segment: TcpSegment) -> None:
     """Note the position of a FIN, unless it is too far from the bytes in flight."""
     if sender.origin is not None:
-        finish = sender.place(sequence) + len(segment.payload) + segment.missing
+        finish = sender.position_of(sequence) + len(segment.payload) + segment.missing
         if abs(finish - sender.position) <= WINDOW:
             sender.finish = finish

@@ -10,9 +10,9 @@
 # behind the end.
 #
 # Limits: MAX_CONNECTIONS are kept; above that, the least recently used one is closed. Of these,
-# MAX_WAITING hold bytes, each within the limits of a stream (at most about 32 MiB in all); above
-# that, the one that has waited longest gives up its holes. A connection is dropped after IDLE_NS of
-# capture time, which RFC 1122, 4.2.3.6, gives as the shortest time before a keep-alive probe.
+# MAX_HOLDING hold bytes, each within the limits of a stream (at most about 32 MiB in all); above
+# that, the one that has held bytes longest gives up its holes. A connection is dropped after
+# IDLE_NS of capture time: RFC 1122, 4.2.3.6, allows no keep-alive probe before.
 #
 # Packets of the same ends from another interface belong to another connection. If flows are
 # followed across interfaces, they belong to the same connection, as copies or to fill its holes.
@@ -45,7 +45,8 @@ from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
-MAX_WAITING = 256
+MAX_HOLDING = 256
+"""How many connections may hold bytes at once."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096
@@ -66,7 +67,8 @@ class TcpReassembler:
         self._ports = ports
         self._across = across
         self._connections: OrderedDict[_Key, TcpConnection] = OrderedDict()
-        self._waiting: dict[_Key, TcpConnection] = {}
+        self._holding: dict[_Key, TcpConnection] = {}
+        """Connections that hold bytes, in the order in which they began to."""
         self._opened = 0
         self._fragments = Fragments()
         self._checked_ns = 0
@@ -102,7 +104,7 @@ class TcpReassembler:
         for connection in self._connections.values():
             connection.close(ts_ns, CloseReason.CAPTURE_END)
         self._connections.clear()
-        self._waiting.clear()
+        self._holding.clear()
         return self._take_out()
 
     def _take_out(self) -> list[StreamItem]:
@@ -199,9 +201,9 @@ class TcpReassembler:
         self._connections.move_to_end(key)
         connection.feed(segment, ts_ns, from_lower=from_lower)
         if connection.holds_bytes:  # Connections that no longer hold bytes are removed by _advance.
-            self._waiting[key] = connection
-            if len(self._waiting) > MAX_WAITING:
-                self._waiting.pop(next(iter(self._waiting))).flush()
+            self._holding[key] = connection
+            if len(self._holding) > MAX_HOLDING:
+                self._holding.pop(next(iter(self._holding))).flush()
 
     def _open(self, segment: TcpSegment, ts_ns: int, from_lower: bool) -> TcpConnection:
         if len(self._connections) >= MAX_CONNECTIONS:
@@ -219,10 +221,10 @@ class TcpReassembler:
 
     def _advance(self, now_ns: int) -> None:
         self._checked_ns = now_ns
-        for key, connection in list(self._waiting.items()):
+        for key, connection in list(self._holding.items()):
             connection.advance(now_ns)
             if not connection.holds_bytes:
-                del self._waiting[key]
+                del self._holding[key]
         while self._connections:
             oldest = next(iter(self._connections.values()))
             if now_ns - oldest.last_ns < IDLE_NS:
@@ -231,7 +233,7 @@ class TcpReassembler:
 
     def _drop_oldest(self, ts_ns: int, reason: CloseReason) -> None:
         key, connection = self._connections.popitem(last=False)
-        self._waiting.pop(key, None)
+        self._holding.pop(key, None)
         connection.close(ts_ns, reason)
 
     def _report(self, ts_ns: int, link: str, kind: EventKind, message: str) -> None:

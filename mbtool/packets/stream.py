@@ -98,7 +98,7 @@ class Stream:
         self._acknowledgements: list[tuple[int, int, int]] = []
         """Positions acknowledged before their bytes came, with arrival and time of the segment."""
 
-    def place(self, sequence: int) -> int:
+    def position_of(self, sequence: int) -> int:
         """The position of a sequence number. `origin` must be known."""
         distance = (sequence - (self.origin or 0) - self.position) & _MASK
         return self.position + (distance if distance < _HALF else distance - _MASK - 1)
@@ -107,7 +107,7 @@ class Stream:
         """Decide that the stream begins with the byte of a sequence number."""
         if self.origin is None:
             self.origin = sequence
-        self.position = self.place(sequence)
+        self.position = self.position_of(sequence)
         self.beginning = sequence
         self.joining = False
 
@@ -128,7 +128,7 @@ class Stream:
     def begins_at(self, sequence: int) -> bool:
         """True if a SYN right before this sequence number is the SYN of this stream."""
         if self.joining:
-            return 0 <= self.place(sequence) <= (self.held[0].start if self.held else LEAD)
+            return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
 
     def is_before_next(self, sequence: int) -> bool:

@@ -1,4 +1,4 @@
-"""Errors by whose they are."""
+"""The error classes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is told about a wire beside its transactions."""
+"""Events of a link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a source brings in."""
+"""Chunks, packets and connections, as sources deliver them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What --link says of a file."""
+"""The value of --link for a file."""
 
 from __future__ import annotations
 

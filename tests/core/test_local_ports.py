@@ -1,4 +1,4 @@
-"""What there is to open here, as words."""
+"""The texts of local ports, interfaces and troubles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Silences as a user or a manual says them."""
+"""Silences in a user's or a manual's units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an RTU frame's bytes say about its size."""
+"""The size of an RTU frame by its bytes."""
 
 from __future__ import annotations
 

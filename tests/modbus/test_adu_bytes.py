@@ -1,4 +1,4 @@
-"""What each line adds to a PDU."""
+"""The ADUs of each transport, and their checks."""
 
 from __future__ import annotations
 

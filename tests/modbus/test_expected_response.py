@@ -1,4 +1,4 @@
-"""What a request lets one expect of its response."""
+"""The response that a request asks for."""
 
 from __future__ import annotations
 

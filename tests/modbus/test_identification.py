@@ -1,4 +1,4 @@
-"""What a device says about itself."""
+"""The identity that a device reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
 from mbtool.modbus.identification import Identity, identities, text_of
 from tests.devices.transactions import transaction
 
-# MODBUS Application Protocol V1.1b3, 6.21: the example's first answer.
+# MODBUS Application Protocol V1.1b3, 6.21: the first response of the example.
 OBJECTS = bytes.fromhex(
     "2b 0e 01 01 00 00 03"  # read code 1, conformity 1, no more follows, next 0, three objects
     "00 16"

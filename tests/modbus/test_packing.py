@@ -1,4 +1,4 @@
-"""Registers and bits, to bytes and back."""
+"""Registers and bits, packed and unpacked."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def _access(request: str) -> RegisterAccess | None:
         ("10 0010 0002 04 0001 0002", RegisterAccess(HOLDING, writes=range(16, 18))),
         ("16 0010 00F2 0025", RegisterAccess(HOLDING, writes=range(16, 17))),
         ("17 0003 0006 000E 0001 02 00FF", RegisterAccess(HOLDING, range(3, 9), range(14, 15))),
-        # Past the last address: whether an address exists is not the request's form.
+        # Past the last address: that is no error of the form.
         ("03 FFFF 0002", RegisterAccess(HOLDING, range(0xFFFF, 0x10001))),
     ],
 )

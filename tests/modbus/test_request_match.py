@@ -69,7 +69,7 @@ def test_function_code_above_127_is_answered_by_itself_only() -> None:
 def test_a_response_that_fits_by_its_bytes_belongs_to_its_request(
     exchange: Exchange, place: int, byte: int
 ) -> None:
-    """Of the two that judge an answer, by its bytes and by its meaning, the first is stricter."""
+    """The comparison of a response by its bytes is stricter than that by its fields."""
     expected = ExpectedResponse.of(exchange.request)
     if expected is None or exchange.response is None:
         return

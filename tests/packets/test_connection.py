@@ -285,7 +285,7 @@ def test_an_acknowledged_hole_is_given_up_after_a_few_packets() -> None:
     packets += [talk.response(b"THIRD"), talk.request(b"fourth")]
     items = run_packets(packets, close=False)
 
-    # All that was said after the lost request waits for it, then comes in order.
+    # All bytes after the lost request wait for it, then come in order.
     assert len(packets) - 6 == PATIENCE
     assert words_of(items) == [">first", "<FIRST", 4, "<LOST", ">third", "<THIRD", ">fourth"]
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
-from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_WAITING, TcpReassembler
+from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_HOLDING, TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
 from mbtool.packets.stream_events import CloseReason, StreamClosed, StreamGap, StreamOpened
 from tests.captures import read_packets
@@ -153,7 +153,7 @@ def test_port_scans_and_stray_packets_open_no_connection() -> None:
 def test_the_number_of_connections_with_held_bytes_is_limited() -> None:
     reassembler = TcpReassembler()
     said = []
-    for number in range(MAX_WAITING + 1):
+    for number in range(MAX_HOLDING + 1):
         talk = Talk(master=End(MASTER, 10000 + number, 1000))
         said += words_of(
             run_packets(

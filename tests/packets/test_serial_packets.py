@@ -31,7 +31,7 @@ def test_the_bytes_of_rtac_serial_stand_behind_its_header(event: int) -> None:
     (piece,) = serial_pieces(packet(_rtac(event, FRAME), 7, link_type=250))
     assert isinstance(piece, Chunk)
     assert (piece.ts_ns, piece.data) == (7, FRAME)
-    # Who captured may have been the master, a slave or neither.
+    # The capturing device may have been the master, a slave or neither.
     assert piece.direction is Direction.UNKNOWN
 
 

@@ -37,7 +37,7 @@ def test_places_a_sequence_number_nearest_to_the_next(
     stream = _stream(first)
     stream.position = position
 
-    assert stream.place((first + position + distance) % 2**32) == position + distance
+    assert stream.position_of((first + position + distance) % 2**32) == position + distance
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.binary(min_size=1, max_size=12)), max_size=20))
@@ -95,7 +95,7 @@ def test_a_joined_stream_begins_where_its_first_hole_ends() -> None:
     stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
     stream.join(3, arrival=1, ts_ns=0)
 
-    assert (stream.place(3), stream.place(2)) == (LEAD, LEAD - 1)
+    assert (stream.position_of(3), stream.position_of(2)) == (LEAD, LEAD - 1)
     assert stream.begins_at(3)
     assert stream.begins_at(2**32 - 7)
     assert not stream.begins_at(4)
