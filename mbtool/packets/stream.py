@@ -42,7 +42,7 @@ class HeldBytes(NamedTuple):
     data: bytes
     """Empty if the capture did not keep the bytes."""
     acknowledged: int
-    """Up to which position of the other direction the sender had received; 0 if all is there."""
+    """The position in the other direction that the segment acknowledges; 0 if that was reached."""
     ts_ns: int
     arrival: int
     """The number of its packet in the connection."""
