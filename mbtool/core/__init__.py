@@ -1,4 +1,4 @@
-"""The words every room shares. Standard library only."""
+"""Classes and errors that every room uses. Imports the standard library only."""
 
 from mbtool.core.errors import (
     CutError,
@@ -7,7 +7,6 @@ from mbtool.core.errors import (
     LinkError,
     MbtoolError,
     OutputError,
-    ProfileError,
     UsageError,
 )
 from mbtool.core.events import CONNECTION_JOINED, CONNECTION_OPENED, EventKind, WireEvent
@@ -47,7 +46,6 @@ __all__ = [
     "MbtoolError",
     "OutputError",
     "Packet",
-    "ProfileError",
     "Quiet",
     "SerialFormat",
     "SerialLink",

@@ -1,16 +1,16 @@
-"""Errors by whose they are. Bytes on a wire never raise; these are for people and machines."""
+"""The errors that this program raises, one class for each origin. Bytes from a wire never raise."""
 
-# Example scenarios:
+# Examples:
 #
 #   UsageError     `--on rtu:/dev/ttyUSB0@fast`, `--device 5=no-such-profile`, `--where "unit ="`
 #   ProfileError   a profile whose area ends before it begins (file, key, what would be right)
 #   InputError     a capture that is absent, unreadable or of another kind
-#   CutError       a capture that ends in the middle of a record; raised after the last whole one
-#   DamageError    a log in which a byte has changed; raised after all that is whole
+#   CutError       a capture that ends in the middle of a record; raised after the last whole record
+#   DamageError    a log in which a byte has changed; raised after all whole records
 #   LinkError      a port that is absent, busy or forbidden; an address in use
 #   OutputError    a disk that is full while a log is written
 #
-# The text is one line, names the thing, and says what would be right.
+# The text is one line. It names the file, port or option, and says what would be right.
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class MbtoolError(Exception):
 
 
 class UsageError(MbtoolError):
-    """What was asked for is not a thing one can ask for."""
+    """An option, a link, a query or a profile is wrong."""
 
 
 class ProfileError(UsageError):
-    """A device profile says something impossible."""
+    """A key of a device profile has a value that it cannot have."""
 
     def __init__(self, file: str, key: str, problem: str) -> None:
         super().__init__(f"{file}: {key}: {problem}")
@@ -38,11 +38,11 @@ class InputError(MbtoolError):
 
 
 class CutError(InputError):
-    """An input ends too early; all that came before it was delivered."""
+    """An input ends too early. Everything before its end was delivered."""
 
 
 class DamageError(InputError):
-    """An input is damaged; all of it that is whole was delivered."""
+    """An input is damaged. Every whole record was delivered."""
 
 
 class LinkError(MbtoolError):
@@ -50,4 +50,4 @@ class LinkError(MbtoolError):
 
 
 class OutputError(MbtoolError):
-    """An output could not be written, or takes no more."""
+    """An output could not be written, or accepts no more data."""

@@ -1,4 +1,4 @@
-"""What is worth telling about a wire beside its transactions."""
+"""Events of a link: what the program reports beside transactions."""
 
 from __future__ import annotations
 
@@ -7,43 +7,43 @@ from enum import StrEnum
 
 
 class EventKind(StrEnum):
-    """What happened. Stands in the log and in filters, so a value keeps its meaning."""
+    """What happened. Logs and filters contain these values, so their meanings never change."""
 
     SKIPPED = "skipped"
-    """Bytes that were captured and could not be read as Modbus."""
+    """Captured bytes that could not be read as Modbus."""
     BAD_CHECK = "bad-check"
     """A frame whose CRC or LRC is wrong."""
     FOREIGN = "foreign"
-    """Well-formed, but of another protocol."""
+    """Well-formed bytes of another protocol."""
     LINE_ERROR = "line-error"
-    """What a port's driver tells of its line: parity, framing, break, overrun. Up to 1 s late."""
+    """Errors that a port's driver reports: parity, framing, break, overrun. Up to 1 s late."""
     GAP = "gap"
     """Bytes that are known to be missing from the capture."""
     OVERLAP = "overlap"
     """A retransmission whose bytes differ from the first copy."""
     DISCARDED = "discarded"
-    """What a bound of this program threw away."""
+    """Data that was dropped because a limit of this program was exceeded."""
     REFUSED = "refused"
-    """A connection through a tap that was not made: the slave cannot be reached, or TLS failed."""
+    """A tap could not make a connection: the slave cannot be reached, or TLS failed."""
     OPENED = "opened"
     CLOSED = "closed"
     UNREADABLE = "unreadable"
-    """A packet or link type this program cannot look into."""
+    """A packet or link type that this program cannot read."""
     MISPLACED = "misplaced"
-    """What is heard does not fit how the link was named: two ports are exchanged."""
+    """The two ports of a link are exchanged: what they hear does not fit their order."""
     SPOILT = "spoilt"
-    """This program, as the slave, has spoilt an answer on purpose."""
+    """This program, playing the slave, distorted a response on purpose."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 
 
 CONNECTION_OPENED, CONNECTION_JOINED = "connection opened", "connection joined"
-"""What OPENED events say: the beginning of a connection is in the capture, or is not."""
+"""Messages of OPENED events: the beginning of a connection is in the capture, or is not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireEvent:
-    """Something on a link that is no transaction."""
+    """Something that happened on a link and is no transaction."""
 
     ts_ns: int
     link: str
@@ -53,8 +53,8 @@ class WireEvent:
     source: str = ""
     destination: str = ""
     raw: bytes = b""
-    """The bytes concerned, where there are any."""
+    """The bytes that the event is about, if any."""
     missing: int = 0
-    """How many bytes are lost, as far as that is known."""
+    """How many bytes are lost, as far as known."""
     packets: int = 0
     """How many packets of an interface are lost."""

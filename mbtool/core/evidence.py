@@ -1,4 +1,4 @@
-"""What a source brings in: bytes with their time, before anyone has decoded them."""
+"""The data that sources deliver: bytes and packets with their times, not decoded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Direction(StrEnum):
-    """Who speaks. On a two-wire bus UNKNOWN is legal until the decoder has decided."""
+    """From master or from slave. On a two-wire bus UNKNOWN until the decoder has decided."""
 
     REQUEST = "request"
     RESPONSE = "response"
@@ -15,14 +15,14 @@ class Direction(StrEnum):
 
 
 class Stamp(StrEnum):
-    """How the time of a chunk's bytes is known."""
+    """Which bytes of a chunk the time of the chunk belongs to."""
 
     AT_ONCE = "at-once"
-    """All bytes have the chunk's time: a TCP segment."""
+    """To all bytes: a TCP segment."""
     LAST_BYTE = "last-byte"
-    """The time is the last byte's; the others precede it by the character time: a serial read."""
+    """To the last byte; each other byte is one character time before the next: a serial read."""
     UNKNOWN = "unknown"
-    """The time of the bytes is not known: a raw file. They are in order, and that is all."""
+    """To none: a raw file. Only the order of the bytes is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,16 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A TCP connection, with its ends in the roles they play for Modbus."""
+    """A TCP connection: which end is the master and which the slave."""
 
     master: Endpoint
     slave: Endpoint
     number: int = 0
-    """Tells apart two connections between the same ends, counted by whoever saw them open."""
+    """A count of the source's connections. It tells apart two connections between the same ends."""
 
     @property
     def link(self) -> str:
-        """The link's name: the slave's address, with its port where that is not 502."""
+        """The link's name: the slave's address, with its port unless that is 502."""
         return self.slave.host if self.slave.port == 502 else str(self.slave)
 
 
@@ -58,17 +58,17 @@ class Chunk:
     ts_ns: int
     """UTC nanoseconds, taken right after the read."""
     link: str
-    """The bus or the slave's address; part of the log's topics, so without a slash."""
+    """The name of the bus, or the slave's address. A part of log topics, so without a slash."""
     data: bytes
     direction: Direction = Direction.UNKNOWN
     stamp: Stamp = Stamp.LAST_BYTE
     connection: Connection | None = None
-    """Absent on a serial line."""
+    """None on a serial line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Packet:
-    """A captured packet, whole, as the capture file or the interface gave it."""
+    """A packet with all headers, as the capture file or the interface gave it."""
 
     ts_ns: int
     """UTC nanoseconds."""
@@ -78,12 +78,12 @@ class Packet:
     """A LINKTYPE_ value of the pcap registry (tcpdump.org/linktypes.html)."""
     data: bytes
     original_length: int
-    """Bytes on the wire; more than len(data) where the capture cut the packet."""
+    """Bytes on the wire; more than len(data) if the capture cut the packet."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Nothing more has arrived on a link up to this moment: the time that silence needs."""
+    """Says that nothing has arrived on a link until a time, so that a decoder knows of silence."""
 
     ts_ns: int
     link: str

@@ -1,4 +1,4 @@
-"""What `--link` says of a file: the line that its serial bytes were heard on, without a port."""
+"""The value of `--link` for a file of serial bytes: the settings of the line, without a port."""
 
 #     rtu@19200-8E1      RTU; `rtu` alone is 19200-8E1
 #     ascii@9600-7E1     ASCII; `ascii` alone is 9600-7E1
@@ -16,13 +16,13 @@ _MODES = ("rtu", "ascii")
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """How characters went over a line, and whether they were RTU or ASCII."""
+    """The character format of a line, and its mode: RTU or ASCII."""
 
     format: SerialFormat
     ascii: bool = False
 
     def on(self, port: str) -> SerialLink:
-        """A serial link with these settings."""
+        """The link of a port on a line with these settings."""
         return SerialLink(port, self.format, ascii=self.ascii)
 
     def __str__(self) -> str:

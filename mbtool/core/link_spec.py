@@ -1,13 +1,13 @@
-"""The LINK strings of the command line, read in one place. docs/links.md is their page."""
+"""Reads the LINK strings of the command line. docs/links.md describes them."""
 
 #     rtu:/dev/ttyUSB0@19200-8E1         serial RTU
 #     rtu:/dev/ttyUSB0,/dev/ttyUSB1@...  two taps on one line: the master's side, the slaves' side
 #     ascii:/dev/ttyUSB0@9600-7E1        serial ASCII
 #     rtutap:/dev/A@19200-8E1=/dev/B     a relay in a cut line: the master's end, the slaves' end
-#     rtu:/dev/ttyUSB0@auto              settings and mode to be found by listening
+#     rtu:/dev/ttyUSB0@auto              settings and mode that are found by listening
 #     net:eth0                           a network interface
-#     net:eth0,eth1                      several that hear one network, flows followed across them
-#     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where to listen, whom to call
+#     net:eth0,eth1                      several that hear one network; flows may cross them
+#     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where it listens, where it connects
 #     tcp:127.0.0.1:1502                 a Modbus/TCP endpoint
 #     rtu+tcp:127.0.0.1:1502             the same with RTU frames
 #
@@ -32,16 +32,17 @@ HEARD = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE "
     "or tap:LISTEN=TARGET"
 )
-"""What sniff takes, for a message."""
+"""The links that sniff takes, for messages."""
 ANSWERED = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
-"""What slave and replay take."""
+"""The links that slave and replay take, for messages."""
 _ALL = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE, "
     "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
 )
 
-_HOST = re.compile(r"[^\s/@\[\]]+")
-_PORT = re.compile(r"\d{1,5}", re.ASCII)
+_ENDPOINT = re.compile(
+    r"(?:\[(?P<bracketed>[^\s/@\[\]]+)\]|(?P<host>[^\s/@\[\]:]+))(?::(?P<port>[0-9]{1,5}))?"
+)
 
 _OWN_ADDRESSES = {
     "0.0.0.0": ("127.0.0.1", "localhost"),
@@ -49,21 +50,21 @@ _OWN_ADDRESSES = {
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }
-"""Under which other names one reaches what listens at an address."""
+"""Other names for the address that a listener has."""
 
 
 @dataclass(frozen=True, slots=True)
 class SerialLink:
-    """A line that carries RTU or ASCII, and the port that hears it."""
+    """A line that carries RTU or ASCII, and its one or two ports."""
 
     port: str
-    """With two taps, the one that hears the master."""
+    """With two taps, the port that hears the master."""
     format: SerialFormat
     ascii: bool = False
     slave_port: str | None = None
-    """The port that hears the slaves, where each side has a tap of its own."""
+    """The port that hears the slaves, if each side has its own tap."""
     is_relay: bool = field(default=False, kw_only=True)
-    """Whether the two ports are the ends of a cut line, and what one hears the other says."""
+    """True if the ports are the ends of a cut line, and each sends on what the other hears."""
 
     def __post_init__(self) -> None:
         if self.is_relay and self.slave_port is None:
@@ -82,7 +83,7 @@ class SerialLink:
         return "+".join(PurePath(port).name for port in self.ports)
 
     def demand_one_port(self) -> None:
-        """Raise UsageError where there are two: whoever speaks does so on one."""
+        """Raise UsageError if there are two ports: only one can send."""
         if self.slave_port is not None:
             raise UsageError(
                 f"link {self}: two ports can only listen; to answer, name one, "
@@ -97,10 +98,10 @@ class SerialLink:
 
 @dataclass(frozen=True, slots=True)
 class AutoLink:
-    """A line whose settings are to be found by listening to it."""
+    """A line whose settings are found by listening."""
 
     ports: tuple[str, ...]
-    """As a `SerialLink` has them."""
+    """One port, or the master's side and the slaves' side."""
     only_ascii: bool = False
 
     def settled(self, format_: SerialFormat, *, ascii: bool) -> SerialLink:  # noqa: A002
@@ -117,7 +118,7 @@ class AutoLink:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceLink:
-    """A network interface to listen on, or several that hear one network."""
+    """One network interface to listen on, or several that hear one network."""
 
     interfaces: tuple[str, ...]
 
@@ -131,31 +132,31 @@ class InterfaceLink:
 
 @dataclass(frozen=True, slots=True)
 class ListenTls:
-    """What a tap shows and demands where masters connect with TLS. All files are PEM."""
+    """TLS between masters and a tap: the files for its side. All are PEM."""
 
     cert: str
-    """The certificate, with those between it and its CA behind it."""
+    """The tap's certificate, followed by the certificates between it and its CA."""
     key: str | None = None
-    """Where the private key is; None for the same file."""
+    """The private key; None if it is in the same file."""
     ca: str | None = None
-    """Whose certificates masters must show; None where they need none."""
+    """The CA that must have signed the masters' certificates; None if they need none."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetTls:
-    """What a tap shows and demands where it connects to its target with TLS."""
+    """TLS between a tap and its target: the files for the tap's side, as PEM."""
 
     ca: str | None
-    """Who vouches for the target; None where that is not checked."""
+    """The CA that must have signed the target's certificate; None if that is not checked."""
     cert: str | None = None
     key: str | None = None
     name: str | None = None
-    """What the target's certificate calls it; None for the host of the link."""
+    """The name in the target's certificate; None for the host of the link."""
 
 
 @dataclass(frozen=True, slots=True)
 class TapLink:
-    """A relay that listens at one endpoint and passes on to another."""
+    """A relay that listens at one endpoint and connects to another."""
 
     listen: Endpoint
     target: Endpoint
@@ -164,7 +165,7 @@ class TapLink:
 
     @property
     def tls_sides(self) -> tuple[str, ...]:
-        """On which sides TLS is spoken: master, slave."""
+        """The sides that use TLS: master, slave."""
         sides = (("master", self.listen_tls), ("slave", self.target_tls))
         return tuple(name for name, tls in sides if tls is not None)
 
@@ -195,10 +196,7 @@ LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
 
 
 def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
-    """Read a LINK string; a text that is none is told what there is to write, the offer.
-
-    Raises UsageError.
-    """
+    """Read a LINK string. Raises UsageError; its message names the `offer`, the links to write."""
     scheme, colon, rest = text.partition(":")
     if not colon or not rest:
         raise UsageError(f"link {text!r}: write {offer}")
@@ -217,7 +215,7 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
                     "for example tap:127.0.0.1:1502=10.0.0.9:502"
                 )
             tap = TapLink(_parse_endpoint(text, listen), _parse_endpoint(text, target))
-            _demand_another(text, tap)
+            _demand_other_target(text, tap)
             return tap
         case "tcp" | "rtu+tcp":
             return TcpLink(_parse_endpoint(text, rest), rtu=scheme == "rtu+tcp")
@@ -228,15 +226,14 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
 def _parse_serial(
     text: str, scheme: str, rest: str, example: str | None = None
 ) -> SerialLink | AutoLink:
-    """The line of an RTU or an ASCII link; `example` is for links that hold one."""
-    port, at, settings = rest.rpartition("@")
-    if not at:
-        port = rest
-    port, *others = port.split(",")
-    if not all(PurePath(each).name for each in (port, *others)):
+    """Read `PORT@SETTINGS`. `example` is the example for messages if the link is a relay."""
+    listed, at, settings = rest.rpartition("@")
+    ports = (listed if at else rest).split(",")
+    is_ascii = scheme == "ascii"
+    if not all(PurePath(port).name for port in ports):
         example = example or f"{scheme}:/dev/ttyUSB0@19200-8E1"
         raise UsageError(f"link {text!r}: no port is named, for example {example}")
-    if len(others) > 1 or port in others:
+    if len(ports) > 2 or len(set(ports)) < len(ports):
         raise UsageError(
             f"link {text!r}: a line has one tap, or two different ones, the first on the master's "
             f"side, for example {scheme}:/dev/ttyUSB0,/dev/ttyUSB1@19200-8E1"
@@ -248,17 +245,15 @@ def _parse_serial(
                 f"link {text!r}: {AUTO} takes no silences; give them with --t1-5 and --t3-5, "
                 f"for example {text.removesuffix(settings)}{AUTO} --t3-5 5ms"
             )
-        return AutoLink((port, *others), only_ascii=scheme == "ascii")
-    is_ascii = scheme == "ascii"
+        return AutoLink(tuple(ports), is_ascii)
     format_ = SerialFormat.parse(settings) if at else SerialFormat.usual(is_ascii=is_ascii)
     if not is_ascii:
-        ports = ",".join((port, *others))
-        format_.demand_rtu(f"link {text!r}", example or f"{scheme}:{ports}@19200-8E1")
-    return SerialLink(port, format_, is_ascii, *others)
+        format_.demand_rtu(f"link {text!r}", example or f"{scheme}:{','.join(ports)}@19200-8E1")
+    return SerialLink(ports[0], format_, is_ascii, *ports[1:])
 
 
 def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
-    """Two ports and the settings of both, which stand behind the first."""
+    """Read `PORT@SETTINGS=PORT`; the settings are those of both ports."""
     master_side, equals, slave_port = rest.rpartition("=")
     is_ascii = scheme == "asciitap"
     example = f"{scheme}:/dev/ttyUSB0@{SerialFormat.usual(is_ascii=is_ascii)}=/dev/ttyUSB1"
@@ -296,24 +291,18 @@ def _parse_interfaces(text: str, rest: str) -> InterfaceLink:
 
 
 def _parse_endpoint(text: str, part: str) -> Endpoint:
-    host, colon, port = part.rpartition(":")
-    if part.startswith("[") and part.endswith("]"):
-        host, colon, port = part, ":", str(MODBUS_PORT)
-    elif not colon:
-        host, port = part, str(MODBUS_PORT)
-    bracketed = host.startswith("[") and host.endswith("]")
-    bare = host[1:-1] if bracketed else host
-    valid_host = _HOST.fullmatch(bare) is not None and (bracketed or ":" not in bare)
-    if not valid_host or _PORT.fullmatch(port) is None or int(port) > 65535:
+    match = _ENDPOINT.fullmatch(part)
+    port = int(match["port"] or MODBUS_PORT) if match is not None else 0
+    if match is None or port > 65535:
         raise UsageError(
             f"link {text!r}: {part!r} is no address; write HOST:PORT, "
             "for example 127.0.0.1:1502 or [::1]:1502"
         )
-    return Endpoint(bare, int(port))
+    return Endpoint(match["host"] or match["bracketed"], port)
 
 
-def _demand_another(text: str, tap: TapLink) -> None:
-    """See that a tap calls another than itself, at a port that can be called. Raises UsageError."""
+def _demand_other_target(text: str, tap: TapLink) -> None:
+    """Raise UsageError if a tap connects to itself, or to port 0."""
     listen, target = tap.listen, tap.target
     if target.port == 0:
         raise UsageError(

@@ -1,6 +1,6 @@
-"""What there is to open on this machine: serial ports, interfaces, and what is in their way."""
+"""The serial ports and network interfaces of this machine, and obstacles to opening them."""
 
-# What a source finds out and a view shows. What cannot be found out is None, and never guessed.
+# The room ports finds this out, and a view shows it. Properties that cannot be found out are None.
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from mbtool.core.serial_format import SerialFormat
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something in the way of a link."""
+    """Something that keeps one from opening a link."""
 
     problem: str
-    mend: str = ""
-    """What to type against it, for the user to run or not; never run by this program."""
+    remedy: str = ""
+    """A command that solves the problem. This program never runs it itself."""
 
     def __str__(self) -> str:
-        return f"{self.problem}: {self.mend}" if self.mend else self.problem
+        return f"{self.problem}: {self.remedy}" if self.remedy else self.problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,24 +38,24 @@ class LocalSerialPort:
     """A serial port with hardware behind it."""
 
     device: str
-    """As in /dev/ttyUSB0."""
+    """For example /dev/ttyUSB0."""
     stable: str | None = None
-    """A path that leads to this adapter, wherever it is plugged in or in whatever order."""
+    """A path that stays with this adapter when it is plugged in elsewhere or in another order."""
     description: str = ""
     usb_id: str | None = None
-    """Vendor and product, as in 0403:6001."""
+    """Vendor and product, for example 0403:6001."""
     serial_number: str | None = None
     driver: str | None = None
     latency_timer_ms: int | None = None
-    """How long the adapter waits for more bytes before it hands over what it has."""
+    """How long the adapter waits for more bytes before it hands over those it has."""
     fifo_bytes: int | None = None
     """How many bytes a UART gathers before it hands them over."""
     low_latency: bool | None = None
-    """Whether the driver hands over bytes as they come."""
+    """True if the driver hands over each byte at once."""
     low_latency_support: bool | None = None
     holders: tuple[Holder, ...] = ()
     unseen_processes: int = 0
-    """How many processes could not be asked whether they hold the port."""
+    """How many processes this user may not inspect; one of them may hold the port."""
     troubles: tuple[Trouble, ...] = ()
 
     @property
@@ -64,7 +64,7 @@ class LocalSerialPort:
 
     @property
     def link(self) -> str:
-        """The LINK to give, with the standard's line settings."""
+        """The LINK of this port with the default line settings of the standard."""
         return str(SerialLink(self.stable or self.device, SerialFormat()))
 
 
@@ -76,9 +76,9 @@ class LocalInterface:
     description: str = ""
     is_up: bool | None = None
     has_carrier: bool | None = None
-    """Whether something is at the other end of the cable; unknown of an interface that is down."""
+    """True if the cable connects to something; None while the interface is down."""
     troubles: tuple[Trouble, ...] = ()
-    """What keeps a capture from starting, whether or not the interface is up."""
+    """Problems that keep a capture from starting, even if the interface is up."""
 
     @property
     def link(self) -> str:

@@ -1,13 +1,14 @@
-"""Baud rate and character format, and the times that follow from them."""
+"""Baud rate and character format of a serial line, and the times that follow from them."""
 
-# MODBUS over Serial Line V1.02, section 2.5.1.1: frames are parted by at least 3.5 character times,
-# characters of one frame by at most 1.5; above 19200 baud both are fixed, at 750 us and 1.750 ms.
-# Some devices do otherwise (CHINO LT830: 28 bit times), so both can be given:
+# MODBUS over Serial Line V1.02, section 2.5.1.1: between two frames the line is silent for at least
+# 3.5 character times (t3.5), between two characters of a frame for at most 1.5 (t1.5). Above 19200
+# baud both are fixed: t1.5 is 750 us, t3.5 is 1.750 ms. Some devices differ (CHINO LT830: 28 bit
+# times), so both can be given:
 #
 #     9600-8E1,t3.5=28bits
 #     19200-8N2,t1.5=1ms,t3.5=5ms
 #
-# Where t1.5 is not given it is never more than t3.5.
+# If t1.5 is not given, it is never longer than t3.5.
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ _PATTERN = re.compile(
 )
 
 MIN_BAUD, MAX_BAUD = 50, 4_000_000
-"""What a user may ask for: the lowest and the highest rate that termios has a name for."""
+"""The lowest and highest rate that a user may give: those that termios has names for."""
 
 _PARITIES = ("N", "E", "O")
 
@@ -45,7 +46,7 @@ class SerialFormat:
     """N, E or O."""
     stop_bits: int = 1
     t1_5: Silence | None = None
-    """In place of the standard's."""
+    """Replaces the time of the standard; so does t3_5."""
     t3_5: Silence | None = None
 
     def __post_init__(self) -> None:
@@ -65,7 +66,7 @@ class SerialFormat:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `19200-8E1`, or `19200` alone for 8E1, the standard's default; then silences.
+        """Read `19200-8E1`, or `19200` alone for 8E1, the standard's default; silences may follow.
 
         Raises UsageError.
         """
@@ -83,7 +84,7 @@ class SerialFormat:
         return line.with_silences(given.get(_T1_5), given.get(_T3_5))
 
     def with_silences(self, t1_5: Silence | None, t3_5: Silence | None) -> Self:
-        """The same line with silences in place of those it has. Raises UsageError."""
+        """The same line with these silences; None keeps the one that it has. Raises UsageError."""
         try:
             return replace(self, t1_5=t1_5 or self.t1_5, t3_5=t3_5 or self.t3_5)
         except ValueError as error:
@@ -113,7 +114,7 @@ class SerialFormat:
 
     @property
     def character_ns(self) -> int:
-        """The time one character takes on the line."""
+        """The time of one character on the line."""
         return self.character_bits * 1_000_000_000 // self.baud
 
     @property
@@ -121,32 +122,29 @@ class SerialFormat:
         """The longest silence inside a frame."""
         if self.t1_5 is not None:
             return self._ns(self.t1_5)
-        return min(self._standard_t1_5_ns, self.t3_5_ns)
-
-    @property
-    def _standard_t1_5_ns(self) -> int:
-        if self.baud > _FIXED_ABOVE_BAUD:
-            return _FIXED_T1_5_NS
-        return self.character_bits * 1_500_000_000 // self.baud
+        return min(self._standard_ns(3, _FIXED_T1_5_NS), self.t3_5_ns)
 
     @property
     def t3_5_ns(self) -> int:
         """The shortest silence between frames."""
         if self.t3_5 is not None:
             return self._ns(self.t3_5)
+        return self._standard_ns(7, _FIXED_T3_5_NS)
+
+    def _standard_ns(self, half_characters: int, fixed_ns: int) -> int:
         if self.baud > _FIXED_ABOVE_BAUD:
-            return _FIXED_T3_5_NS
-        return self.character_bits * 3_500_000_000 // self.baud
+            return fixed_ns
+        return self.character_bits * half_characters * 500_000_000 // self.baud
 
     @classmethod
     def usual(cls, *, is_ascii: bool) -> Self:
-        """What an RTU or an ASCII line has where nothing is said of it."""
+        """The settings of an RTU or an ASCII line if the user gives none."""
         return cls(9600, 7) if is_ascii else cls()
 
-    def demand_rtu(self, said: str, example: str) -> None:
-        """See that RTU can be spoken so. Raises UsageError; `said` names what the user wrote."""
+    def demand_rtu(self, given: str, example: str) -> None:
+        """Raise UsageError unless RTU can use these settings. `given` names the user's text."""
         if self.data_bits != 8:  # Serial Line V1.02, 2.5.1.
-            raise UsageError(f"{said}: RTU needs 8 data bits, for example {example}")
+            raise UsageError(f"{given}: RTU needs 8 data bits, for example {example}")
 
     def _ns(self, silence: Silence) -> int:
         return silence.ns(self.baud, self.character_bits)

@@ -1,7 +1,7 @@
-"""How long a line is silent, as a user or a manual says it: 28bits, 3.5chars, 5ms, 750us."""
+"""The length of a silence on a line, in a user's or a manual's unit: 28bits, 3.5chars, 5ms."""
 
-# Bits and characters depend on the line's baud rate and format, so a silence keeps the unit it was
-# given in, and a manual's 28 bit times mean the same at 9600 and at 19200 baud.
+# The time of a bit or a character depends on the baud rate and format of the line. So a silence
+# keeps the unit in which it was given: 28 bit times stay 28 bit times at 9600 and at 19200 baud.
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mbtool.core.errors import UsageError
 _PATTERN = re.compile(r"(?P<amount>\d{1,6}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
 
 MAX_NS = 1_000_000_000
-"""No line is silent for longer between two frames because it must be."""
+"""The longest silence that can be given, in ns: no line needs more between two frames."""
 
 
 class SilenceUnit(StrEnum):
-    """What a silence is counted in."""
+    """The unit of a silence."""
 
     BITS = "bits"
     CHARACTERS = "chars"
@@ -30,7 +30,7 @@ class SilenceUnit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """An amount and its unit."""
+    """The length of a silence: an amount and its unit."""
 
     amount: Decimal
     unit: SilenceUnit
@@ -47,7 +47,7 @@ class Silence:
         return cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
 
     def ns(self, baud: int, character_bits: int) -> int:
-        """How long it is on a line of this baud rate and character."""
+        """Its length in ns on a line of this baud rate and with so many bits to a character."""
         match self.unit:
             case SilenceUnit.BITS:
                 return int(self.amount * 1_000_000_000 / baud)

@@ -27,7 +27,7 @@ from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
 from mbtool.modbus.adu import Adu, Verdict
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.request_match import answers, is_answer_to
+from mbtool.modbus.request_match import is_response_code, is_response_to
 
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
@@ -96,12 +96,12 @@ class Pairing:
             if (
                 asked.transaction_id == response.transaction_id
                 and asked.unit == response.unit
-                and answers(asked.pdu[0], response.pdu[0])
+                and is_response_code(asked.pdu[0], response.pdu[0])
             ):
                 return place, ()
         if len(self._open) == 1:
             asked = self._open[0].adu
-            if asked.unit == response.unit and is_answer_to(
+            if asked.unit == response.unit and is_response_to(
                 parse_pdu(asked.pdu, Direction.REQUEST), response.pdu
             ):
                 return 0, (Verdict.OTHER_TRANSACTION_ID,)

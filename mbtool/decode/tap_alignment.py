@@ -27,7 +27,7 @@ from mbtool.core import Direction
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
 from mbtool.modbus.adu import Adu
 from mbtool.modbus.pdu import Pdu, parse_pdu
-from mbtool.modbus.request_match import answers, is_answer_to
+from mbtool.modbus.request_match import is_response_code, is_response_to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +62,7 @@ class TapRequest:
 
 def can_answer(request: Adu, response: Adu) -> bool:
     """Whether they name the same unit and function."""
-    return request.unit == response.unit and answers(request.pdu[0], response.pdu[0])
+    return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
 
 
 def asker_of_first(
@@ -136,7 +136,7 @@ def _joined_ns(requests: Sequence[TapRequest], place: int, response: Adu, ahead_
         late_ns = response.end_ns - requests[place + 1].adu.start_ns
     if max(early_ns, late_ns) > SKEW_NS or -early_ns > BUS_TIMEOUT_NS:
         return _NEVER_NS
-    misfit_ns = 0 if is_answer_to(requests[place].asked, response.pdu) else _MISFIT_NS
+    misfit_ns = 0 if is_response_to(requests[place].asked, response.pdu) else _MISFIT_NS
     return max(early_ns - ahead_ns, 0) + max(late_ns + ahead_ns, 0) + misfit_ns
 
 

@@ -10,7 +10,7 @@ import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Adu, Verdict
-from mbtool.modbus.functions import READ_BITS, exception_name, function_name
+from mbtool.modbus.functions import READ_BITS, WRITE_ONE, exception_name, function_name
 from mbtool.modbus.layouts import COIL_VALUES
 from mbtool.modbus.pdu import Pdu, parse_pdu
 from mbtool.modbus.request_match import mismatch
@@ -143,7 +143,7 @@ class _Asked(msgspec.Struct, frozen=True):
     def of(cls, pdu: Pdu) -> _Asked:
         sub_function = pdu.number("sub_function")
         quantity = pdu.number("quantity")
-        if quantity is None and pdu.code in (0x05, 0x06, 0x16) and "address" in pdu.fields:
+        if quantity is None and pdu.code in WRITE_ONE and "address" in pdu.fields:
             quantity = 1
         return cls(
             pdu=pdu,
@@ -209,7 +209,7 @@ def _values(pdu: Pdu) -> tuple[int, ...] | None:
 
 def _response_values(asked: Pdu, answered: Pdu) -> list[int] | None:
     """What a response tells; an echo tells nothing that the request did not."""
-    if asked.code in (0x05, 0x06, 0x16):
+    if asked.code in WRITE_ONE:
         return None
     values = _values(answered)
     if values is not None and asked.code in READ_BITS:

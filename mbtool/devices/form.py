@@ -11,9 +11,18 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_LIMIT_17H
+from mbtool.modbus.functions import (
+    EXCEPTION_BIT,
+    FUNCTIONS,
+    READ_BITS,
+    READS,
+    WRITE_LIMIT_17H,
+    WRITE_ONE,
+    WRITE_SEVERAL,
+)
 from mbtool.modbus.pdu import parse_pdu, pdu_length, whole_pdu
 from mbtool.modbus.request_match import mismatch
+from mbtool.modbus.tables import ADDRESSES
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
@@ -21,15 +30,11 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.transaction import Transaction
 
-ADDRESSES = 1 << 16
-
-_READ_BITS = (0x01, 0x02)
 _WRITE_BITS = 0x0F
-_HAS_PADDING = frozenset((*_READ_BITS, _WRITE_BITS))
+_HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _COUNTED_REQUESTS = {0x0F: 6, 0x10: 6, 0x17: 10}
 """Functions whose requests have a byte count, and how long they are up to it."""
-_COUNTED_ANSWERS = frozenset((0x01, 0x02, 0x03, 0x04, 0x17))
-_ECHOES = frozenset((0x05, 0x06, 0x0F, 0x10, 0x16))
+_ECHOES = WRITE_ONE | WRITE_SEVERAL
 _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
 
 
@@ -107,7 +112,7 @@ def answer_form(transaction: Transaction) -> tuple[str, str] | None:
     if pdu and pdu[0] & EXCEPTION_BIT:
         problem = f"an exception of {len(pdu)} bytes, where one has 2"
     else:
-        if transaction.function in _COUNTED_ANSWERS and len(pdu) > 1:
+        if transaction.function in READS and len(pdu) > 1:
             return "MB-202", problem
         if transaction.function in _ECHOES and pdu_length(pdu, Direction.RESPONSE) == len(pdu):
             return "MB-201", problem

@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import exception_name
+from mbtool.modbus.functions import READ_LIMIT, exception_name
 from mbtool.modbus.tables import Table
 
 Address = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
@@ -290,7 +290,7 @@ class Point(_Part, frozen=True, kw_only=True):
     """From one of them to the next, in addresses; absent in a file: as many as each takes."""
     counted_from: int = 1
     """The number {n} of the first of them."""
-    length: Annotated[int, msgspec.Meta(ge=1, le=125)] | None = None
+    length: Annotated[int, msgspec.Meta(ge=1, le=READ_LIMIT)] | None = None
     """How many registers a string takes."""
     access: Access | None = None
     """What a master may do with it, where that is less than with its area."""

@@ -1,4 +1,4 @@
-"""Byte streams cut into ADUs where the stream itself tells where an ADU ends. No I/O."""
+"""Cuts byte streams into ADUs by their lengths, without silences. No I/O."""
 
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter

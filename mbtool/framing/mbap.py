@@ -5,17 +5,19 @@
 #     transaction id   protocol id   length   unit id   PDU
 #     2 bytes          2 bytes       2 bytes  1 byte    length - 1 bytes
 #
-# Length counts the unit id and the PDU, so a useful ADU has length 2..254.
+# Length counts the unit id and the PDU, so a useful ADU has a length of 2 to 254.
 #
-# In step, a plausible header is believed; one with another protocol id is one foreign ADU. A header
-# that cannot be puts the splitter out of step: it drops one byte and looks again, and then believes
-# only a header whose length agrees with the structure of the PDU behind it, since zeros in
-# register data look like headers. An ADU of a function that no table knows has no structure to
-# agree with; it is believed only right behind a gap, where a segment and so most likely an ADU
-# begins.
-# Whether to drop depends only on bytes, never on where a chunk ended.
+# The splitter begins in step. In step it accepts every header with a possible length; an ADU with
+# another protocol id is reported as foreign. An impossible length puts the splitter out of step.
 #
-# Holds at most one incomplete ADU (260 bytes) and a run of skipped bytes (skips.MAX_RUN).
+# Out of step it drops one byte and looks again. Zeros in register data look like headers, so it
+# accepts a header only if its length agrees with the structure of the PDU behind it. The PDU of an
+# unknown function has no structure to compare with. Its header is accepted only right behind a gap,
+# where a segment begins, and so most likely an ADU.
+#
+# Which bytes are dropped depends on the bytes only, never on the ends of chunks.
+#
+# Holds at most one incomplete ADU (260 bytes) and one run of skipped bytes (skips.MAX_RUN).
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.adu_bytes import MBAP_BYTES
 from mbtool.modbus.pdu import pdu_length
 
@@ -33,15 +35,15 @@ if TYPE_CHECKING:
     from mbtool.core import Direction
 
 MIN_LENGTH = 2
-MAX_LENGTH = 254
+MAX_LENGTH = 1 + MAX_PDU
 
 _MODBUS = b"\x00\x00"
-_HEADER = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
+_HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
 """A transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
 
 
 class MbapSplitter:
-    """Bytes of one direction in, `Adu` and `Skipped` out, in order."""
+    """Takes the bytes of one direction, and gives `Adu` and `Skipped` in order."""
 
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
@@ -49,30 +51,34 @@ class MbapSplitter:
         self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header", None))
         self._in_step = True
         self._behind_gap = False
-        """Out of step, and no byte has been looked at since the gap."""
+        """True if out of step and no byte has been decided on since the gap."""
 
     @property
     def is_idle(self) -> bool:
-        """Whether it is in step and holds nothing: what comes next begins with a header."""
+        """True if it is in step and holds no byte, so that the next byte begins a header."""
         return self._in_step and not self._buffer
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one segment."""
         self._buffer.append(data, ts_ns)
         events: list[Adu | Skipped] = []
-        while self._step(events):
-            pass
+        while (size := self._first_size()) is not None and size <= len(self._buffer):
+            if size:
+                self._skips.end(events)
+                self._emit(size, events)
+            else:
+                self._drop(events)
         return events
 
     def gap(self) -> list[Adu | Skipped]:
-        """Bytes are missing here: what is held cannot be completed."""
+        """Take note that bytes are missing here: the held bytes come out as skipped."""
         events = self.close()
         self._in_step = False
         self._behind_gap = True
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """The stream ends; what is held comes out as skipped."""
+        """End the stream: the held bytes come out as skipped."""
         events: list[Adu | Skipped] = []
         self._skips.end(events)
         if self._buffer:
@@ -81,30 +87,21 @@ class MbapSplitter:
             events.append(Skipped(ts_ns, EventKind.SKIPPED, "an ADU that never ends", held))
         return events
 
-    def _step(self, events: list[Adu | Skipped]) -> bool:
-        """Consume one ADU or what is none; False where more bytes are needed to decide."""
-        size = self._size_here()
-        if size is None or size > len(self._buffer):
-            return False
-        if size:
-            self._skips.end(events)
-            self._give(size, events)
-        else:
-            self._drop(events)
-        return True
+    def _first_size(self) -> int | None:
+        """The size of the ADU at the start of the buffer.
 
-    def _size_here(self) -> int | None:
-        """The size of the ADU at the front; 0 where there is none, None where bytes are needed."""
-        head = self._buffer.peek(MBAP_BYTES)
-        if len(head) < MBAP_BYTES:
+        0 if none begins there, None if more bytes are needed to know.
+        """
+        header = self._buffer.peek(MBAP_BYTES)
+        if len(header) < MBAP_BYTES:
             return None
-        length = head[4] << 8 | head[5]
+        length = header[4] << 8 | header[5]
         size = MBAP_BYTES - 1 + length
         if not MIN_LENGTH <= length <= MAX_LENGTH:
             return 0
         if self._in_step:
             return size
-        if head[2:4] != _MODBUS:
+        if header[2:4] != _MODBUS:
             return 0
         pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
         if pdu_size is None:
@@ -113,7 +110,7 @@ class MbapSplitter:
             return size if self._behind_gap else 0
         return size if pdu_size == length - 1 else 0
 
-    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
+    def _emit(self, size: int, events: list[Adu | Skipped]) -> None:
         start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
         raw = self._buffer.take(size)
         if raw[2:4] != _MODBUS:
@@ -139,10 +136,10 @@ class MbapSplitter:
         self._behind_gap = False
 
     def _drop(self, events: list[Adu | Skipped]) -> None:
-        """Drop the bytes before the next place where a whole header may stand."""
+        """Drop the bytes before the next place where a header may begin."""
         undecided = len(self._buffer) - MBAP_BYTES + 1
-        place = self._buffer.find(_HEADER, 1)
-        for piece, ts_ns in self._buffer.drain(min(place or undecided, undecided)):
+        next_header = self._buffer.find(_HEADER, 1)
+        for piece, ts_ns in self._buffer.drain(min(next_header or undecided, undecided)):
             self._skips.add(piece, ts_ns, events)
         self._in_step = False
         self._behind_gap = False

@@ -1,4 +1,4 @@
-"""What the bytes of an RTU frame say about its size, and about what is wrong with it."""
+"""The size of an RTU frame by its structure and by its CRC, and why bytes are no frame."""
 
 from __future__ import annotations
 
@@ -24,32 +24,33 @@ _FIXED = {
         for direction, layouts in LAYOUTS.items()
     )
 }
-"""The sizes that a function alone says, which most requests have; 0 for others."""
+"""Frame sizes that follow from the function code alone, as for most requests; 0 for others."""
 
 
-def frame_size(head: bytes, direction: Direction) -> int | None:
-    """How long a frame is by its structure, from its first bytes.
+def frame_size(start: bytes, direction: Direction) -> int | None:
+    """The size of a frame by its structure, from its first bytes.
 
-    None where more bytes are needed to know, 0 where nothing in it says.
+    None if more bytes are needed to know, 0 if the size does not follow from the bytes.
     """
-    if len(head) < 2:
+    if len(start) < 2:
         return None
-    fixed = _FIXED[direction][head[1]]
+    fixed = _FIXED[direction][start[1]]
     if fixed:
         return fixed
-    length = LAYOUTS[direction][head[1]].length(head, 1)
+    length = LAYOUTS[direction][start[1]].length(start, 1)
     return length + RTU_EXTRA_BYTES if length else length
 
 
-def crc_ends(head: bytes, most: int) -> list[int]:
-    """The sizes at which a frame of these first bytes would have a correct CRC, the shortest first.
+def crc_ends(start: bytes, most: int) -> list[int]:
+    """The first `most` sizes at which a frame of these bytes has a correct CRC, in order.
 
-    At most so many. One in 65,536 sizes is right by chance, and each 00 behind a right one.
+    One in 65,536 sizes has a correct CRC by chance, and so has each size that adds a 00 byte to a
+    correct one.
     """
     sizes = []
-    residue = crc(head[: MIN_FRAME - 1])
-    for size in range(MIN_FRAME, len(head) + 1):
-        residue = crc_on(residue, head[size - 1 : size])
+    residue = crc(start[: MIN_FRAME - 1])
+    for size in range(MIN_FRAME, len(start) + 1):
+        residue = crc_on(residue, start[size - 1 : size])
         if residue == 0:
             sizes.append(size)
             if len(sizes) == most:
@@ -60,7 +61,7 @@ def crc_ends(head: bytes, most: int) -> list[int]:
 def why_skipped(
     raw: bytes, directions: Iterable[Direction]
 ) -> tuple[EventKind, str, Checksum | None]:
-    """What bytes are that were taken for no frame."""
+    """The kind of skipped bytes, the reason in one sentence, and the wrong CRC if there is one."""
     if len(raw) >= MIN_FRAME and len(raw) in [frame_size(raw, each) for each in directions]:
         check = Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2]))
         if not check.ok:

@@ -1,11 +1,12 @@
 """Cuts one direction of RTU over TCP into frames."""
 
-# A stream has no silences, but its direction is known, so a frame's length follows from its
-# structure, and its CRC confirms it. Where it does not, one byte is skipped and the next tried.
-# A function that no table knows has no length here, and its bytes are skipped: a place where none
-# stands that is known is passed over without a further look, since others' bytes cost as much.
+# A stream has no silences, but its direction is known. So the length of a frame follows from its
+# structure, and its CRC confirms the length. If it does not, one byte is skipped and the next one
+# tried. A frame of an unknown function has no length here, and its bytes are skipped. One search
+# skips all bytes up to the next known function code, since bytes that are no Modbus would otherwise
+# cost as much time as frames.
 #
-# Holds at most one incomplete frame (256 bytes) and a run of skipped bytes (skips.MAX_RUN).
+# Holds at most one incomplete frame (256 bytes) and one run of skipped bytes (skips.MAX_RUN).
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def _beginnings(direction: Direction) -> re.Pattern[bytes]:
-    """Where a frame may begin: a unit before a function with a length, or the last byte."""
+    """Match where a frame may begin: a unit and a function with a length, or the last byte."""
     known = bytes(code for code in range(256) if frame_size(bytes((0, code)), direction) != 0)
     return re.compile(rb"(?s).(?:[" + re.escape(known) + rb"]|\Z)")
 
@@ -34,7 +35,7 @@ _BEGINNINGS = {direction: _beginnings(direction) for direction in LAYOUTS}
 
 
 class RtuStreamSplitter:
-    """Bytes of one direction in, `Adu` and `Skipped` out, in order."""
+    """Takes the bytes of one direction, and gives `Adu` and `Skipped` in order."""
 
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
@@ -44,7 +45,7 @@ class RtuStreamSplitter:
 
     @property
     def is_idle(self) -> bool:
-        """Whether it holds no beginning of a frame."""
+        """True if it holds no incomplete frame."""
         return not self._buffer
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
@@ -53,17 +54,17 @@ class RtuStreamSplitter:
         return self._frames(ended=False)
 
     def gap(self) -> list[Adu | Skipped]:
-        """Bytes are missing here: what is held cannot be completed."""
+        """Take note that bytes are missing here: end the stream before them."""
         return self.close()
 
     def close(self) -> list[Adu | Skipped]:
-        """The stream ends; what is held comes out, frames behind a false beginning too."""
+        """End the stream. The held bytes come out, with whole frames that they may contain."""
         events = self._frames(ended=True)
         self._skips.end(events)
         return events
 
     def _frames(self, *, ended: bool) -> list[Adu | Skipped]:
-        """Consume frames and what parts them, up to one that can still become whole."""
+        """Consume frames and the bytes between them, up to a frame that can still become whole."""
         events: list[Adu | Skipped] = []
         place = 0
         while (found := self._buffer.find(self._beginnings, place)) is not None:
@@ -73,7 +74,7 @@ class RtuStreamSplitter:
                 break
             if size:
                 self._skip(place, events)
-                self._give(size, events)
+                self._emit(size, events)
                 place = 0
             else:
                 place += 1
@@ -83,18 +84,18 @@ class RtuStreamSplitter:
         return events
 
     def _size_at(self, place: int) -> int | None:
-        """The size of the frame at a place; 0 where there is none, None where there may be."""
-        head = self._buffer.peek(MAX_RTU_ADU, place)
-        size = frame_size(head, self._direction)
+        """The size of the frame at a place; 0 if there is none, None if more bytes are needed."""
+        start = self._buffer.peek(MAX_RTU_ADU, place)
+        size = frame_size(start, self._direction)
         if size is None:
-            return None if len(head) < MAX_RTU_ADU else 0
+            return None if len(start) < MAX_RTU_ADU else 0
         if size > MAX_RTU_ADU:
             return 0
-        if size > len(head):
+        if size > len(start):
             return None
-        return size if size and crc(head[:size]) == 0 else 0
+        return size if size and crc(start[:size]) == 0 else 0
 
-    def _give(self, size: int, events: list[Adu | Skipped]) -> None:
+    def _emit(self, size: int, events: list[Adu | Skipped]) -> None:
         verdicts = (Verdict.RESYNCHRONISED,) if self._skips else ()
         self._skips.end(events)
         start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)

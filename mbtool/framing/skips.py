@@ -1,4 +1,4 @@
-"""Gathers bytes that cannot be read, so that a run of them becomes one event."""
+"""Collects bytes that cannot be read, so that a run of them becomes one event."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Reason = tuple[EventKind, str, Checksum | None]
-"""What skipped bytes are, in one sentence, and the check that is wrong in them."""
+"""The kind of skipped bytes, the reason in one sentence, and the wrong check if there is one."""
 
 MAX_RUN = 1024
-"""Bytes after which a run is given out and the next begins, so that noise has a bound."""
+"""A run of so many bytes becomes an event and the next run begins, so that memory is bounded."""
 
 
 class SkipRun:
@@ -23,7 +23,7 @@ class SkipRun:
     __slots__ = ("_bytes", "_first_ns", "_why")
 
     def __init__(self, why: Callable[[bytes], Reason]) -> None:
-        """`why` says of a run what it is."""
+        """`why` gives the kind and the reason for the bytes of a run."""
         self._why = why
         self._bytes = bytearray()
         self._first_ns = 0
@@ -33,11 +33,11 @@ class SkipRun:
 
     @property
     def room(self) -> int:
-        """How many bytes fit until the run is given out."""
+        """How many more bytes fit into the run."""
         return MAX_RUN - len(self._bytes)
 
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:
-        """Take bytes that arrived at a time; a full run goes to `events`."""
+        """Take bytes that arrived at `ts_ns`. A full run is appended to `events`."""
         while data:
             if not self._bytes:
                 self._first_ns = ts_ns
@@ -48,7 +48,7 @@ class SkipRun:
                 self.end(events)
 
     def end(self, events: list[Adu | Skipped]) -> None:
-        """Give the run to `events`, if there is one."""
+        """Append the run to `events`, if there is one."""
         if self._bytes:
             raw = bytes(self._bytes)
             kind, reason, checksum = self._why(raw)

@@ -1,4 +1,4 @@
-"""A byte queue that knows when each byte arrived."""
+"""A byte queue that keeps the arrival time of each byte."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
 
 
 class TimedBuffer:
-    """Bytes of one link, consumed from the front; bytes of one append share their time."""
+    """Bytes of one link, taken from the front. The bytes of one `append` share a time."""
 
     __slots__ = ("_data", "_marks", "_taken")
 
     def __init__(self) -> None:
         self._data = bytearray()
         self._taken = 0
-        """How many bytes have ever left the front."""
+        """How many bytes were ever taken."""
         self._marks: deque[tuple[int, int]] = deque()
-        """Time by the number of bytes ever appended up to and with it."""
+        """For each `append` the number of bytes ever appended with it, and its time."""
 
     def __len__(self) -> int:
         return len(self._data)
@@ -44,11 +44,11 @@ class TimedBuffer:
         raise IndexError(index)
 
     def peek(self, size: int, at: int = 0) -> bytes:
-        """Some bytes, left in place; fewer where there are fewer."""
+        """Up to `size` bytes from an index on, which stay in the buffer."""
         return bytes(self._data[at : at + size])
 
     def find(self, pattern: re.Pattern[bytes], at: int) -> int | None:
-        """Where a pattern first stands, from an index on."""
+        """The index of the first match of a pattern from an index on; None if there is none."""
         match = pattern.search(self._data, at)
         return None if match is None else match.start()
 

@@ -1,9 +1,10 @@
 """The Modbus protocol: PDUs, ADUs and transactions as values; parsing, encoding, no I/O."""
 
-from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import ascii_adu, crc, lrc, mbap_adu, rtu_adu
+from mbtool.modbus.adu import Adu, Skipped, Transport, Verdict
+from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.functions import (
     FUNCTIONS,
+    TABLE_FUNCTIONS,
     ExceptionCode,
     exception_name,
     function_name,
@@ -14,12 +15,9 @@ from mbtool.modbus.pdu import (
     encode_pdu,
     exception_pdu,
     parse_pdu,
-    pdu_length,
-    pdu_of,
     whole_pdu,
 )
 from mbtool.modbus.register_access import (
-    REACHING,
     RegisterAccess,
     register_access,
     response_to,
@@ -31,10 +29,8 @@ from mbtool.modbus.transaction import Outcome, Transaction
 
 __all__ = [
     "FUNCTIONS",
-    "REACHING",
+    "TABLE_FUNCTIONS",
     "Adu",
-    "Checksum",
-    "DirectionBy",
     "ExceptionCode",
     "Outcome",
     "Pdu",
@@ -47,16 +43,12 @@ __all__ = [
     "Transport",
     "Verdict",
     "ascii_adu",
-    "crc",
     "encode_pdu",
     "exception_name",
     "exception_pdu",
     "function_name",
-    "lrc",
     "mbap_adu",
     "parse_pdu",
-    "pdu_length",
-    "pdu_of",
     "register_access",
     "response_to",
     "rtu_adu",

@@ -1,7 +1,7 @@
-"""What a splitter gives: application data units, and the bytes it could not read."""
+"""The results of a splitter: application data units, and bytes that it could not read."""
 
-# What is made for every frame, here and beside it, is a msgspec.Struct and no dataclass: a frozen
-# one is made in a tenth of the time, and reading a frame of a line makes half a dozen.
+# Classes with an instance for every frame are msgspec.Structs, not dataclasses: to make a frozen
+# Struct takes a tenth of the time, and to read one frame of a line makes about six objects.
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_ASCII_ADU = 513
 
 
 class Transport(StrEnum):
-    """How a PDU travels."""
+    """The kind of ADU that carries a PDU, and what carries the ADU."""
 
     RTU = "rtu"
     ASCII = "ascii"
@@ -28,56 +28,56 @@ class Transport(StrEnum):
 
     @property
     def is_serial(self) -> bool:
-        """Whether its frames are on a serial line, where silences count and units share a link."""
+        """True if the frames are on a serial line: silences part them, and units share a link."""
         return self in (Transport.RTU, Transport.ASCII)
 
 
 class DirectionBy(StrEnum):
-    """What decided an ADU's direction."""
+    """The evidence that decided the direction of an ADU."""
 
     PORT = "port"
-    """The TCP port, or the tap that heard it: certain."""
+    """The TCP port, or the tap that heard the ADU. This is certain."""
     PENDING = "pending"
-    """It answers the request that waits for an answer."""
+    """It is a response to the pending request."""
     IDLE = "idle"
-    """No request waits, and it has the form of a request."""
+    """No request is pending, and it has the form of a request."""
     FORM = "form"
     """Its form fits one direction only."""
     TIMING = "timing"
-    """Its form fits both, and the silence before it decided."""
+    """Its form fits both directions, and the silence before it decided."""
 
 
 class Verdict(StrEnum):
-    """What was noticed about a frame, or about the transaction it became part of."""
+    """Something noticed about a frame, or about the transaction that contains it."""
 
     GLUED = "glued"
-    """No silence parts it from its neighbour in the capture."""
+    """In the capture, no silence parts it from its neighbour."""
     SPLIT = "split"
-    """A silence longer than t3.5 stands inside it."""
+    """It contains a silence longer than t3.5."""
     RESYNCHRONISED = "resynchronised"
-    """The splitter had lost its place and found it here."""
+    """The splitter was out of step, and is in step again from this ADU on."""
     NOISE_BEFORE = "noise-before"
-    """Unreadable bytes precede it without a silence."""
+    """Unreadable bytes precede it, without a silence between."""
     T1_5_BROKEN = "t1.5-broken"
-    """A silence longer than t1.5 stands inside it."""
+    """It contains a silence longer than t1.5."""
     AMBIGUOUS = "ambiguous"
-    """Another reading of its bytes is nearly as likely: of its direction, or of where it ends."""
+    """Another direction or another end is nearly as likely for these bytes."""
     PARITY_IN_DATA = "parity-in-data"
     """An ASCII line of 7 data bits is heard with 8: bit 7 is its parity bit, or its stop bit."""
     LOWER_CASE = "lower-case"
-    """Its hexadecimal digits are lower case, which not every ASCII device reads."""
+    """Its hexadecimal digits are lower case. Some ASCII devices do not read these."""
     OTHER_END = "other-end"
-    """It ends otherwise than with CR and the delimiter of its ASCII line, which is LF at first."""
+    """It does not end with CR and the line's delimiter, which is LF unless 08/03 changed it."""
     MALFORMED_REQUEST = "malformed-request"
     """The request's body does not have the form of its function."""
     MALFORMED_RESPONSE = "malformed-response"
-    """The response's body does not have the form of its function, or not of the request's."""
+    """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
-    """The answer carries another transaction id than the only request it can belong to."""
+    """Its transaction id differs from that of the only request that it can belong to."""
 
 
 class Checksum(msgspec.Struct, frozen=True, gc=False):
-    """A CRC or LRC as received and as it should be."""
+    """A CRC or LRC: the received value and the computed one."""
 
     received: int
     computed: int
@@ -88,29 +88,29 @@ class Checksum(msgspec.Struct, frozen=True, gc=False):
 
 
 class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """One application data unit: a PDU and what the line adds to it."""
+    """One application data unit: a PDU with the address and checks of its transport."""
 
     start_ns: int
-    """When its first byte began on a line; in a stream, when the segment with it was captured."""
+    """UTC ns. On a serial line the start of the first byte; on TCP the time of its segment."""
     end_ns: int
-    """The time of the byte that completed it."""
+    """The time of the last byte, in UTC ns."""
     transport: Transport
     direction: Direction
     direction_by: DirectionBy
     confidence: float
-    """How sure the direction is, 0 to 1."""
+    """How certain the direction is, from 0 to 1."""
     unit: int
     pdu: bytes
     raw: bytes
-    """All its bytes as captured."""
+    """All bytes of the ADU, as captured."""
     transaction_id: int | None = None
     """Modbus/TCP only."""
     checksum: Checksum | None = None
-    """Absent on Modbus/TCP."""
+    """None on Modbus/TCP."""
     silence_before_ns: int | None = None
-    """On an RTU line, how long it was silent before the first byte, where that is known."""
+    """On an RTU line, the silence before the first byte, in ns; None if unknown."""
     longest_silence_ns: int | None = None
-    """On an RTU line, the longest silence inside the frame, where the bytes' times are known."""
+    """On an RTU line, the longest silence inside the frame, in ns; None if unknown."""
     verdicts: tuple[Verdict, ...] = ()
 
 
@@ -119,10 +119,10 @@ class Skipped:
     """Bytes that are no ADU, with the reason."""
 
     ts_ns: int
-    """The time of the first of them."""
+    """The time of the first byte, in UTC ns."""
     kind: EventKind
     reason: str
     """One sentence for a reader."""
     raw: bytes
     checksum: Checksum | None = None
-    """Where they are a frame whose CRC or LRC is wrong."""
+    """The wrong CRC or LRC, if the bytes are a frame with one."""

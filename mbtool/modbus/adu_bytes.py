@@ -1,4 +1,4 @@
-"""What each line adds to a PDU, and the checks it adds."""
+"""Makes the ADU of a PDU for each transport, and computes the CRC and the LRC."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def crc(data: bytes) -> int:
 
 
 def crc_on(before: int, data: bytes) -> int:
-    """The CRC of what `before` is the CRC of, with more bytes behind it."""
+    """The CRC of some bytes followed by `data`; `before` is the CRC of these bytes."""
     return crc16.modbus(data, before)
 
 
@@ -33,7 +33,7 @@ def rtu_adu(unit: int, pdu: bytes) -> bytes:
 
 
 def ascii_adu(unit: int, pdu: bytes) -> bytes:
-    """A colon, the bytes with their LRC as upper-case hexadecimal, CR and LF."""
+    """A colon, unit, PDU and LRC as upper-case hexadecimal digits, CR and LF."""
     body = bytes([unit]) + pdu
     return b":" + (body + bytes([lrc(body)])).hex().upper().encode("ascii") + b"\r\n"
 

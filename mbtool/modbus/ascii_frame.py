@@ -1,13 +1,13 @@
-"""Reads one frame of a Modbus ASCII line, also one that is not quite as the standard wants it."""
+"""Reads one frame of a Modbus ASCII line, also with small deviations from the standard."""
 
-# A frame is a colon, two hexadecimal digits for each byte, the LRC among them, CR and LF (Serial
-# Line V1.02, 2.5.2.1). Devices differ: some write small digits, some leave out CR or LF, and
-# function 08, sub-function 3 puts another character in the place of LF. All of these are read; what
-# is unusual about them is kept beside the bytes.
+# A frame is a colon, two hexadecimal digits for each byte including the LRC, CR and LF (Serial
+# Line V1.02, 2.5.2.1). Devices differ: some write lower-case digits, some leave out CR or LF, and
+# function 08, sub-function 3 replaces LF by another character. All of these frames are read, and
+# the result says what is unusual about them.
 #
-# A port with 8 data bits that hears a line with 7 finds in bit 7 of each character the parity bit,
-# or the first of two stop bits. Such a frame is read without it, but only where bit 7 is the same
-# in every character (even or odd parity, or always set): otherwise it is damage.
+# If a port with 8 data bits hears a line with 7, bit 7 of each character is the parity bit or the
+# first of two stop bits. Such a frame is read without bit 7, but only if bit 7 follows one rule in
+# all characters (even parity, odd parity, or always set). Otherwise the frame is damaged.
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mbtool.modbus.adu_bytes import lrc
 CR = 0x0D
 LF = 0x0A
 SEVEN_BITS = bytes(character & 0x7F for character in range(256))
-"""Translates characters to what they are without bit 7."""
+"""A translation table that clears bit 7 of each character."""
 _ODD_ONES = bytes(character.bit_count() & 1 for character in range(256))
 
 _MIN_BYTES = 3
@@ -35,16 +35,16 @@ _NO_DIGIT = re.compile(rb"[^0-9A-Fa-f]")
 
 @dataclass(frozen=True, slots=True)
 class AsciiFrame:
-    """What the characters of a frame say, its LRC right or wrong."""
+    """The contents of a frame, whether its LRC is right or wrong."""
 
     digits: bytes
     end: bytes
-    """CR and one more character, or one of the two alone."""
+    """CR and a delimiter (usually LF), or only one of the two."""
     body: bytes
     """Unit and PDU."""
     checksum: Checksum
     parity_in_data: bool
-    """Whether bit 7 of its characters was a parity bit."""
+    """True if bit 7 of the characters was a parity bit or a stop bit."""
 
     @property
     def is_lower_case(self) -> bool:
@@ -52,7 +52,7 @@ class AsciiFrame:
 
 
 def read_frame(raw: bytes, *, eight_bits: bool = True) -> AsciiFrame | None:
-    """Read a whole frame, or None where it is none. `eight_bits` says what the port passes on."""
+    """Read a whole frame; None if it is none. `eight_bits` is True if the port has 8 data bits."""
     match, parity_in_data = _FRAME.fullmatch(raw), False
     if match is None and eight_bits and _has_parity(raw):
         match, parity_in_data = _FRAME.fullmatch(raw.translate(SEVEN_BITS)), True
@@ -65,7 +65,7 @@ def read_frame(raw: bytes, *, eight_bits: bool = True) -> AsciiFrame | None:
 
 
 def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
-    """What is wrong with characters from a colon to an end that are no frame."""
+    """Say why characters from a colon to an end are no frame."""
     seen = raw.translate(SEVEN_BITS) if eight_bits and _has_parity(raw) else raw
     inside = _INSIDE.fullmatch(seen)
     digits = inside[1] if inside else seen[1:]
@@ -73,7 +73,7 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
     if wrong is not None:
         # The colon is the first character, so the first digit is the second.
         return (
-            f"a frame with {_named(wrong[0][0])} as its character {wrong.start() + 2}, "
+            f"a frame with {_shown(wrong[0][0])} as its character {wrong.start() + 2}, "
             "where a hexadecimal digit would be right"
         )
     if len(digits) % 2:
@@ -85,12 +85,12 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
 
 
 def _has_parity(raw: bytes) -> bool:
-    """Whether bit 7 is set somewhere, and everywhere as one kind of parity sets it."""
+    """True if bit 7 is set in some character and follows one kind of parity in all of them."""
     if raw.isascii():
         return False
     return len(set(raw.translate(_ODD_ONES))) == 1 or min(raw) >= 0x80
 
 
-def _named(character: int) -> str:
+def _shown(character: int) -> str:
     printed = f"'{chr(character)}' ({character:02X}H)"
     return printed if 0x20 < character < 0x7F else f"{character:02X}H"

@@ -1,10 +1,10 @@
-"""What a faulty slave, or a line, does to an answer on its way out."""
+"""Faults of a response on the wire: what a faulty slave or a bad line does to its bytes."""
 
-# A Spoiling stands beside the PDU in an Answer, and the shell that sends it asks `wire_pieces` for
-# what really leaves: the ADU under another unit or transaction id, with a wrong check, cut short,
-# with bytes behind it, or in pieces with silence between them. What is done is done in that order.
+# A Response carries a PDU and a Distortion. The shell that sends it calls `wire_pieces` for the
+# bytes to send: the ADU with another unit or transaction id, with a wrong check, cut short, with
+# more bytes behind it, or in pieces with pauses between them. The faults are applied in this order.
 #
-# A Modbus/TCP ADU has no check, so there a wrong one is none.
+# A Modbus/TCP ADU has no check, so `wrong_check` changes nothing there.
 
 from __future__ import annotations
 
@@ -23,53 +23,53 @@ _HEX_DIGITS = b"0123456789ABCDEF"
 
 
 class ConnectionEnding(StrEnum):
-    """What becomes of a connection behind an answer."""
+    """How a connection is ended after a response."""
 
     CLOSE = "close"
-    """Closed in order, with a FIN."""
+    """With a FIN, in order."""
     RESET = "reset"
-    """Cut off, with a RST."""
+    """With a RST, at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distortion:
-    """How an answer is spoilt; by default it is not."""
+    """The faults of one response; by default none."""
 
     unit_by: int = 0
-    """What is added to the unit."""
+    """A number to add to the unit."""
     id_by: int = 0
-    """What is added to the transaction id of Modbus/TCP."""
+    """A number to add to the transaction id of Modbus/TCP."""
     wrong_check: bool = False
-    """The CRC or LRC is another one."""
+    """True if the CRC or LRC is wrong."""
     cut: int = 0
-    """How many bytes of the ADU are missing at its end."""
+    """How many bytes are missing at the end of the ADU."""
     extra: bytes = b""
-    """What follows the ADU."""
+    """Bytes that follow the ADU."""
     pieces: int = 1
+    """In how many pieces the bytes are sent."""
     gap_ns: int = 0
-    """The silence between two pieces."""
+    """The pause between two pieces, in ns."""
     silent: bool = False
-    """Nothing is sent."""
+    """True if nothing is sent."""
     ending: ConnectionEnding | None = None
+    """How the connection ends after the response; None if it stays open."""
 
 
 def wire_pieces(
-    answer: Response, transport: Transport, unit: int, transaction_id: int = 0
+    response: Response, transport: Transport, unit: int, transaction_id: int = 0
 ) -> list[tuple[int, bytes]]:
-    """What leaves for an answer: pieces, each with its time from the first one on, in ns."""
-    spoiling = answer.spoiling or Distortion()
-    if spoiling.silent:
+    """The bytes to send for a response, in pieces, each with its ns after the first piece."""
+    faults = response.distortion or Distortion()
+    if faults.silent:
         return []
-    adu = _adu(
-        answer.pdu, transport, unit + spoiling.unit_by & 0xFF, transaction_id + spoiling.id_by
-    )
-    if spoiling.wrong_check:
+    adu = _adu(response.pdu, transport, unit + faults.unit_by & 0xFF, transaction_id + faults.id_by)
+    if faults.wrong_check:
         adu = _with_wrong_check(adu, transport)
-    adu = adu[: max(len(adu) - spoiling.cut, 0)] + spoiling.extra
-    count = max(min(spoiling.pieces, len(adu)), 1)
+    adu = adu[: max(len(adu) - faults.cut, 0)] + faults.extra
+    count = max(min(faults.pieces, len(adu)), 1)
     starts = [len(adu) * number // count for number in range(count + 1)]
     return [
-        (number * spoiling.gap_ns, adu[starts[number] : starts[number + 1]])
+        (number * faults.gap_ns, adu[starts[number] : starts[number + 1]])
         for number in range(count)
         if adu
     ]
@@ -90,6 +90,6 @@ def _with_wrong_check(adu: bytes, transport: Transport) -> bytes:
         return adu
     if transport is not Transport.ASCII:
         return adu[:-1] + bytes([adu[-1] ^ 0xFF])
-    at = len(adu) - _CR_LF_BYTES - 1  # The LRC's last digit becomes another digit.
+    at = len(adu) - _CR_LF_BYTES - 1  # The last digit of the LRC.
     digit = _HEX_DIGITS[_HEX_DIGITS.index(adu[at]) ^ 0xF]
     return adu[:at] + bytes([digit]) + adu[at + 1 :]

@@ -1,14 +1,15 @@
 """The functions of Modbus: names, tables, limits and layouts, in one table."""
 
-# MODBUS Application Protocol V1.1b3, the section beside each entry. Codes 65-72 and 100-110 are for
-# users to define (section 5.1); they and all that no entry knows are kept as bytes.
+# Source: MODBUS Application Protocol V1.1b3; the comment of each entry names the section. Codes 65
+# to 72 and 100 to 110 are user-defined (section 5.1). The data of a function without an entry is
+# kept as bytes.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mbtool.modbus.group_layouts import FileAnswers, FileGroups, Objects
+from mbtool.modbus.group_layouts import FileGroups, FileResponses, Objects
 from mbtool.modbus.layouts import (
     Bits,
     Bytes,
@@ -25,7 +26,7 @@ EXCEPTION_BIT = 0x80
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Function:
-    """What the standard says about one function code."""
+    """The properties of one function code in the standard."""
 
     name: str
     short: str
@@ -33,9 +34,9 @@ class Function:
     request: Layout
     response: Layout
     table: Table | None = None
-    """What it addresses."""
+    """The table that its addresses belong to; None if it has none."""
     limit: int = 1
-    """The largest quantity it may name."""
+    """The largest quantity that a request may have."""
     writes: bool = False
     serial_only: bool = False
 
@@ -108,7 +109,7 @@ FUNCTIONS: dict[int, Function] = {
     ),
     0x14: Function(  # 6.14
         name="read file record", short="read file",
-        request=Layout(tail=FileGroups(with_data=False)), response=Layout(tail=FileAnswers()),
+        request=Layout(tail=FileGroups(with_data=False)), response=Layout(tail=FileResponses()),
     ),
     0x15: Function(  # 6.15
         name="write file record", short="write file", writes=True,
@@ -148,24 +149,33 @@ FUNCTIONS: dict[int, Function] = {
     ),
 }  # fmt: skip
 
+TABLE_FUNCTIONS = frozenset(code for code, one in FUNCTIONS.items() if one.table is not None)
+"""Functions that read or write addresses of a table."""
 READ_BITS = frozenset({0x01, 0x02})
 READ_REGISTERS = frozenset({0x03, 0x04, 0x17})
-"""Functions whose responses have the registers that were asked for, and nothing else."""
+READS = READ_BITS | READ_REGISTERS
+"""Functions whose response is a byte count and the requested values, and nothing else."""
+WRITE_ONE = frozenset({0x05, 0x06, 0x16})
+"""Functions whose response repeats the request."""
+WRITE_SEVERAL = frozenset({0x0F, 0x10})
+"""Functions whose response repeats the address and the quantity of the request."""
 
-ECHOING = frozenset({0x05, 0x06, 0x08, 0x15, 0x16})
-"""Functions whose response may be the same as its request."""
+ECHOING = WRITE_ONE | {0x08, 0x15}
+"""Functions whose response may be equal to its request."""
 NEVER_ECHOED = frozenset(FUNCTIONS) - ECHOING - {0x2B}
-"""Functions whose response is not; of 2B only its MEI types could tell."""
+"""Functions whose response is never equal to its request. For 2B it depends on the MEI type."""
 
 QUERY_DATA = 0
-"""The sub-function of 08 that returns its data, however much that is (6.8.1)."""
+"""The sub-function of 08 that returns the data of the request, of any length (6.8.1)."""
 
+READ_LIMIT = FUNCTIONS[0x03].limit
+"""How many registers a request reads at most (6.3)."""
 WRITE_LIMIT_17H = 121
 """How many registers function 17H writes at most (6.17)."""
 
 
 class ExceptionCode(IntEnum):
-    """Exception codes (V1.1b3, section 7). Devices give others too; they are kept as numbers."""
+    """Exception codes (V1.1b3, section 7). Other codes of devices are kept as numbers."""
 
     ILLEGAL_FUNCTION = 0x01
     ILLEGAL_DATA_ADDRESS = 0x02
@@ -174,7 +184,7 @@ class ExceptionCode(IntEnum):
     ACKNOWLEDGE = 0x05
     SERVER_DEVICE_BUSY = 0x06
     NEGATIVE_ACKNOWLEDGE = 0x07
-    """Of older editions."""
+    """In older editions of the standard only."""
     MEMORY_PARITY_ERROR = 0x08
     GATEWAY_PATH_UNAVAILABLE = 0x0A
     GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
@@ -187,7 +197,7 @@ def function_name(code: int) -> str:
 
 
 def short_name(code: int, name: str) -> str:
-    """The short form of the standard's name; any other, as a maker's own, as it is."""
+    """The short form of a standard name; any other name, as a vendor's own, unchanged."""
     function = FUNCTIONS.get(code)
     return function.short if function is not None and name == function.name else name
 

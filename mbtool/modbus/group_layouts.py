@@ -1,4 +1,4 @@
-"""Tails that consist of groups: file records and the objects of an identification."""
+"""Tails that consist of groups: file records, and the objects of a device identification."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.modbus.layouts import Fields, Group, Value, counted, counted_data, counted_length
+from mbtool.modbus.layouts import (
+    Fields,
+    Group,
+    Value,
+    counted_data,
+    counted_length,
+    with_byte_count,
+)
 from mbtool.modbus.packing import pack_words, words
 
 if TYPE_CHECKING:
@@ -20,8 +27,8 @@ _HALF_GROUP = "its byte count does not end with a group"
 class FileGroups:
     """The sub-requests of the file record functions (V1.1b3, 6.14 and 6.15).
 
-    Each is `06 file record length`, and with `with_data` that many registers.
-    A group is parsed as (file, record, length) or (file, record, registers).
+    A group is `06 file record length`; with `with_data`, so many registers follow.
+    It is parsed as (file, record, length), with data as (file, record, registers).
     """
 
     with_data: bool
@@ -50,19 +57,19 @@ class FileGroups:
         for group in _groups(fields, "groups"):
             match group:
                 case (int(file), int(record), int(length)) if not self.with_data:
-                    head, body = (file, record, length), b""
+                    numbers, body = (file, record, length), b""
                 case (int(file), int(record), tuple(registers)) if self.with_data:
-                    head, body = (file, record, len(registers)), pack_words(registers)
+                    numbers, body = (file, record, len(registers)), pack_words(registers)
                 case _:
                     last = "registers" if self.with_data else "length"
                     raise ValueError(f"a group is (file, record, {last}), not {group}")
-            data += bytes([_FILE_REFERENCE]) + pack_words(head) + body
-        return counted(data, 1)
+            data += bytes([_FILE_REFERENCE]) + pack_words(numbers) + body
+        return with_byte_count(data, 1)
 
 
 @dataclass(frozen=True, slots=True)
-class FileAnswers:
-    """The sub-responses of read file record: `length 06 registers`; a group is (registers,)."""
+class FileResponses:
+    """The sub-responses of read file record: `length 06 registers`, parsed as (registers,)."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, 1)
@@ -86,15 +93,18 @@ class FileAnswers:
         for group in _groups(fields, "groups"):
             match group:
                 case (tuple(registers),):
-                    data += counted(bytes([_FILE_REFERENCE]) + pack_words(registers), 1)
+                    data += with_byte_count(bytes([_FILE_REFERENCE]) + pack_words(registers), 1)
                 case _:
                     raise ValueError(f"a group is (registers,), not {group}")
-        return counted(data, 1)
+        return with_byte_count(data, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Objects:
-    """The objects of a device identification: a number, then `id length value` (V1.1b3, 6.21)."""
+    """The objects of a device identification: their number, then `id length value` for each.
+
+    V1.1b3, 6.21. An object is parsed as (id, value).
+    """
 
     def length(self, pdu: bytes, at: int) -> int | None:
         if len(pdu) <= at:
@@ -125,7 +135,7 @@ class Objects:
         for one in objects:
             match one:
                 case (int(number), bytes(value)):
-                    data += bytes([number]) + counted(value, 1)
+                    data += bytes([number]) + with_byte_count(value, 1)
                 case _:
                     raise ValueError(f"an object is (id, value as bytes), not {one}")
         return data

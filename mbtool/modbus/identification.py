@@ -1,10 +1,11 @@
-"""What a device says about itself: the answers to functions 2B/0E and 11H, as texts."""
+"""The identity that a device reports: the responses to functions 2B/0E and 11H, as texts."""
 
-# Read device identification (MODBUS Application Protocol V1.1b3, 6.21) gives objects, each an id
-# and a text; ids up to 06 have names there, 80 to FF are the maker's. Report server id (6.13) gives
-# bytes whose form is the maker's: usually an id, a run indicator (00 off, FF on) and a text.
+# Read device identification (MODBUS Application Protocol V1.1b3, 6.21) gives objects, each with an
+# id and a text. The standard names ids 00 to 06; ids 80 to FF belong to the vendor. Report server
+# id (6.13) gives bytes in the vendor's form: usually an id, a run indicator (00 off, FF on) and a
+# text.
 #
-# Texts are what a wire brought: what is not printable ASCII is written as \xNN.
+# Bytes of a text that are not printable ASCII are written as \xNN.
 
 from __future__ import annotations
 
@@ -33,23 +34,22 @@ SERVER_ID = "server id"
 RUN_INDICATOR = "run indicator"
 _RUN_STATES = {0x00: "off", 0xFF: "on"}
 _LEAST_TEXT = 3
+"""A shorter id is written in hexadecimal: one or two bytes are printable by chance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One thing that a device says about itself."""
+    """One property that a device reports of itself."""
 
     name: str
     text: str
     number: int | None = None
-    """The object's id, of an answer to 2B/0E."""
+    """The object's id; only in a response to 2B/0E."""
 
 
 def identities(transaction: Transaction) -> list[Identity]:
-    """What the answer of a transaction says about its device; empty for every other answer."""
+    """The properties that the response of a transaction reports; empty if it reports none."""
     if transaction.function not in (REPORT_SERVER_ID, ENCAPSULATED):
-        return []
-    if transaction.exception is not None:
         return []
     pdu = whole_pdu(transaction.transport, transaction.response_raw)
     if pdu is None or pdu[0] != transaction.function:
@@ -69,7 +69,7 @@ def identities(transaction: Transaction) -> list[Identity]:
 
 
 def _server_id(data: bytes) -> list[Identity]:
-    # The run indicator ends the id, wherever the maker puts it; text may stand before or behind it.
+    # The run indicator ends the id. Its place and any text around it are up to the vendor.
     at = next((index for index, byte in enumerate(data) if index and byte in _RUN_STATES), None)
     if not data:
         return []
@@ -84,7 +84,7 @@ def _server_id(data: bytes) -> list[Identity]:
 
 
 def _id_text(data: bytes) -> str:
-    """As text where it is one, else in hexadecimal."""
+    """Bytes as text if all are printable, else in hexadecimal."""
     trimmed = data.rstrip(b"\x00 ")
     if len(trimmed) >= _LEAST_TEXT and all(0x20 <= byte < 0x7F for byte in trimmed):
         return text_of(trimmed)
@@ -92,7 +92,7 @@ def _id_text(data: bytes) -> str:
 
 
 def text_of(data: bytes) -> str:
-    """Printable ASCII as it is, all else in hexadecimal; no zeros and spaces at the end."""
+    """Printable ASCII unchanged, other bytes in hexadecimal; no zeros and spaces at the end."""
     return "".join(
         chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data.rstrip(b"\x00 ")
     )

@@ -1,14 +1,14 @@
 """The building blocks of the function table: how the bytes after a function code are laid out."""
 
-# A Layout is a row of fixed-width integers and then at most one tail of variable length. The same
-# object answers three questions, so that they cannot disagree:
+# A Layout is a row of fixed-width integers, then at most one tail of variable length. One object
+# has three methods, so that they cannot contradict each other:
 #
-#     length(pdu)     how long the whole PDU is by its structure, from as little of it as possible
-#     parse(pdu)      its fields by name, and what is wrong with its form, if anything
+#     length(pdu)     the length of the whole PDU by its structure, from as few bytes as possible
+#     parse(pdu)      the fields by name, and what is wrong with the form, if anything
 #     encode(fields)  the bytes after the function code
 #
-# Parsing keeps what it can: of a PDU that is too short come the fields that are whole, of one that
-# is too long those that belong there. Encoding is strict and raises ValueError.
+# Parsing keeps as many fields as it can: the whole ones if the PDU is too short, those of its form
+# if it is too long. Encoding is strict and raises ValueError.
 #
 # The tails that consist of groups are in group_layouts.py.
 
@@ -27,23 +27,22 @@ Group = tuple[int | bytes | tuple[int, ...], ...]
 Fields = dict[str, Value]
 
 NO_LENGTH = 0
-"""The length of what does not say how long it is."""
+"""The length of a PDU or tail whose length does not follow from its bytes."""
 USUAL_DIAGNOSTIC_BYTES = 2
-"""Only sub-function 0 of function 08 may have more (V1.1b3, 6.8), and nothing tells how many."""
-
+"""Only sub-function 0 of function 08 may have more data, of unstated length (V1.1b3, 6.8)."""
 
 COIL_VALUES = {0x0000: 0, 0xFF00: 1}
-"""What function 05 writes, as bits (V1.1b3, 6.5)."""
+"""Function 05: the value on the wire and the bit that it stands for (V1.1b3, 6.5)."""
 
 
 class Tail(Protocol):
     """The variable part of a layout. `at` is where it begins in the PDU."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        """Its length in bytes, NO_LENGTH, or None where more bytes are needed to know."""
+        """Its length in bytes, NO_LENGTH, or None if more bytes are needed to know."""
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        """Add its fields; the answer says what is wrong, or is None."""
+        """Add its fields. Gives what is wrong with its form, or None."""
 
     def encode(self, fields: Mapping[str, Value]) -> bytes: ...
 
@@ -51,19 +50,19 @@ class Tail(Protocol):
 class Layout:
     """The form of one direction of one function."""
 
-    __slots__ = ("_head", "_names", "_size", "_tail")
+    __slots__ = ("_fixed", "_names", "_size", "_tail")
 
     def __init__(self, *fixed: tuple[str, int], tail: Tail | None = None) -> None:
-        """`fixed` are names with their width in bytes, 1 or 2."""
+        """`fixed` are the names of the integers with their widths in bytes, 1 or 2."""
         self._names = tuple(name for name, _ in fixed)
-        self._head = struct.Struct(">" + "".join("xBH"[width] for _, width in fixed))
-        self._size = 1 + self._head.size
+        self._fixed = struct.Struct(">" + "".join("xBH"[width] for _, width in fixed))
+        self._size = 1 + self._fixed.size
         self._tail = tail
 
     def length(self, pdu: bytes, at: int = 0) -> int | None:
-        """The whole PDU's length by its structure; `at` is where it begins.
+        """The length of the whole PDU by its structure; `at` is its start in `pdu`.
 
-        NO_LENGTH where its structure does not say, None where more bytes are needed to know.
+        NO_LENGTH if it does not follow from the structure, None if more bytes are needed to know.
         """
         if self._tail is None:
             return self._size
@@ -76,25 +75,25 @@ class Layout:
             return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = {}
         if self._names:
-            fields.update(zip(self._names, self._head.unpack_from(pdu, 1), strict=True))
+            fields.update(zip(self._names, self._fixed.unpack_from(pdu, 1), strict=True))
         if self._tail is not None:
             return fields, self._tail.parse(pdu, self._size, fields)
         return fields, self._wrong_size(pdu) if len(pdu) > self._size else None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        """The bytes after the function code. Raises ValueError for what cannot be sent."""
+        """The bytes after the function code. Raises ValueError if a field is missing or wrong."""
         values = [_field(fields, name) for name in self._names]
         try:
-            head = self._head.pack(*values)
+            fixed = self._fixed.pack(*values)
         except struct.error as error:
             given = dict(zip(self._names, values, strict=True))
             raise ValueError(f"a field does not fit its width: {given}") from error
-        return head + (self._tail.encode(fields) if self._tail is not None else b"")
+        return fixed + (self._tail.encode(fields) if self._tail is not None else b"")
 
     def _parse_short(self, pdu: bytes) -> Fields:
         fields: Fields = {}
         at = 1
-        for name, code in zip(self._names, self._head.format[1:], strict=True):
+        for name, code in zip(self._names, self._fixed.format[1:], strict=True):
             width = 1 if code == "B" else 2
             if at + width > len(pdu):
                 break
@@ -109,13 +108,13 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """A byte count and that many bytes of 16-bit registers."""
+    """A byte count, and so many bytes of 16-bit registers."""
 
     name: str = "values"
     count_width: int = 1
-    """Width of the byte count."""
+    """Width of the byte count in bytes, 1 or 2."""
     quantity: str | None = None
-    """The field that says how many registers there are; without it only the byte count does."""
+    """The field with the number of registers; None if only the byte count gives it."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, self.count_width)
@@ -135,7 +134,7 @@ class Registers:
         return None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        return counted(pack_words(_integers(fields, self.name)), self.count_width)
+        return with_byte_count(pack_words(_integers(fields, self.name)), self.count_width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +143,7 @@ class Bits:
 
     name: str = "values"
     quantity: str | None = None
-    """The field that says how many of the bits count; without it all are kept."""
+    """The field with the number of bits; None if it is not in the PDU, then all bits are kept."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, 1)
@@ -159,12 +158,12 @@ class Bits:
         return problem
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        return counted(pack_bits(_integers(fields, self.name)), 1)
+        return with_byte_count(pack_bits(_integers(fields, self.name)), 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Bytes:
-    """A byte count and opaque bytes, or (count_width 0) all that is left."""
+    """A byte count and opaque bytes; with `count_width` 0 all remaining bytes."""
 
     name: str = "data"
     count_width: int = 1
@@ -183,16 +182,16 @@ class Bytes:
         data = _field(fields, self.name)
         if not isinstance(data, bytes):
             raise ValueError(f"field {self.name!r} must be bytes")
-        return counted(data, self.count_width) if self.count_width else data
+        return with_byte_count(data, self.count_width) if self.count_width else data
 
 
 @dataclass(frozen=True, slots=True)
 class UncountedRegisters:
-    """One register or more, to the end of the PDU, without a count."""
+    """One or more registers without a byte count, up to the end of the PDU."""
 
     name: str = "values"
     usual: int = USUAL_DIAGNOSTIC_BYTES
-    """The length to expect, since nothing tells it."""
+    """The length in bytes to expect, since the PDU does not contain it."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return self.usual
@@ -210,7 +209,7 @@ class UncountedRegisters:
 
 @dataclass(frozen=True, slots=True)
 class CoilValue:
-    """A value that is 0000H or FF00H (V1.1b3, 6.5). Any other is encoded too, and told."""
+    """A value of 0000H or FF00H (V1.1b3, 6.5). Others are encoded; parsing calls them wrong."""
 
     name: str = "value"
 
@@ -234,7 +233,7 @@ class CoilValue:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A one-byte type and the layout that goes with it; other types are kept as bytes."""
+    """A one-byte type and the layout for this type; data of other types is kept as bytes."""
 
     name: str
     layouts: Mapping[int, Layout]
@@ -263,14 +262,14 @@ _OPAQUE = Layout(tail=Bytes(count_width=0))
 
 
 def counted_length(pdu: bytes, at: int, width: int) -> int | None:
-    """The length of a byte count of a width and of what it counts."""
+    """The length of a byte count and its data; None if the byte count is not there."""
     if len(pdu) < at + width:
         return None
     return width + (pdu[at] if width == 1 else int.from_bytes(pdu[at : at + width]))
 
 
 def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
-    """What a byte count counts, as far as it is there, and what is wrong with it."""
+    """The data after a byte count, as much as there is, and what is wrong with it, or None."""
     if len(pdu) < at + width:
         return b"", "its byte count is missing"
     count = pdu[at] if width == 1 else int.from_bytes(pdu[at : at + width])
@@ -279,8 +278,8 @@ def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
     return data, None if held == count else f"byte count {count}, but {held} bytes follow"
 
 
-def counted(data: bytes, width: int) -> bytes:
-    """Bytes behind their count. Raises ValueError for too many."""
+def with_byte_count(data: bytes, width: int) -> bytes:
+    """The byte count and the data. Raises ValueError if the count does not fit its width."""
     if len(data) >= 1 << 8 * width:
         raise ValueError(f"{len(data)} bytes of data do not fit a byte count of {width} bytes")
     return len(data).to_bytes(width) + data

@@ -1,4 +1,4 @@
-"""Registers and bits, to bytes and back."""
+"""Packs registers and bits into bytes, and unpacks them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BITS = [tuple(byte >> bit & 1 for bit in range(8)) for byte in range(256)]
 
 
 def words(data: bytes) -> tuple[int, ...]:
-    """Big-endian 16-bit registers; an odd last byte is left out."""
+    """Unpack big-endian 16-bit registers; an odd last byte is left out."""
     return _registers(len(data) // 2).unpack_from(data)
 
 
@@ -25,7 +25,7 @@ def _registers(count: int) -> struct.Struct:
 
 
 def pack_words(values: Sequence[int]) -> bytes:
-    """Registers as bytes. Raises ValueError outside 0..65535."""
+    """Pack registers. Raises ValueError for values outside 0..65535."""
     try:
         return struct.pack(f">{len(values)}H", *values)
     except struct.error as error:
@@ -33,21 +33,21 @@ def pack_words(values: Sequence[int]) -> bytes:
 
 
 def unpack_bits(data: bytes) -> tuple[int, ...]:
-    """Every bit, the lowest of the first byte first (V1.1b3, 6.1)."""
+    """Unpack all bits; the first is bit 0 of the first byte (V1.1b3, 6.1)."""
     return tuple(chain.from_iterable([_BITS[byte] for byte in data]))
 
 
 def pack_bits(values: Sequence[int]) -> bytes:
-    """Bits as bytes, the first in bit 0 of the first byte, the rest of the last byte 0.
+    """Pack bits, the first into bit 0 of the first byte; unused bits of the last byte are 0.
 
-    Raises ValueError for what is neither 0 nor 1.
+    Raises ValueError for values other than 0 and 1.
     """
     if any(value not in (0, 1) for value in values):
         raise ValueError(f"bits are 0 or 1, not {list(values)}")
     digits = "".join("1" if value else "0" for value in reversed(values))
-    return int(digits or "0", 2).to_bytes((len(values) + 7) // 8, "little")
+    return int(digits or "0", 2).to_bytes(bit_bytes(len(values)), "little")
 
 
 def bit_bytes(quantity: int) -> int:
-    """How many bytes hold a quantity of bits."""
+    """The number of bytes for a quantity of bits."""
     return (quantity + 7) // 8

@@ -1,20 +1,20 @@
-"""Protocol data units: parsed into named fields, and encoded from them."""
+"""Parses protocol data units into named fields, and encodes them."""
 
-# Field names, by function (functions.py has the layouts):
+# Field names by function (functions.py has the layouts):
 #
-#     address quantity                01-04, 0F, 10, 17 (what it reads)
-#     values                          registers or bits, where there are several; 08: its data words
+#     address quantity                01-04, 0F, 10; for 17 the read part
+#     values                          several registers or bits; for 08 the data words
 #     value                           05, 06
 #     write_address write_quantity    17
 #     and_mask or_mask                16
 #     sub_function                    08
 #     status event_count data         07, 0B, 0C, 11
-#     groups                          14, 15: see group_layouts.FileGroups and FileAnswers
-#     fifo                            18: its count and its registers
+#     groups                          14, 15: see group_layouts.FileGroups and FileResponses
+#     fifo                            18: the count and the registers
 #     mei_type ... objects            2B
 #     exception_code                  every exception response
 #
-# A function that the table does not know has the one field `data`.
+# A function that is not in the table has one field, `data`.
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.modbus.adu import MAX_PDU, Transport
 from mbtool.modbus.ascii_frame import read_frame
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_SEVERAL
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 
 _EXCEPTION = Layout(("exception_code", 1))
@@ -40,17 +40,17 @@ LAYOUTS = {
     Direction.RESPONSE: _RESPONSES,
     Direction.UNKNOWN: _REQUESTS,
 }
-"""By direction and function code, since each byte of a line may have to be asked."""
+"""By direction and function code. Lists, since each byte of a line may be looked up."""
 
 
 class Pdu(msgspec.Struct, frozen=True):
-    """A parsed PDU. It holds what could be read, also of one that breaks its form."""
+    """A parsed PDU. If it breaks the form of its function, it has the fields that could be read."""
 
     code: int
-    """As on the wire, with the exception bit."""
+    """The function code on the wire, with the exception bit."""
     fields: Fields
     problem: str | None
-    """How it breaks the form of its function, if it does."""
+    """How the PDU breaks the form of its function; None if it does not."""
 
     @property
     def function(self) -> int:
@@ -61,12 +61,12 @@ class Pdu(msgspec.Struct, frozen=True):
         return self.number("exception_code")
 
     def number(self, name: str) -> int | None:
-        """An integer field, or None where the PDU has none of this name."""
+        """An integer field; None if the PDU has no such field."""
         value = self.fields.get(name)
         return value if isinstance(value, int) else None
 
     def numbers(self, name: str = "values") -> tuple[int, ...] | None:
-        """Registers or bits, or None where the PDU has none of this name."""
+        """A field of registers or bits; None if the PDU has no such field."""
         value = self.fields.get(name)
         return value if isinstance(value, tuple) else None  # type: ignore[return-value]
 
@@ -82,16 +82,16 @@ def parse_pdu(pdu: bytes, direction: Direction) -> Pdu:
 
 
 def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
-    """Make a PDU. Raises ValueError where a field is missing, does not fit, or is too much.
+    """Make a PDU. Raises ValueError if a field is missing or does not fit, or the PDU is too long.
 
-    Counts that follow from values are computed and need not be given: byte counts always,
-    `quantity` of 0F and 10 and `write_quantity` of 17 where they are left out.
+    Byte counts are computed from the values. So are `quantity` of 0F and 10 and `write_quantity`
+    of 17, unless they are given.
     """
     if not 0 <= code <= 0xFF:
         raise ValueError(f"function code {code} is not in 0..255")
     values = fields.get("values")
     if direction is Direction.REQUEST and isinstance(values, tuple | list):
-        if code in (0x0F, 0x10):
+        if code in WRITE_SEVERAL:
             fields.setdefault("quantity", len(values))
         elif code == 0x17:
             fields.setdefault("write_quantity", len(values))
@@ -102,15 +102,15 @@ def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
 
 
 def exception_pdu(function: int, exception_code: int) -> bytes:
-    """An exception response."""
+    """The PDU of an exception response."""
     return bytes([function | EXCEPTION_BIT, exception_code])
 
 
 def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
-    """How long a PDU is by its structure, from its first bytes; `at` is where it begins.
+    """The length of a PDU by its structure, from its first bytes; `at` is its start in `pdu`.
 
-    None where more bytes are needed to know, 0 where nothing in it says. For function 08, which
-    does not say either, it is the usual length.
+    None if more bytes are needed to know, 0 if the length does not follow from the bytes. It does
+    not for function 08 either, but there it is the usual length.
     """
     if len(pdu) <= at:
         return None
@@ -118,7 +118,7 @@ def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
 
 
 def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
-    """The unit and the PDU of a whole ADU."""
+    """The unit and the PDU of a whole ADU. Raises IndexError or ValueError if it is not whole."""
     match transport:
         case Transport.TCP:
             return raw[6], raw[7:]
@@ -132,7 +132,7 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
 
 
 def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
-    """The PDU of an ADU, or None where there is none or it is cut short, as in a log of others."""
+    """The PDU of an ADU; None if there is no ADU, or if it is cut short, as others' logs may be."""
     if raw is None:
         return None
     try:

@@ -1,8 +1,7 @@
-"""Which registers or bits a request reads and writes, what it leaves there, and its response."""
+"""Which registers or bits a request reads and writes, the values it writes, and its response."""
 
-# REACHING lists the functions whose form says where they read and write (V1.1b3, section 6). What
-# a mask write (16) leaves depends on what was there before. Whether the addresses exist is for the
-# one who asks: a device's areas, or what a recording has seen.
+# The values after a mask write (16) depend on the values before it. Nothing here checks that a
+# device has the addresses: the caller knows the device's areas, or what a recording has seen.
 
 from __future__ import annotations
 
@@ -10,20 +9,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 from mbtool.core import Direction
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H
+from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS, WRITE_LIMIT_17H
 from mbtool.modbus.layouts import COIL_VALUES
 from mbtool.modbus.pdu import encode_pdu
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import ADDRESSES, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.modbus.pdu import Pdu
-
-REACHING = frozenset({0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F, 0x10, 0x16, 0x17})
-
-ADDRESSES = 0x10000
-"""How many addresses a table has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,39 +30,38 @@ class RegisterAccess:
 
 
 def register_access(request: Pdu) -> RegisterAccess | None:
-    """What a request reaches; None where it is not among REACHING, or breaks its form or limits."""
-    if request.code not in REACHING or request.problem is not None:
+    """The addresses that a request reads and writes.
+
+    None if its function has no table, or if the request breaks its form or a limit of the standard.
+    """
+    if request.code not in TABLE_FUNCTIONS or request.problem is not None:
         return None
     function = FUNCTIONS[request.code]
-    table, address = cast("Table", function.table), _number(request, "address")
-    match request.code:
-        case 0x01 | 0x02 | 0x03 | 0x04:
-            reach = RegisterAccess(table, reads=_span(address, _number(request, "quantity")))
-        case 0x05 if _number(request, "value") not in COIL_VALUES:
-            return None
-        case 0x05 | 0x06 | 0x16:
-            reach = RegisterAccess(table, writes=_span(address, 1))
-        case 0x0F | 0x10:
-            reach = RegisterAccess(table, writes=_span(address, _number(request, "quantity")))
-        case _:  # 17
-            reach = RegisterAccess(
-                table,
-                reads=_span(address, _number(request, "quantity")),
-                writes=_span(_number(request, "write_address"), _number(request, "write_quantity")),
-            )
-    return reach if _is_allowed(reach, request, function.limit) else None
+    table = cast("Table", function.table)
+    addressed = _addresses(_number(request, "address"), request.number("quantity"))
+    if request.code == 0x17:
+        written = _addresses(_number(request, "write_address"), request.number("write_quantity"))
+        access = RegisterAccess(table, addressed, written)
+    elif function.writes:
+        access = RegisterAccess(table, writes=addressed)
+    else:
+        access = RegisterAccess(table, reads=addressed)
+    return access if _is_allowed(access, request, function.limit) else None
 
 
 def keeps_limits(request: Pdu) -> bool:
-    """Whether a request keeps its form and the standard's limits, the last address among them."""
-    if request.code not in REACHING:
+    """True if a request has the form of its function and keeps the standard's limits.
+
+    The last address of a table is one of these limits.
+    """
+    if request.code not in TABLE_FUNCTIONS:
         return request.problem is None
-    reach = register_access(request)
-    return reach is not None and max(reach.reads.stop, reach.writes.stop) <= ADDRESSES
+    access = register_access(request)
+    return access is not None and max(access.reads.stop, access.writes.stop) <= ADDRESSES
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
-    """What a request leaves in the range that it writes; `before` is what stands there."""
+    """The values of the written range after a request; `before` are the values before it."""
     match request.code:
         case 0x05:
             return (COIL_VALUES[_number(request, "value")],)
@@ -82,25 +75,26 @@ def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
 
 
 def response_to(request: Pdu, pdu: bytes, values: Sequence[int]) -> bytes:
-    """The standard's response to a request that went well; `values` are those that it reads."""
+    """The response to a request that succeeds; `values` are the values that it reads."""
     match request.code:
         case 0x05 | 0x06 | 0x16:
             return pdu
         case 0x0F | 0x10:
-            return pdu[:5]
+            return pdu[:5]  # Function code, address and quantity.
         case _:
             return encode_pdu(request.code, Direction.RESPONSE, values=tuple(values))
 
 
-def _is_allowed(reach: RegisterAccess, request: Pdu, limit: int) -> bool:
-    """Whether the quantities are within the standard's limits."""
+def _is_allowed(access: RegisterAccess, request: Pdu, limit: int) -> bool:
+    """True if the quantities are within the standard's limits."""
     if request.code == 0x17:
-        return 1 <= len(reach.reads) <= limit and 1 <= len(reach.writes) <= WRITE_LIMIT_17H
-    return 1 <= len(reach.reads or reach.writes) <= limit
+        return 1 <= len(access.reads) <= limit and 1 <= len(access.writes) <= WRITE_LIMIT_17H
+    return 1 <= len(access.reads or access.writes) <= limit
 
 
-def _span(address: int, quantity: int) -> range:
-    return range(address, address + quantity)
+def _addresses(address: int, quantity: int | None) -> range:
+    """The addresses of so many values; of one value if the function has no quantity."""
+    return range(address, address + (1 if quantity is None else quantity))
 
 
 def _number(request: Pdu, name: str) -> int:

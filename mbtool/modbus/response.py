@@ -1,4 +1,4 @@
-"""What a slave gives back for a request, whoever plays the slave."""
+"""The response of a slave that this program plays, and the interface of such a slave."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class Response:
 
     pdu: bytes
     delay_ns: int = 0
-    """From the end of the request to the start of the response."""
-    spoiling: Distortion | None = None
-    """What is done to it on its way out; None: nothing."""
+    """From the end of the request to the start of the response, in ns."""
+    distortion: Distortion | None = None
+    """The faults of its ADU on the wire; None if it has none."""
 
 
 class Responder(Protocol):
     """Plays one or more slaves."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        """Answer a request PDU, or None where the slave stays silent. Never raises for a PDU."""
+        """The response to a request PDU; None if the slave stays silent. Never raises for a PDU."""
         ...

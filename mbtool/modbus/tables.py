@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+ADDRESSES = 0x10000
+"""The number of addresses in a table."""
+
 
 class Table(StrEnum):
-    """Which table an address belongs to."""
+    """The table that an address belongs to."""
 
     COILS = "coils"
     DISCRETE_INPUTS = "discrete_inputs"

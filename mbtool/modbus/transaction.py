@@ -1,4 +1,4 @@
-"""A request and its response, joined: the one record of the log, of jsonl and of Python."""
+"""A request and its response in one record. The log, jsonl and Python programs all use it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class Outcome(StrEnum):
     UNSOLICITED = "unsolicited"
     """A response that no request asked for."""
     BROADCAST = "broadcast"
-    """To all units, so without an answer."""
+    """A request to all units, which has no response."""
     MALFORMED = "malformed"
-    """Answered, but the answer does not have the form it must have."""
+    """The response does not have the form of its function."""
 
 
-# No cycle passes through one, so the garbage collector need not visit the many that are kept.
+# gc=False: a transaction is in no reference cycle, so the garbage collector need not visit it.
 class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """A request and its response. A field that does not apply is None, and absent in JSON.
 
@@ -42,12 +42,12 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     """Without the bit that marks an exception response."""
     function_name: str
     sub_function: int | None = None
-    """Of diagnostics (08), and the MEI type of 2B."""
+    """The sub-function of diagnostics (08), or the MEI type of 2B."""
     address: int | None = None
-    """On the wire, 0-based; where function 17H reads."""
+    """The first address on the wire, 0-based; for function 17H the first that it reads."""
     quantity: int | None = None
     write_address: int | None = None
-    """Where function 17H writes."""
+    """The first address that function 17H writes."""
     request_values: list[int] | None = None
     response_values: list[int] | None = None
     exception: int | None = None
@@ -58,9 +58,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     response_ns: int | None = None
     """When the response was complete on the wire."""
     latency_ns: int | None = None
-    """From the end of the request to the start of the response."""
+    """From the end of the request to the start of the response, in ns."""
     retries: int
-    """How many equal requests before this one went unanswered."""
+    """How many equal requests before this one had no response."""
     request_raw: bytes | None = None
     response_raw: bytes | None = None
     verdicts: list[Verdict] = []
@@ -69,5 +69,5 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
 
     @property
     def start_ns(self) -> int:
-        """The time of the first of its ADUs."""
+        """The time of the request, or of the response if there is no request."""
         return self.request_ns if self.request_ns is not None else self.response_ns or 0

@@ -1,9 +1,9 @@
-"""From capture files to the bytes of TCP connections, without I/O."""
+"""Reads capture files and gives the bytes of TCP connections and serial lines. Opens no file."""
 
 from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
 from mbtool.packets.pcap import PCAP_MAGICS
 from mbtool.packets.pcapng import PCAPNG_MAGIC
-from mbtool.packets.reassembler import MODBUS_PORTS, TcpReassembler
+from mbtool.packets.reassembler import TcpReassembler
 from mbtool.packets.serial_packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.packets.stream_events import (
     CloseReason,
@@ -16,7 +16,6 @@ from mbtool.packets.stream_events import (
 
 __all__ = [
     "CAPTURE_MAGICS",
-    "MODBUS_PORTS",
     "PCAPNG_MAGIC",
     "PCAP_MAGICS",
     "SERIAL_LINK_TYPES",

@@ -1,10 +1,10 @@
-"""Reads capture files: pcap and pcapng, told apart by their first bytes."""
+"""Reads capture files: pcap and pcapng, recognised by their first bytes."""
 
 # A reader takes an open binary stream and gives packets one at a time, so memory does not grow
 # with the file. The stream is buffered: `read(n)` gives fewer than n bytes only at its end.
 #
-# What is wrong with a file is an InputError after the packets before it; a file that ends in the
-# middle of a record is a CutError. Both name the file by `name`.
+# At damage a reader raises InputError, at an end in the middle of a record CutError, each after the
+# packets before that place. `name` is the file's name in these messages.
 
 from __future__ import annotations
 

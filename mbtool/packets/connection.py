@@ -1,30 +1,36 @@
-"""A TCP connection: its two directions, delivered in order and in the order of cause."""
+"""A TCP connection: delivers the bytes of both directions in order, causes before effects."""
 
-# Order of cause. A segment that acknowledges bytes was sent after they were received, so it is
-# delivered after them: a response never before the request that it answers, even where the capture
-# swapped the two. A segment whose cause has not come waits for it, as one behind a hole does.
+# A hole is a run of bytes that has not come yet. A hole that is given up becomes a gap.
 #
-# When a hole is given up. Held bytes behind a hole wait for the retransmission that fills it:
+# Causes before effects. The sender of a segment had received the bytes that the segment
+# acknowledges, so it is delivered after them: a response never precedes its request, even if the
+# capture swapped the two. A segment is held while bytes that it acknowledges have not come, as a
+# segment behind a hole is.
 #
-# - The other end acknowledges bytes behind the hole: it has received them, only the capture has
-#   not, and no retransmission will come. Captures swap packets by a few places, so PATIENCE further
-#   packets of the connection, or PATIENCE_NS, are waited for. The same patience holds for a cause.
-# - Without such a word the missing bytes may still be sent again. The hole is given up when more
-#   is held than a stream's bounds, after HOLE_NS, or when the connection ends.
+# When a hole is given up. Bytes behind a hole are held until a retransmission fills it.
 #
-# An acknowledgement alone moves nothing: only later bytes make a gap, so a false one loses none.
+# - If the other end acknowledges bytes behind the hole, it has received the missing bytes. Only the
+#   capture lacks them, and no retransmission will come. Captures swap packets by a few places, so
+#   the hole is given up after PATIENCE further packets of the connection or after PATIENCE_NS. The
+#   wait for acknowledged bytes of the other direction ends in the same way.
+# - Without such an acknowledgement the missing bytes may still be sent again. The hole is given up
+#   when the held bytes exceed the limits of a stream, after HOLE_NS, or when the connection ends.
 #
-# Bytes whose hole was given up and that come after all are an event: their gap stands.
+# An acknowledgement alone delivers nothing and makes no gap: only bytes behind a hole do. So a
+# wrong acknowledgement loses no bytes.
+#
+# Bytes that come after their hole was given up are reported as an event; the gap stays.
 #
 # Keep-alive probes, as the alive check of the FA3 modules sends them, repeat the byte before the
-# next expected, or no byte at its place (RFC 1122, 4.2.3.6). They are counted. A single byte at the
-# beginning of a stream that is joined, with nothing behind it in time, is one too.
+# next expected one, or carry its sequence number and no byte (RFC 1122, 4.2.3.6). They are counted.
+# If a joined stream begins with a single byte and the byte behind it does not come in time, that
+# byte is a probe too.
 #
-# Times. Bytes were complete when they and all before them had been captured: a piece that waited
-# for an earlier one has the earlier one's time where that was captured later.
+# Times. A byte has the time at which it and all bytes before it had been captured. So a piece that
+# waited for an earlier one gets the time of the earlier one if that was captured later.
 #
-# A sequence number further than WINDOW from the next expected belongs to no segment in flight. The
-# direction goes on from there, behind a gap of unknown length.
+# A sequence number further than WINDOW from the next expected one belongs to no segment in flight.
+# The direction continues there, behind a gap of unknown length.
 
 from __future__ import annotations
 
@@ -41,21 +47,24 @@ from mbtool.packets.stream_events import (
 )
 
 PATIENCE = 3
+"""Packets of the connection that may come between two packets which the capture swapped."""
 PATIENCE_NS = 100_000_000
+"""The longest time between two packets which the capture swapped, in ns."""
 HOLE_NS = 10_000_000_000
+"""How long a hole may wait for a retransmission, in ns."""
 WINDOW = 1024 * 1024
+"""The largest distance of a segment in flight from the next expected byte, in bytes."""
 
 
 class TcpConnection:
-    """Two streams and what their segments say of each other. Items are appended to `out`."""
+    """The two streams of a connection. Appends items to `out` in the order of delivery."""
 
     __slots__ = (
         "_arrivals",
+        "_directions",
         "_master_is_lower",
         "_now_ns",
         "_out",
-        "_requests",
-        "_responses",
         "closed",
         "identity",
         "keep_alives",
@@ -78,116 +87,92 @@ class TcpConnection:
         self.keep_alives = 0
         self._master_is_lower = master_is_lower
         self._arrivals = 0
+        """The number of segments until now."""
         self._now_ns = ts_ns
         self._out = out
-        self._requests = Stream(Direction.REQUEST, identity.master, identity.slave)
-        self._responses = Stream(Direction.RESPONSE, identity.slave, identity.master)
+        requests = Stream(Direction.REQUEST, identity.master, identity.slave)
+        responses = Stream(Direction.RESPONSE, identity.slave, identity.master)
+        self._directions = ((requests, responses), (responses, requests))
+        """The sender's stream and the other one, if the master sends, and if the slave does."""
         out.append(StreamOpened(ts_ns, identity, joined))
 
     @property
-    def waiting(self) -> bool:
-        """Bytes are held for what precedes them."""
-        return bool(self._requests.held or self._responses.held)
+    def holds_bytes(self) -> bool:
+        """True if bytes wait for bytes that precede them or that they acknowledge."""
+        requests, responses = self._directions[0]
+        return bool(requests.held or responses.held)
 
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
-        """Tell whether a segment belongs to another connection between the same ends."""
-        sender = self._requests if from_lower == self._master_is_lower else self._responses
-        if segment.flags & SYN:
-            known = sender.first is not None
-            same = sender.begins_at(segment.sequence + 1 & 0xFFFFFFFF)
-            return (known and not same) or (self.closed and not segment.flags & ACK)
-        if not self.closed or segment.flags & RST or not (segment.payload or segment.missing):
+        """True if a segment belongs to another connection between the same ends."""
+        flags = segment.flags
+        if not (self.closed or flags & SYN):
             return False
-        # Bytes after the end, and not a second copy: the end was none (a stray RST), or the SYN of
-        # the next connection is not in the capture.
-        if sender.first is None:
+        sender, _ = self._directions[from_lower != self._master_is_lower]
+        if flags & SYN:
+            known = sender.origin is not None
+            same = sender.begins_at(segment.sequence + 1 & 0xFFFFFFFF)
+            return (known and not same) or (self.closed and not flags & ACK)
+        if flags & RST or not (segment.payload or segment.missing):
+            return False
+        # These bytes come after the end. If they are not a second copy, either the end was none
+        # (a stray RST), or the SYN of the next connection is not in the capture.
+        if sender.origin is None:
             return True
-        start = sender.place(segment.sequence)
+        start = sender.position_of(segment.sequence)
         end = start + len(segment.payload) + segment.missing
         return end > sender.position or start < sender.position - WINDOW
 
     def feed(self, segment: TcpSegment, ts_ns: int, *, from_lower: bool) -> None:
-        """Take a segment of this connection. After its end, nothing happens.
+        """Take a segment of this connection; a closed connection ignores it.
 
-        `from_lower` says which end sent it, in the order that the caller gives the two ends.
+        `from_lower` is True if the lower end sent it, in the caller's order of the two ends.
         """
         self.last_ns = self._now_ns = ts_ns
         if self.closed:
             return
         self._arrivals += 1
-        from_master = from_lower == self._master_is_lower
-        if from_master:
-            sender, other = self._requests, self._responses
-        else:
-            sender, other = self._responses, self._requests
-        flags = segment.flags
-        after = 0
-        if flags & ACK and other.first is not None:
-            after = self._acknowledge(other, segment.acknowledgement)
+        sender, other = self._directions[from_lower != self._master_is_lower]
+        flags, sequence = segment.flags, segment.sequence
+        acknowledged = 0
+        if flags & ACK and other.origin is not None:
+            acknowledged = self._acknowledge(other, segment.acknowledgement)
         if flags & RST:
-            unasked = other.position == 0 and not other.held
-            refused = not from_master and sender.first is None and unasked
-            self.close(ts_ns, CloseReason.REFUSED if refused else CloseReason.RESET)
+            self.close(ts_ns, self._reset_reason(sender))
             return
-        sequence = segment.sequence
         if flags & SYN:
-            sequence = sequence + 1 & 0xFFFFFFFF
-        data, missing = segment.payload, segment.missing
-        if flags & SYN:
-            if sender.beginning is None:
-                sender.begin(sequence)
-        elif sender.first is None and (data or missing):
-            sender.join(sequence, self._arrivals, ts_ns)
-        if data or missing:
-            if flags & ACK and other.first is None and not flags & SYN:
-                # What it answers may come behind it.
-                other.join(segment.acknowledgement, self._arrivals, ts_ns)
-                after = LEAD
-            start = sender.place(sequence)
-            if not -WINDOW <= start - sender.position <= WINDOW:
-                start = self._leap(sender, sequence)
-            end = start + len(data)
-            if data:
-                self._take(sender, other, HeldBytes(start, end, data, after, ts_ns, self._arrivals))
-            if missing:
-                cut = HeldBytes(end, end + missing, b"", after, ts_ns, self._arrivals)
-                self._take(sender, other, cut)
-        elif (
-            flags == ACK
-            and sender.first is not None
-            and not (sequence + 1 - sender.first - sender.position) & 0xFFFFFFFF
-        ):
+            sequence = sender.take_syn(sequence)
+        if segment.payload or segment.missing:
+            self._take_payload(segment, sequence, acknowledged, sender, other)
+        elif flags == ACK and sender.is_before_next(sequence):
             self.keep_alives += 1
-        if flags & FIN and sender.first is not None:
-            finish = sender.place(sequence) + len(data) + missing
-            if abs(finish - sender.position) <= WINDOW:
-                sender.finish = finish
+        if flags & FIN:
+            _note_finish(sender, sequence, segment)
         if sender.held or other.held:
-            self._settle()
-        if sender.finish is not None and other.finish is not None and self._is_finished():
+            self._deliver_held()
+        if sender.finish is not None and self._is_finished():
             self.close(ts_ns, CloseReason.FINISHED)
 
     def advance(self, now_ns: int) -> None:
-        """Let time pass: what has waited for too long is given up."""
+        """Let time pass: give up holes that have waited too long."""
         self._now_ns = now_ns
-        self._settle()
+        self._deliver_held()
         if not self.closed and self._is_finished():
             self.close(now_ns, CloseReason.FINISHED)
 
     def flush(self) -> None:
-        """Deliver what is held, its holes as gaps."""
-        self._settle(force=True)
+        """Deliver all held bytes; their holes become gaps."""
+        self._deliver_held(force=True)
 
     def close(self, ts_ns: int, reason: CloseReason) -> None:
-        """Deliver what is held and end the connection, unless it has ended."""
+        """Deliver all held bytes and end the connection, unless it has ended."""
         if not self.closed:
             self.flush()
             self.closed = True
             self._out.append(StreamClosed(ts_ns, self.identity, reason, self.keep_alives))
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
-        """Note an acknowledgement of a stream. Gives the position to wait for, 0 for none."""
-        position = stream.place(acknowledgement)
+        """Note an acknowledgement. Gives the position in `stream` to wait for, or 0."""
+        position = stream.position_of(acknowledgement)
         if stream.finish is not None:
             position = min(position, stream.finish)  # FIN takes a sequence number, and is no byte.
         if not stream.position < position <= stream.position + WINDOW:
@@ -195,15 +180,47 @@ class TcpConnection:
         stream.acknowledge(position, self._arrivals, self._now_ns)
         return position
 
-    def _leap(self, stream: Stream, sequence: int) -> int:
-        self._settle(force=True)
+    def _reset_reason(self, sender: Stream) -> CloseReason:
+        """REFUSED if the slave resets a connection before either end has sent a byte."""
+        requests, _ = self._directions[0]
+        is_first_word = sender is not requests and sender.origin is None
+        if is_first_word and not requests.position and not requests.held:
+            return CloseReason.REFUSED
+        return CloseReason.RESET
+
+    def _take_payload(
+        self, segment: TcpSegment, sequence: int, acknowledged: int, sender: Stream, other: Stream
+    ) -> None:
+        """Deliver or hold the bytes of a segment; bytes that the capture cut off become a gap."""
+        ts_ns, arrival = self._now_ns, self._arrivals
+        if sender.origin is None:
+            sender.join(sequence, arrival, ts_ns)
+        if other.origin is None and segment.flags & (ACK | SYN) == ACK:
+            # The bytes that this segment acknowledges may follow it in the capture.
+            other.join(segment.acknowledgement, arrival, ts_ns)
+            acknowledged = LEAD
+        start = sender.position_of(sequence)
+        if not -WINDOW <= start - sender.position <= WINDOW:
+            start = self._continue_at(sender, sequence)
+        data, missing = segment.payload, segment.missing
+        end = start + len(data)
+        if data:
+            piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival)
+            self._take_piece(sender, other, piece)
+        if missing:
+            cut = HeldBytes(end, end + missing, b"", acknowledged, ts_ns, arrival)
+            self._take_piece(sender, other, cut)
+
+    def _continue_at(self, stream: Stream, sequence: int) -> int:
+        """Go on at a sequence number outside the window. Gives its position."""
+        self._deliver_held(force=True)
         if not stream.joining:
             self._out.append(StreamGap(self._now_ns, self.identity, stream.direction, missing=0))
         stream.rebase(sequence)
         return stream.position
 
-    def _take(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
-        """Deliver or hold a piece, less what was delivered before."""
+    def _take_piece(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
+        """Deliver or hold the bytes of a piece that were not delivered before."""
         differs = False
         behind = sender.position - piece.start
         if behind > 0:
@@ -212,19 +229,19 @@ class TcpConnection:
             late = sender.take_late(piece)
             if late:
                 message = "bytes that came after their gap was told"
-                self._tell(sender, EventKind.DISCARDED, message, piece.ts_ns, late)
+                self._report(sender, EventKind.DISCARDED, message, piece.ts_ns, late)
             differs = sender.differs_from_delivered(piece.start, piece.data)
         if piece.end > sender.position:
             fresh = piece if behind <= 0 else piece.part(sender.position, piece.end)
-            if fresh.start == sender.position and not sender.held and self._follows(fresh, other):
+            if fresh.start == sender.position and not sender.held and self._is_due(fresh, other):
                 self._deliver(sender, fresh)
             else:
                 differs |= sender.hold(fresh)
         if differs:
             message = "a segment sent again differs from its first copy, which is kept"
-            self._tell(sender, EventKind.OVERLAP, message, piece.ts_ns, piece.data)
+            self._report(sender, EventKind.OVERLAP, message, piece.ts_ns, piece.data)
 
-    def _tell(self, sender: Stream, kind: EventKind, text: str, ts_ns: int, raw: bytes) -> None:
+    def _report(self, sender: Stream, kind: EventKind, text: str, ts_ns: int, raw: bytes) -> None:
         event = WireEvent(
             ts_ns=ts_ns,
             link=self.identity.link,
@@ -236,51 +253,47 @@ class TcpConnection:
         )
         self._out.append(StreamEvent(self.identity, event))
 
-    def _follows(self, piece: HeldBytes, other: Stream) -> bool:
-        """What a piece acknowledges has been delivered, or is no longer waited for."""
-        if piece.after <= other.position:
+    def _is_due(self, piece: HeldBytes, other: Stream) -> bool:
+        """True if the bytes that a piece acknowledges are delivered, or no longer awaited."""
+        if piece.acknowledged <= other.position:
             return True
-        # Where the hole in the other direction shows, its gap comes first.
-        shows = other.held and other.held[0].start <= piece.after
-        return not shows and self._is_overdue(other)
+        # If the other direction holds bytes behind its hole, the gap of that hole comes first.
+        has_gap_to_come = other.held and other.held[0].start <= piece.acknowledged
+        return not has_gap_to_come and self._is_overdue(other)
 
     def _is_overdue(self, stream: Stream) -> bool:
         return stream.is_overdue(self._arrivals, PATIENCE, self._now_ns, PATIENCE_NS)
 
-    def _settle(self, *, force: bool = False) -> None:
-        """Deliver what has become ready, and give up what is not worth waiting for."""
-        # Each turn delivers a piece or closes a hole, so it ends.
-        streams = ((self._requests, self._responses), (self._responses, self._requests))
+    def _deliver_held(self, *, force: bool = False) -> None:
+        """Deliver held bytes that are due, and give up holes that have waited too long.
+
+        `force` gives up all holes.
+        """
+        # Each pass delivers a piece or closes a hole, so the loop ends.
         moved = True
         while moved:
             moved = False
-            for stream, other in streams:
+            for stream, other in self._directions:
                 while stream.held and stream.held[0].start == stream.position:
-                    if not self._follows(stream.held[0], other):
+                    if not self._is_due(stream.held[0], other):
                         break
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                # Where a stream begins is settled first: what is forced would go before it.
-                waiting = sorted(streams, key=lambda both: not both[0].joining)
-                moved = any(self._give_up(stream, force) for stream, _ in waiting)
+                # A joined stream goes first: its beginning is decided before bytes are forced out.
+                streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
+                moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
-        """Pass over what the first held piece waits for, where the bounds or `force` say so."""
+        """Stop waiting for the bytes before the first held piece. True if this moved the stream."""
         if not stream.held:
             return False
-        front = stream.held[0]
-        hole = front.start - stream.position
-        waited_ns = self._now_ns - min(piece.ts_ns for piece in stream.held)
-        if not (
-            force
-            or stream.is_overfull()
-            or waited_ns >= HOLE_NS
-            or (hole and front.start <= stream.acknowledged and self._is_overdue(stream))
-        ):
+        first = stream.held[0]
+        hole = first.start - stream.position
+        if not (force or self._has_waited_enough(stream, first, hole)):
             return False
-        if stream.joining and hole and _is_probe(stream):
-            age, age_ns = self._arrivals - front.arrival, self._now_ns - front.ts_ns
+        if stream.joining and hole and stream.holds_a_probe:
+            age, age_ns = self._arrivals - first.arrival, self._now_ns - first.ts_ns
             if not force and age < PATIENCE and age_ns < PATIENCE_NS:
                 return False
             stream.release()
@@ -288,11 +301,19 @@ class TcpConnection:
             self.keep_alives += 1
         elif hole:
             if not stream.joining:
-                self._out.append(StreamGap(front.ts_ns, self.identity, stream.direction, hole))
+                self._out.append(StreamGap(first.ts_ns, self.identity, stream.direction, hole))
             stream.pass_over(hole)
         else:
             self._deliver(stream, stream.release())
         return True
+
+    def _has_waited_enough(self, stream: Stream, first: HeldBytes, hole: int) -> bool:
+        """True if a limit says to give up the bytes before the first held piece."""
+        if stream.is_overfull():
+            return True
+        if self._now_ns - min(piece.ts_ns for piece in stream.held) >= HOLE_NS:
+            return True
+        return hole > 0 and first.start <= stream.acknowledged and self._is_overdue(stream)
 
     def _deliver(self, stream: Stream, piece: HeldBytes) -> None:
         length = piece.end - piece.start
@@ -316,15 +337,18 @@ class TcpConnection:
             self._out.append(StreamGap(ts_ns, identity, stream.direction, length, EventKind.CUT))
 
     def _is_finished(self) -> bool:
+        """True if both ends have sent FIN and all bytes before it are delivered or given up."""
         return all(
             stream.finish is not None
             and not stream.held
             and (stream.joining or stream.position >= stream.finish)
-            for stream in (self._requests, self._responses)
+            for stream in self._directions[0]
         )
 
 
-def _is_probe(stream: Stream) -> bool:
-    """One byte is held before all others, and none that follows it."""
-    front, *behind = stream.held
-    return len(front.data) == 1 and not (behind and behind[0].start == front.end)
+def _note_finish(sender: Stream, sequence: int, segment: TcpSegment) -> None:
+    """Note the position of a FIN, unless it is too far from the bytes in flight."""
+    if sender.origin is not None:
+        finish = sender.position_of(sequence) + len(segment.payload) + segment.missing
+        if abs(finish - sender.position) <= WINDOW:
+            sender.finish = finish

@@ -1,20 +1,20 @@
-"""Puts IP packets together that came in fragments."""
+"""Reassembles IP packets that came in fragments."""
 
-# Fragments of one packet have its addresses and identification, and with IPv4 its protocol (RFC
-# 791, section 3.2; RFC 8200, section 4.5). Only those that may hold TCP are kept. A packet is whole
-# when every byte up to the end that its last fragment names has come; it is given as a plain IP
-# packet without options, at the time of the fragment that completed it.
+# All fragments of a packet have the same addresses and identification, and with IPv4 the same
+# protocol (RFC 791, section 3.2; RFC 8200, section 4.5). Only fragments that may hold TCP are kept.
+# A packet is whole when every byte up to the end of its last fragment has come. It is given as a
+# plain IP packet without options, at the time of the fragment that completed it.
 #
-# Where fragments overlap, the first copy wins. No honest sender makes them overlap (RFC 5722), so
-# an overlap is told; an exact copy, as mirror ports make them, is not. For its copies' sake a
-# packet stays known after it was whole; other bytes under its identification begin another one.
+# Where fragments overlap, the first copy wins. No proper sender makes them overlap (RFC 5722), so
+# an overlap is reported. An exact copy, as mirror ports make them, is not reported: a whole packet
+# is remembered to recognise its copies. Other bytes with its identification begin another packet.
 #
-# Bytes that the capture cut off a fragment (snaplen) are missing from the packet, and what follows
-# them in it with them: it is given as far as it is known.
+# If the capture cut bytes off a fragment (snaplen), the packet is given up to the first missing
+# byte.
 #
-# Bounds: MAX_DATAGRAMS packets of at most 64 KiB, MAX_FRAGMENT_BYTES in all, each fragment counted
-# with PIECE_COST for its upkeep; beyond, the oldest is given up. One that is not whole within
-# FRAGMENT_NS is given up too, or its identification would meet its next use.
+# Limits: MAX_DATAGRAMS packets of at most 64 KiB, and MAX_FRAGMENT_BYTES in all, to which each
+# packet and each piece adds PIECE_COST. Above that, the oldest packet is given up. A packet that is
+# not whole within FRAGMENT_NS is given up too, since senders use an identification again.
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from bisect import bisect_right, insort
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from enum import Enum
-from ipaddress import ip_address
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Endpoint, EventKind, WireEvent
+from mbtool.core import EventKind, WireEvent
 from mbtool.packets.segment import (
     IPV6_AUTHENTICATION,
     IPV6_EXTENSIONS,
     IPV6_FRAGMENT,
     TCP,
+    endpoint,
     walk_ipv6,
 )
 
@@ -41,7 +42,9 @@ if TYPE_CHECKING:
 MAX_DATAGRAMS = 256
 MAX_FRAGMENT_BYTES = 4 * 1024 * 1024
 PIECE_COST = 256
+"""Bytes of memory, roughly, for a packet or a piece of it beside its data."""
 FRAGMENT_NS = 10_000_000_000
+"""How long after its first fragment a packet may become whole, in ns."""
 
 _MAX_PAYLOAD = 0xFFFF - 20
 _BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_AUTHENTICATION, TCP}
@@ -51,6 +54,9 @@ _IPV6_HEADER = struct.Struct(">IHBB")
 
 Key = tuple[bytes, bytes, int, int]
 """Source, destination, protocol (0 in IPv6) and identification."""
+_Header = tuple[Key, int, int, bool, int, int]
+"""Key, following protocol, start of the fragment in the payload, True if it is the last fragment,
+and where its data begins and ends in the captured bytes."""
 
 
 class Fragment(NamedTuple):
@@ -58,31 +64,32 @@ class Fragment(NamedTuple):
 
     key: Key
     following: int
-    """The protocol at the beginning of the whole packet's payload."""
+    """The protocol at the start of the payload of the whole packet."""
     start: int
     end: int
     last: bool
     data: bytes
-    """Shorter than from start to end where the capture cut it."""
+    """Shorter than end - start if the capture cut it."""
 
 
 class Overlap(Enum):
-    """What later fragments of a packet say of earlier ones."""
+    """How later fragments of a packet overlap earlier ones."""
 
     NONE = 0
     SAME = 1
-    """The same bytes in other cuts."""
+    """They have the same bytes, but begin or end elsewhere."""
     DIFFERENT = 2
+    """They have other bytes, or another end of the packet."""
 
 
 class DatagramEnd(Enum):
-    """How a packet was done with."""
+    """Why the reassembly of a packet ended."""
 
     WHOLE = 0
     INCOMPLETE = 1
-    """Fragments have not come in time."""
+    """Fragments did not come in time."""
     DISCARDED = 2
-    """More packets in fragments than are kept."""
+    """Too many packets were being reassembled."""
 
 
 @dataclass(slots=True)
@@ -96,19 +103,19 @@ class Datagram:
     pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
     """Start, end and bytes of each, in order, without overlaps."""
     held: int = 0
-    """How many bytes the pieces stand for."""
+    """How many bytes of the packet the pieces cover."""
     total: int | None = None
-    """Where the last fragment ends, once seen."""
+    """The end of the last fragment; None until it is seen."""
     overlap: Overlap = Overlap.NONE
     ending: DatagramEnd | None = None
 
     @property
     def payload(self) -> bytes:
-        """The bytes from the first to the first that is missing."""
+        """The bytes up to the first one that is missing."""
         return b"".join(self._leading())
 
     def packet(self) -> tuple[bytes, int]:
-        """A plain IP packet of what is known, and how long the whole is."""
+        """A plain IP packet of the known bytes, and the length of the whole packet."""
         payload = self.payload
         source, destination, protocol, _ = self.key
         length = self.held if self.total is None else self.total
@@ -120,13 +127,13 @@ class Datagram:
         return data, len(data) - len(payload) + length
 
     def add(self, fragment: Fragment) -> int:
-        """Keep what is not known yet. Gives how many pieces that made."""
+        """Keep the bytes that are not known yet. Gives the number of pieces added."""
         start, end = fragment.start, fragment.end
         known = self.pieces[-1][1] if self.pieces else 0
         if self.total is None and fragment.last and end >= known:
             self.total = end
         elif (self.total is not None and end > self.total) or (fragment.last and end != self.total):
-            self.overlap = Overlap.DIFFERENT  # Two ends: what came first holds.
+            self.overlap = Overlap.DIFFERENT  # Contradictory ends: the first one stays.
             return 0
         if not start:
             self.following = fragment.following
@@ -144,7 +151,7 @@ class Datagram:
         return len(added)
 
     def is_copy(self, fragment: Fragment) -> bool:
-        """All bytes of a fragment are known, and no other."""
+        """True if all bytes of a fragment are known and equal."""
         cursor = fragment.start
         for start, end, data in self._touching(fragment.start, fragment.end):
             if start > cursor or _differ(fragment, (start, end, data)):
@@ -179,25 +186,25 @@ class Datagram:
 
 
 class Fragments:
-    """The packets whose fragments are coming."""
+    """The packets that are being reassembled."""
 
     def __init__(self) -> None:
         self._datagrams: OrderedDict[tuple[str, Key], Datagram] = OrderedDict()
-        """In the order of their first fragments."""
+        """Packets in the order of their first fragments, by the caller's `scope` and their key."""
         self._cost = 0
 
     @property
     def cost(self) -> int:
-        """What is held, as MAX_FRAGMENT_BYTES counts it."""
+        """The bytes held and the costs of their pieces, which MAX_FRAGMENT_BYTES limits."""
         return self._cost
 
-    def feed(self, fragment: Fragment, ts_ns: int, link: str, among: str = "") -> list[Datagram]:
-        """Take a fragment. Gives the packets that are done with, whole or not, in order.
+    def feed(self, fragment: Fragment, ts_ns: int, link: str, scope: str = "") -> list[Datagram]:
+        """Take a fragment. Gives the packets whose reassembly ended, whole or not, in order.
 
-        Only those that come with the same `among` are put together.
+        Only fragments with the same `scope` become one packet.
         """
         done = self.advance(ts_ns)
-        key = (among, fragment.key)
+        key = (scope, fragment.key)
         datagram = self._datagrams.get(key)
         if datagram is not None and datagram.ending is DatagramEnd.WHOLE:
             if datagram.is_copy(fragment):
@@ -218,7 +225,7 @@ class Fragments:
         return done
 
     def advance(self, now_ns: int) -> list[Datagram]:
-        """Let time pass. Gives the packets that are given up."""
+        """Let time pass. Gives the packets that are given up, oldest first."""
         done: list[Datagram] = []
         while self._datagrams:
             key, oldest = next(iter(self._datagrams.items()))
@@ -228,12 +235,9 @@ class Fragments:
         return done
 
     def close(self) -> list[Datagram]:
-        """The capture ends. Gives the packets that are not whole."""
-        return [
-            one
-            for key in list(self._datagrams)
-            for one in self._give_up(key, DatagramEnd.INCOMPLETE)
-        ]
+        """End the capture. Gives the packets that are not whole."""
+        given_up = [self._give_up(key, DatagramEnd.INCOMPLETE) for key in list(self._datagrams)]
+        return list(chain.from_iterable(given_up))
 
     def _give_up(self, key: tuple[str, Key], ending: DatagramEnd) -> list[Datagram]:
         datagram = self._forget(key)
@@ -249,21 +253,35 @@ class Fragments:
 
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
-    """Read the IP packet at an offset; None where it is no fragment, or not one of TCP."""
-    if len(data) < at + 20:
+    """Read the fragment in the IP packet at an offset; None if it is none, or holds no TCP."""
+    found = None
+    if len(data) >= at + 20 and data[at] >> 4 == 4:
+        found = _read_ipv4(data, at, original_length)
+    elif len(data) >= at + 40 and data[at] >> 4 == 6:
+        found = _read_ipv6(data, at, original_length)
+    if found is None:
         return None
-    version = data[at] >> 4
-    if version == 4:
-        first, total, identification, offset, protocol = _IPV4.unpack_from(data, at)
-        header = (first & 0x0F) * 4
-        if protocol != TCP or header < 20 or not offset & 0x3FFF:
-            return None
-        key = (data[at + 12 : at + 16], data[at + 16 : at + 20], protocol, identification)
-        begin, last = at + header, not offset & 0x2000
-        end = at + total if total else original_length
-        return _fragment(data, key, TCP, (offset & 0x1FFF) * 8, last, begin, end, original_length)
-    if version != 6 or len(data) < at + 40:
+    key, following, start, is_last, begin, end = found
+    # As in read_segment: if a packet claims to be longer than its frame, the claim is wrong.
+    length = min(end, original_length) - begin
+    if not is_last:
+        length &= ~7  # Offsets are multiples of 8 bytes.
+    if length <= 0 or start + length > _MAX_PAYLOAD:
         return None
+    return Fragment(key, following, start, start + length, is_last, data[begin : begin + length])
+
+
+def _read_ipv4(data: bytes, at: int, original_length: int) -> _Header | None:
+    first, total, identification, offset, protocol = _IPV4.unpack_from(data, at)
+    header = (first & 0x0F) * 4
+    if protocol != TCP or header < 20 or not offset & 0x3FFF:
+        return None
+    key = (data[at + 12 : at + 16], data[at + 16 : at + 20], protocol, identification)
+    end = at + total if total else original_length
+    return key, TCP, (offset & 0x1FFF) * 8, not offset & 0x2000, at + header, end
+
+
+def _read_ipv6(data: bytes, at: int, original_length: int) -> _Header | None:
     end, following, begin = walk_ipv6(data, at, original_length)
     if following != IPV6_FRAGMENT or begin + 8 > min(end, len(data)):
         return None
@@ -273,45 +291,24 @@ def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None
     offset = data[begin + 2] << 8 | data[begin + 3]
     identification = int.from_bytes(data[begin + 4 : begin + 8], "big")
     key = (data[at + 8 : at + 24], data[at + 24 : at + 40], 0, identification)
-    last = not offset & 1
-    begin += 8
-    return _fragment(data, key, following, offset & 0xFFF8, last, begin, end, original_length)
-
-
-def _fragment(
-    data: bytes,
-    key: Key,
-    following: int,
-    start: int,
-    last: bool,
-    begin: int,
-    end: int,
-    original_length: int,
-) -> Fragment | None:
-    # As of a whole packet: a claim to be longer than the frame was is wrong.
-    length = min(end, original_length) - begin
-    if not last:
-        length &= ~7  # Offsets count in eights.
-    if length <= 0 or start + length > _MAX_PAYLOAD:
-        return None
-    return Fragment(key, following, start, start + length, last, data[begin : begin + length])
+    return key, following, offset & 0xFFF8, not offset & 1, begin + 8, end
 
 
 def fragment_events(
     datagram: Datagram, ts_ns: int, source_port: int, destination_port: int
 ) -> list[WireEvent]:
-    """What is worth telling of a packet that is done with."""
-    told = []
+    """The events for a packet whose reassembly ended."""
+    reports = []
     if datagram.overlap is Overlap.SAME:
-        told.append((EventKind.OVERLAP, "fragments of a packet overlap"))
+        reports.append((EventKind.OVERLAP, "fragments of a packet overlap"))
     elif datagram.overlap is Overlap.DIFFERENT:
         text = "fragments of a packet contradict each other; the first copy is kept"
-        told.append((EventKind.OVERLAP, text))
+        reports.append((EventKind.OVERLAP, text))
     if datagram.ending is DatagramEnd.INCOMPLETE:
-        told.append((EventKind.UNREADABLE, "a packet of which fragments are missing"))
+        reports.append((EventKind.UNREADABLE, "a packet of which fragments are missing"))
     elif datagram.ending is DatagramEnd.DISCARDED:
         text = "a packet of which fragments are missing, given up since too many are held"
-        told.append((EventKind.DISCARDED, text))
+        reports.append((EventKind.DISCARDED, text))
     source, destination, *_ = datagram.key
     return [
         WireEvent(
@@ -319,12 +316,12 @@ def fragment_events(
             link=datagram.link,
             kind=kind,
             message=message,
-            source=str(Endpoint(str(ip_address(source)), source_port)),
-            destination=str(Endpoint(str(ip_address(destination)), destination_port)),
+            source=str(endpoint(source, source_port)),
+            destination=str(endpoint(destination, destination_port)),
             raw=datagram.payload,
             missing=0 if datagram.total is None else datagram.total - datagram.held,
         )
-        for kind, message in told
+        for kind, message in reports
     ]
 
 
@@ -333,7 +330,7 @@ def _part(fragment: Fragment, start: int, end: int) -> tuple[int, int, bytes]:
 
 
 def _differ(fragment: Fragment, other: tuple[int, int, bytes]) -> bool:
-    """Tell whether bytes that both have are not the same."""
+    """True if a fragment and a piece have different bytes where they overlap."""
     start, _, data = other
     begin = max(start, fragment.start)
     end = min(start + len(data), fragment.start + len(fragment.data))

@@ -1,10 +1,10 @@
-"""Finds the IP header behind a link layer's header."""
+"""Finds the IP header behind the header of the link layer."""
 
-# Link types are the LINKTYPE_ values of tcpdump.org/linktypes.html; those not in IP_FINDERS cannot
-# be looked into. A finder gives the offset of the IP header, or NOT_IP: for other protocols and
-# for packets that are too short. VLAN tags (802.1Q, 802.1ad and the older 9100H) may be stacked,
-# and so may the tag of HSR (IEC 62439-3: 6 bytes), PPPoE (RFC 2516: 6 bytes, then PPP's protocol)
-# and the labels of MPLS (RFC 3032: 4 bytes each, the last is marked).
+# Link types are the LINKTYPE_ values of tcpdump.org/linktypes.html. Only those in IP_FINDERS are
+# read. A finder gives the offset of the IP header. It gives NOT_IP for other protocols and for
+# packets that are too short. These headers may stand before IP, also several of them: VLAN tags
+# (802.1Q, 802.1ad and the older 9100H), the tag of HSR (IEC 62439-3: 6 bytes), PPPoE (RFC 2516: 6
+# bytes, then PPP's protocol) and MPLS labels (RFC 3032: 4 bytes each, the last one is marked).
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def _ethernet(data: bytes) -> int:
 
 
 def behind_ethernet(data: bytes, at: int) -> int:
-    """The same for an Ethernet frame that begins at an offset."""
+    """The offset of the IP header in an Ethernet frame that begins at an offset, or NOT_IP."""
     return _behind(data, data[at + 12 : at + 14], at + 14)
 
 
 def _behind(data: bytes, kind: bytes, at: int) -> int:
-    """Look through what an EtherType says to be at an offset to IP."""
+    """Find IP behind the headers that begin at an offset; `kind` is the EtherType of the first."""
     while kind in _TAGGED:  # A tag ends with the EtherType of what follows.
         at += 6 if kind == _HSR else 4
         kind = data[at - 2 : at]
@@ -53,7 +53,7 @@ def _behind(data: bytes, kind: bytes, at: int) -> int:
 
 
 def _behind_labels(data: bytes, at: int) -> int:
-    """Look through MPLS labels: what they are before only its first half byte tells."""
+    """Find IP behind MPLS labels. Only the first half byte behind them shows whether it is IP."""
     while len(data) > at + 4:
         at += 4
         if data[at - 2] & 1:
@@ -66,7 +66,7 @@ def _cooked(data: bytes) -> int:
 
 
 def _cooked_v2(data: bytes) -> int:
-    return _behind(data, data[:2], 20)  # The protocol opens the header.
+    return _behind(data, data[:2], 20)  # The header begins with the protocol.
 
 
 def _null(data: bytes) -> int:

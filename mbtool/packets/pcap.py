@@ -11,8 +11,7 @@
 # The fraction counts microseconds or nanoseconds, as the magic says. The modified format of old
 # Linux patches (magic a1b2cd34) has eight more bytes in each record's header, which are skipped.
 #
-# Limits: a captured length above MAX_CAPTURED is libpcap's bound for a snapshot, so more of it is
-# damage and not a packet.
+# Limit: libpcap captures at most MAX_CAPTURED bytes of a packet, so a longer one is damage.
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ PCAP_MAGICS = tuple(_FORMATS)
 
 
 def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
-    """Give the packets behind a magic that is read already. Raises InputError, CutError."""
+    """Give the packets of a file whose magic is read already. Raises InputError, CutError."""
     order, unit_ns, extra = _FORMATS[magic]
     header = stream.read(20)
     if len(header) < 20:
@@ -49,14 +48,14 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     major, minor, link_field = struct.unpack(order + "HH12xI", header)
     if major != 2:
         raise InputError(f"{name}: pcap version {major}.{minor} is unknown; 2.4 is read")
-    link_type = link_field & 0xFFFF  # The upper bits tell of frame check sequences.
+    link_type = link_field & 0xFFFF  # The upper bits describe frame check sequences.
     record = struct.Struct(f"{order}IIII{extra}x")
     size = record.size
     number = 0
-    while head := stream.read(size):
-        if len(head) < size:
-            raise _cut(name, number)
-        seconds, fraction, captured, original = record.unpack(head)
+    while record_header := stream.read(size):
+        if len(record_header) < size:
+            raise cut_error(name, number)
+        seconds, fraction, captured, original = record.unpack(record_header)
         if captured > MAX_CAPTURED:
             raise InputError(
                 f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
@@ -64,7 +63,7 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             )
         data = stream.read(captured)
         if len(data) < captured:
-            raise _cut(name, number)
+            raise cut_error(name, number)
         number += 1
         yield Packet(
             ts_ns=seconds * _NS_PER_SECOND + fraction * unit_ns,
@@ -75,5 +74,6 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
         )
 
 
-def _cut(name: str, number: int) -> CutError:
+def cut_error(name: str, number: int) -> CutError:
+    """The error for a file that ends inside the record behind packet `number`."""
     return CutError(f"{name}: ends in the middle of a record, after {number} whole packets")

@@ -9,12 +9,13 @@
 # blocks name by number are counted within the section. Blocks that hold no packet and describe no
 # interface (statistics, names, secrets, custom) are skipped.
 #
-# Times are ticks of the interface's if_tsresol (a power of 10 or of 2; microseconds without it)
-# since 1970, plus if_tsoffset in seconds. A simple packet block has no time: it gets the time of
-# the packet before it. A time that 63 bits of nanoseconds cannot hold is brought to the nearest.
+# Times are ticks since 1970 plus if_tsoffset in seconds. The interface's if_tsresol gives the
+# length of a tick as a power of 10 or of 2; without if_tsresol a tick is a microsecond. A simple
+# packet block has no time, so it gets the time of the packet before it. A time outside the range of
+# 63 bits of nanoseconds becomes the nearest one inside.
 #
 # Limits: MAX_BLOCK bytes in a block, MAX_INTERFACES in a section, MAX_CAPTURED bytes in a packet.
-# More is damage: an InputError in one line.
+# More is damage and raises InputError.
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import TYPE_CHECKING, BinaryIO
 
-from mbtool.core import CutError, InputError, Packet
-from mbtool.packets.pcap import MAX_CAPTURED
+from mbtool.core import InputError, Packet
+from mbtool.packets.pcap import MAX_CAPTURED, cut_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,7 +51,7 @@ _MAX_NAME = 64
 
 
 class _Layout:
-    """The structures of a section in its byte order."""
+    """The structures of a section, in the byte order of the section."""
 
     def __init__(self, order: str) -> None:
         self.block = Struct(order + "II")  # type, total length
@@ -79,7 +80,7 @@ class _Interface:
 
 
 def read_pcapng(stream: BinaryIO, name: str) -> Iterator[Packet]:
-    """Give the packets behind a magic that is read already. Raises InputError, CutError."""
+    """Give the packets of a file whose magic is read already. Raises InputError, CutError."""
     return _Reader(stream, name).packets()
 
 
@@ -93,29 +94,29 @@ class _Reader:
         self._ts_ns = 0
 
     def packets(self) -> Iterator[Packet]:
-        head = PCAPNG_MAGIC + self._stream.read(4)
-        while head:
-            if len(head) < 8:
-                raise self._cut()
-            if head.startswith(PCAPNG_MAGIC):
-                self._begin_section(head)
+        header = PCAPNG_MAGIC + self._stream.read(4)
+        while header:
+            if len(header) < 8:
+                raise cut_error(self._name, self._number)
+            if header.startswith(PCAPNG_MAGIC):
+                self._begin_section(header)
             else:
-                kind, length = self._layout.block.unpack(head)
-                body = self._read_body(head, length, 8)
+                kind, length = self._layout.block.unpack(header)
+                body = self._read_body(header, length, 8)
                 if kind in _PACKET_BLOCKS:
                     yield self._read_packet(kind, body)
                 elif kind == _INTERFACE:
                     self._describe_interface(body)
-            head = self._stream.read(8)
+            header = self._stream.read(8)
 
-    def _begin_section(self, head: bytes) -> None:
+    def _begin_section(self, header: bytes) -> None:
         byte_order = self._stream.read(4)
         if len(byte_order) < 4:
-            raise self._cut()
+            raise cut_error(self._name, self._number)
         layout = _LAYOUTS.get(byte_order)
         if layout is None:
             raise self._damaged(f"a section's byte order is {byte_order.hex()}")
-        body = self._read_body(head, layout.block.unpack(head)[1], 12)
+        body = self._read_body(header, layout.block.unpack(header)[1], 12)
         major, minor = self._unpack(layout.pair, body)
         if major != 1:
             raise InputError(
@@ -124,14 +125,14 @@ class _Reader:
         self._layout = layout
         self._interfaces = []
 
-    def _read_body(self, head: bytes, length: int, done: int) -> bytes:
-        """Read the rest of a block of which `done` bytes are read; give it without its tail."""
+    def _read_body(self, header: bytes, length: int, done: int) -> bytes:
+        """Read the rest of a block of which `done` bytes are read; leave out the second length."""
         if length < done + 4 or length % 4 or length > MAX_BLOCK:
             raise self._damaged(f"a block claims {length} bytes")
         body = self._stream.read(length - done)
         if len(body) < length - done:
-            raise self._cut()
-        if body[-4:] != head[4:]:
+            raise cut_error(self._name, self._number)
+        if body[-4:] != header[4:]:
             raise self._damaged("the two lengths of a block differ")
         return body[:-4]
 
@@ -194,14 +195,9 @@ class _Reader:
     def _damaged(self, problem: str) -> InputError:
         return InputError(f"{self._name}: damaged after packet {self._number}: {problem}")
 
-    def _cut(self) -> CutError:
-        return CutError(
-            f"{self._name}: ends in the middle of a record, after {self._number} whole packets"
-        )
-
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
-    """Read a block's options. A list that breaks off keeps what came before."""
+    """Read the options of a block. Of a list that ends too early, the options before that."""
     options: dict[int, bytes] = {}
     at = 0
     while at + 4 <= len(data):
@@ -214,6 +210,6 @@ def _options(header: Struct, data: bytes) -> dict[int, bytes]:
 
 
 def _clean(name: bytes) -> str:
-    """Make a link's name of an interface's: short, printable and without a slash."""
+    """Turn the name of an interface into that of a link: short, printable, without a slash."""
     text = name.decode("utf-8", "replace").rstrip("\0")[:_MAX_NAME]
     return "".join(c if c.isprintable() and c != "/" else "_" for c in text)

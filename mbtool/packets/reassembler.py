@@ -1,32 +1,34 @@
-"""Packets in, the bytes of TCP connections out."""
+"""Takes packets, and gives the bytes of TCP connections."""
 
-# Only connections with a wanted port on either end are followed; a packet of others costs a look at
-# its headers. The slave is the end whose port is wanted; where both are, the end that got the SYN,
-# without one the end with the lower port, with equal ports the destination of the first segment.
+# Only connections with a wanted port at one end are followed. Of other packets only the headers are
+# read. The slave is the end with the wanted port. If both ends have one, the slave is the end that
+# received the SYN; without a SYN it is the end with the lower port; with equal ports it is the
+# destination of the first segment.
 #
-# A connection opens with a SYN or with its first payload. After its end its state stays, so that
-# late copies open no other; a SYN with another sequence number, or bytes behind the end, do.
+# A connection opens with a SYN or with its first payload. After its end its state is kept, so that
+# late copies do not open another one; a SYN with another sequence number does, and so do bytes
+# behind the end.
 #
-# Bounds: MAX_CONNECTIONS are kept, of which MAX_WAITING hold bytes (each within a stream's bounds:
-# at most about 32 MiB in all); beyond, the least recently used is closed and the one that began to
-# wait first gives up its holes. State is dropped after IDLE_NS of capture time, which RFC 1122,
-# 4.2.3.6, names as the least before a living connection sends a keep-alive probe.
+# Limits: MAX_CONNECTIONS are kept; above that, the least recently used one is closed. Of these,
+# MAX_HOLDING hold bytes, each within the limits of a stream (at most about 32 MiB in all); above
+# that, the one that has held bytes longest gives up its holes. A connection is dropped after
+# IDLE_NS of capture time: RFC 1122, 4.2.3.6, allows no keep-alive probe before.
 #
-# What another interface saw of the same ends is another connection, unless the flows are followed
-# across interfaces: then it is a second copy, or what the first one did not see.
+# Packets of the same ends from another interface belong to another connection. If flows are
+# followed across interfaces, they belong to the same connection, as copies or to fill its holes.
 #
-# What tunnels carry, as switches do that mirror over a network, is followed (tunnels.py).
+# Packets inside tunnels, which switches use to mirror over a network, are followed (tunnels.py).
 #
-# Packets in fragments are put together first (fragments.py). One that cannot be is an event where
-# its ports are wanted; where they are not known, one event for each interface.
+# Packets in fragments are reassembled first (fragments.py). A packet that cannot be reassembled is
+# an event of its connection if its ports are known and wanted. If they are not known, there is one
+# event for each interface.
 
 from __future__ import annotations
 
-import ipaddress
 import struct
 from collections import OrderedDict
 
-from mbtool.core import Connection, Endpoint, EventKind, Packet, WireEvent
+from mbtool.core import Connection, EventKind, Packet, WireEvent
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
 from mbtool.packets.fragments import (
     Datagram,
@@ -36,48 +38,51 @@ from mbtool.packets.fragments import (
     fragment_events,
 )
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
-from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, find_tcp, read_segment
+from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, endpoint, find_tcp, read_segment
 from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
-MAX_WAITING = 256
+MAX_HOLDING = 256
+"""How many connections may hold bytes at once."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
-_MAX_TOLD = 4096
-_OF_A_LINE = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
+_MAX_REPORTED = 4096
+"""How many messages are remembered, to give each once for an interface."""
+_SERIAL_HINT = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
 _TCP_HEADER_SEEN = 14
-"""Bytes of the TCP header up to its flags."""
+"""Bytes of the TCP header up to and with its flags."""
 
 _Key = tuple[str, bytes, int, bytes, int]
-"""The interface, or nothing where it does not matter; the lower end, the other end."""
+"""The interface, or "" across interfaces; address and port of the lower end and of the other."""
 
 
 class TcpReassembler:
-    """Follows the connections of some ports."""
+    """Follows the TCP connections that have certain ports."""
 
     def __init__(self, ports: frozenset[int] = MODBUS_PORTS, *, across: bool = False) -> None:
-        """`across` is whether flows are followed across interfaces."""
+        """`across` is True if flows are followed across interfaces."""
         self._ports = ports
         self._across = across
         self._connections: OrderedDict[_Key, TcpConnection] = OrderedDict()
-        self._waiting: dict[_Key, TcpConnection] = {}
+        self._holding: dict[_Key, TcpConnection] = {}
+        """Connections that hold bytes, in the order in which they began to."""
         self._opened = 0
         self._fragments = Fragments()
         self._checked_ns = 0
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
         self._out: list[StreamItem] = []
 
     def feed(self, packet: Packet) -> list[StreamItem]:
-        """Take a packet. Never raises for what is in it."""
+        """Take a packet. Never raises for its contents."""
         finder = IP_FINDERS.get(packet.link_type)
         if finder is None:
             message = f"link type {packet.link_type} cannot be looked into"
             if packet.link_type in USER_LINK_TYPES:
-                message += _OF_A_LINE
-            self._tell(packet.ts_ns, packet.link, EventKind.UNREADABLE, message)
+                message += _SERIAL_HINT
+            self._report(packet.ts_ns, packet.link, EventKind.UNREADABLE, message)
             return self._take_out()
         data = packet.data
         at = finder(data)
@@ -88,18 +93,18 @@ class TcpReassembler:
         return self._take_out()
 
     def advance(self, now_ns: int) -> list[StreamItem]:
-        """Let capture time pass: what waited for too long is given up, the idle are closed."""
-        self._end(self._fragments.advance(now_ns), now_ns)
+        """Let capture time pass: give up holes that waited too long, and close idle connections."""
+        self._finish(self._fragments.advance(now_ns), now_ns)
         self._advance(now_ns)
         return self._take_out()
 
     def close(self, ts_ns: int) -> list[StreamItem]:
-        """End all connections, as the capture ends."""
-        self._end(self._fragments.close(), ts_ns)
+        """End all connections, at the end of the capture."""
+        self._finish(self._fragments.close(), ts_ns)
         for connection in self._connections.values():
             connection.close(ts_ns, CloseReason.CAPTURE_END)
         self._connections.clear()
-        self._waiting.clear()
+        self._holding.clear()
         return self._take_out()
 
     def _take_out(self) -> list[StreamItem]:
@@ -110,22 +115,22 @@ class TcpReassembler:
         return items
 
     def _feed_other(self, packet: Packet, at: int) -> None:
-        """Take an IP packet that is a fragment, or may carry another."""
+        """Take an IP packet that is a fragment, or may carry another packet."""
         data, length, ts_ns, link = packet.data, packet.original_length, packet.ts_ns, packet.link
         for _ in range(MAX_TUNNELS):
             fragment = find_fragment(data, at, length)
             if fragment is not None:
-                self._end(self._fragments.feed(fragment, ts_ns, link, self._among(link)), ts_ns)
+                self._finish(self._fragments.feed(fragment, ts_ns, link, self._scope(link)), ts_ns)
                 return
             at = find_inner(data, at, length)
             if at == GRE_IN_FRAGMENTS:
                 message = "fragments of packets that carry others (GRE), which are not put together"
-                self._tell(ts_ns, link, EventKind.UNREADABLE, message)
+                self._report(ts_ns, link, EventKind.UNREADABLE, message)
             if at < 0 or self._feed_ip(data, at, length, ts_ns, link):
                 return
 
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
-        """Take an IP packet. False where it is none of TCP, or a fragment of one."""
+        """Take an IP packet. False if it holds no TCP, or is a fragment."""
         place = find_tcp(data, at, length)
         if place is None:
             return False
@@ -133,7 +138,7 @@ class TcpReassembler:
         if len(data) < start + _TCP_HEADER_SEEN:
             if length > len(data):
                 message = "packets are cut before the end of their headers; capture longer ones"
-                self._tell(ts_ns, link, EventKind.CUT, message)
+                self._report(ts_ns, link, EventKind.CUT, message)
             return True
         source_port = data[start] << 8 | data[start + 1]
         destination_port = data[start + 2] << 8 | data[start + 3]
@@ -144,26 +149,26 @@ class TcpReassembler:
                 self._follow(segment, ts_ns, link)
         return True
 
-    def _among(self, link: str) -> str:
-        """Among whose packets those of a link are seen."""
+    def _scope(self, link: str) -> str:
+        """The interface in the keys of connections and fragments: "" if flows cross interfaces."""
         return "" if self._across else link
 
-    def _end(self, datagrams: list[Datagram], ts_ns: int) -> None:
-        """Take packets whose fragments are done with."""
+    def _finish(self, datagrams: list[Datagram], ts_ns: int) -> None:
+        """Take packets whose reassembly ended."""
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)
-            if datagram.ending is DatagramEnd.WHOLE:  # First, so that its connection is known.
+            if datagram.ending is DatagramEnd.WHOLE:  # First, so that its connection exists.
                 self._feed_ip(data, 0, length, ts_ns, datagram.link)
             if place is not None and len(data) >= place.start + 4:
                 source_port, destination_port = struct.unpack_from(">HH", data, place.start)
                 if source_port in self._ports or destination_port in self._ports:
-                    self._tell_fragments(datagram, ts_ns, source_port, destination_port)
+                    self._report_fragments(datagram, ts_ns, source_port, destination_port)
             elif datagram.ending is not DatagramEnd.WHOLE:
                 message = "fragments of packets whose first one is not in the capture"
-                self._tell(ts_ns, datagram.link, EventKind.UNREADABLE, message)
+                self._report(ts_ns, datagram.link, EventKind.UNREADABLE, message)
 
-    def _tell_fragments(
+    def _report_fragments(
         self, datagram: Datagram, ts_ns: int, source_port: int, destination_port: int
     ) -> None:
         events = fragment_events(datagram, ts_ns, source_port, destination_port)
@@ -171,24 +176,19 @@ class TcpReassembler:
             return
         source, destination, *_ = datagram.key
         key, _ = _key(
-            self._among(datagram.link), source, source_port, destination, destination_port
+            self._scope(datagram.link), source, source_port, destination, destination_port
         )
         known = self._connections.get(key)
-        identity = (
-            Connection(
-                Endpoint(_host(source), source_port), Endpoint(_host(destination), destination_port)
-            )
-            if known is None
-            else known.identity
-        )
+        ends = endpoint(source, source_port), endpoint(destination, destination_port)
+        identity = Connection(*ends) if known is None else known.identity
         self._out += (StreamEvent(identity, event) for event in events)
 
     def _follow(self, segment: TcpSegment, ts_ns: int, link: str) -> None:
         if not -PATIENCE_NS < ts_ns - self._checked_ns < PATIENCE_NS:
             self._advance(ts_ns)
         source, source_port, destination, destination_port = segment[:4]
-        among = self._among(link)
-        key, from_lower = _key(among, source, source_port, destination, destination_port)
+        scope = self._scope(link)
+        key, from_lower = _key(scope, source, source_port, destination, destination_port)
         connection = self._connections.get(key)
         if connection is None or connection.is_replaced_by(segment, from_lower=from_lower):
             opens = segment.flags & SYN or segment.payload or segment.missing
@@ -200,22 +200,19 @@ class TcpReassembler:
             self._connections[key] = connection
         self._connections.move_to_end(key)
         connection.feed(segment, ts_ns, from_lower=from_lower)
-        if connection.waiting:  # Who no longer waits is taken out by _advance.
-            self._waiting[key] = connection
-            if len(self._waiting) > MAX_WAITING:
-                self._waiting.pop(next(iter(self._waiting))).flush()
+        if connection.holds_bytes:  # Connections that no longer hold bytes are removed by _advance.
+            self._holding[key] = connection
+            if len(self._holding) > MAX_HOLDING:
+                self._holding.pop(next(iter(self._holding))).flush()
 
     def _open(self, segment: TcpSegment, ts_ns: int, from_lower: bool) -> TcpConnection:
         if len(self._connections) >= MAX_CONNECTIONS:
             self._drop_oldest(ts_ns, CloseReason.DISCARDED)
         from_master = _is_from_master(segment, self._ports)
-        source = Endpoint(_host(segment.source), segment.source_port)
-        destination = Endpoint(_host(segment.destination), segment.destination_port)
-        identity = (
-            Connection(source, destination, self._opened)
-            if from_master
-            else Connection(destination, source, self._opened)
-        )
+        source = endpoint(segment.source, segment.source_port)
+        destination = endpoint(segment.destination, segment.destination_port)
+        ends = (source, destination) if from_master else (destination, source)
+        identity = Connection(*ends, self._opened)
         self._opened += 1
         joined = not segment.flags & SYN
         return TcpConnection(
@@ -224,10 +221,10 @@ class TcpReassembler:
 
     def _advance(self, now_ns: int) -> None:
         self._checked_ns = now_ns
-        for key, connection in list(self._waiting.items()):
+        for key, connection in list(self._holding.items()):
             connection.advance(now_ns)
-            if not connection.waiting:
-                del self._waiting[key]
+            if not connection.holds_bytes:
+                del self._holding[key]
         while self._connections:
             oldest = next(iter(self._connections.values()))
             if now_ns - oldest.last_ns < IDLE_NS:
@@ -236,24 +233,24 @@ class TcpReassembler:
 
     def _drop_oldest(self, ts_ns: int, reason: CloseReason) -> None:
         key, connection = self._connections.popitem(last=False)
-        self._waiting.pop(key, None)
+        self._holding.pop(key, None)
         connection.close(ts_ns, reason)
 
-    def _tell(self, ts_ns: int, link: str, kind: EventKind, message: str) -> None:
-        """Say once for each interface what its packets lack."""
-        told = (link, message)
-        if told not in self._told and len(self._told) < _MAX_TOLD:
-            self._told.add(told)
+    def _report(self, ts_ns: int, link: str, kind: EventKind, message: str) -> None:
+        """Give an event, but only once for each interface and message."""
+        report = (link, message)
+        if report not in self._reported and len(self._reported) < _MAX_REPORTED:
+            self._reported.add(report)
             self._out.append(WireEvent(ts_ns=ts_ns, link=link, kind=kind, message=message))
 
 
 def _key(
-    among: str, source: bytes, source_port: int, destination: bytes, destination_port: int
+    scope: str, source: bytes, source_port: int, destination: bytes, destination_port: int
 ) -> tuple[_Key, bool]:
-    """Name a connection the same from both ends; True where the source is the lower end."""
+    """The key of a connection, the same from both ends; True if the source is the lower end."""
     if (source_port, source) < (destination_port, destination):
-        return (among, source, source_port, destination, destination_port), True
-    return (among, destination, destination_port, source, source_port), False
+        return (scope, source, source_port, destination, destination_port), True
+    return (scope, destination, destination_port, source, source_port), False
 
 
 def _is_from_master(segment: TcpSegment, ports: frozenset[int]) -> bool:
@@ -264,7 +261,3 @@ def _is_from_master(segment: TcpSegment, ports: frozenset[int]) -> bool:
     if segment.flags & SYN:
         return not segment.flags & ACK
     return segment.destination_port <= segment.source_port
-
-
-def _host(address: bytes) -> str:
-    return str(ipaddress.ip_address(address))

@@ -1,19 +1,22 @@
 """Finds the TCP segment in an IPv4 or IPv6 packet."""
 
-# Checksums are not looked at: network cards compute them after the capture. A header whose lengths
-# contradict each other is no packet at all; bytes behind the IP packet's end (Ethernet padding, a
-# frame check sequence) are not its own. A total length of 0 is the mark of a packet that the card
-# will still cut up (segmentation offload); it reaches to the end of what was on the wire.
+# Checksums are not checked, since network cards compute them after the capture. A packet whose
+# header has contradictory lengths is ignored. Bytes behind the end of the IP packet (Ethernet
+# padding, a frame check sequence) do not belong to it. A total length of 0 marks a packet that the
+# card will cut into several (segmentation offload); it reaches to the end of the captured frame.
 #
-# Limit: MAX_PAYLOAD, more than any card hands over at once; a longer claim is malformed.
+# Limit: MAX_PAYLOAD bytes, more than any card hands over at once. A longer segment is malformed.
 #
-# The work is split so that a packet of other ports costs no object: find_tcp, then the ports, then
-# read_segment.
+# The caller calls find_tcp, compares the ports, and only then calls read_segment, so that packets
+# of other ports cost no segment.
 
 from __future__ import annotations
 
 import struct
+from ipaddress import ip_address
 from typing import NamedTuple
+
+from mbtool.core import Endpoint
 
 FIN = 0x01
 SYN = 0x02
@@ -32,19 +35,19 @@ IPV6_EXTENSIONS = frozenset((0, 43, 60, 135, 139, 140))
 IPV6_FRAGMENT = 44
 IPV6_AUTHENTICATION = 51
 BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_FRAGMENT, IPV6_AUTHENTICATION}
-"""All that may follow an IPv6 header where TCP comes in the end."""
+"""All headers that may stand between an IPv6 header and TCP."""
 
 
 class TcpPlace(NamedTuple):
-    """Where TCP stands in a packet."""
+    """Where the TCP header and payload are in a packet."""
 
     start: int
     end: int
-    """Where the IP packet ends; more than len(data) where the capture cut it."""
+    """The end of the IP packet; more than len(data) if the capture cut the packet."""
 
 
 class TcpSegment(NamedTuple):
-    """A TCP segment; a tuple since one is made for each packet."""
+    """A TCP segment. It is a tuple, which is quick to make, since each packet makes one."""
 
     source: bytes
     source_port: int
@@ -55,13 +58,13 @@ class TcpSegment(NamedTuple):
     flags: int
     payload: bytes
     missing: int
-    """Bytes of the payload that the capture did not keep, behind those it did."""
+    """How many bytes at the end of the payload the capture did not keep."""
 
 
 def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
-    """Find TCP in the IP packet at an offset; None where it holds something else.
+    """Find TCP in the IP packet at an offset; None if the packet holds no TCP, or is a fragment.
 
-    A fragment is something else: fragments.py puts its packet together.
+    fragments.py reassembles packets that came in fragments.
     """
     if len(data) < at + 20:
         return None
@@ -81,9 +84,9 @@ def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
 
 
 def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int]:
-    """Walk an IPv6 packet's extension headers, up to TCP, a fragment or what is neither.
+    """Follow the extension headers of an IPv6 packet up to TCP, a fragment or another protocol.
 
-    Gives the end of the packet, the protocol that was met, and where it begins.
+    Gives the end of the packet, the protocol at which it stopped, and where that begins.
     """
     length, following = _IPV6.unpack_from(data, at + 4)
     start = at + 40
@@ -95,7 +98,7 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
         elif following == IPV6_AUTHENTICATION:
             size = (data[start + 1] + 2) * 4
         elif following == IPV6_FRAGMENT and not (data[start + 2] or data[start + 3] & 0xF9):
-            size = 8  # A packet that is its own only fragment (RFC 6946).
+            size = 8  # An atomic fragment: the packet is whole (RFC 6946).
         else:
             break
         following = data[start]
@@ -104,16 +107,16 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
 
 
 def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> TcpSegment | None:
-    """Read the segment at a place in the IP packet at an offset; None where it is malformed.
+    """Read the segment at a place in the IP packet at an offset; None if it is malformed.
 
-    At least 14 bytes of the TCP header are there: the caller has looked.
+    The caller has checked that at least 14 bytes of the TCP header are there.
     """
     source_port, destination_port, sequence, acknowledgement, offset, flags = (
         _TCP_HEADER.unpack_from(data, place.start)
     )
     header = (offset >> 4) * 4
     begin = place.start + header
-    # An IP packet that claims to be longer than its frame was is cut by no one: the claim is wrong.
+    # If an IP packet claims to be longer than its frame, the claim is wrong: nothing is missing.
     end = min(place.end, original_length)
     if header < 20 or not begin <= end <= begin + MAX_PAYLOAD:
         return None
@@ -134,3 +137,8 @@ def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) ->
         payload,
         end - begin - len(payload),
     )
+
+
+def endpoint(address: bytes, port: int) -> Endpoint:
+    """The endpoint of an IPv4 or IPv6 address as it stands in a header."""
+    return Endpoint(str(ip_address(address)), port)

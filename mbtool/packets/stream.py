@@ -1,18 +1,19 @@
-"""One direction of a TCP connection: what has come, what is held, what is missing."""
+"""One direction of a TCP connection: which bytes have come, which are held, which are missing."""
 
-# Positions count bytes from the first one known, without wrapping; sequence numbers are turned into
-# positions by their distance from the next one expected, modulo 2^32.
+# Positions count bytes from the first one known and do not wrap. A sequence number becomes a
+# position by its distance from the next one expected, modulo 2^32.
 #
-# `held` is sorted and its pieces do not overlap: where segments overlap, the first copy wins.
+# `held` is sorted, and its pieces do not overlap: where segments overlap, the first copy wins.
 # A piece without data stands for bytes that the capture did not keep (snaplen).
 #
-# A stream that is joined in the middle begins at the first byte known, and the capture may have
-# swapped its first packets: so position 0 stands LEAD bytes before the first segment seen, what
-# comes is held, and where it begins is settled as a hole is, without a gap. A SYN settles it.
+# A stream that the capture joins in the middle begins at the first byte known, but the capture may
+# have swapped its first packets. So position 0 lies LEAD bytes before the first segment seen, and
+# all bytes are held at first. The run before them is given up as a hole is, without a gap; then the
+# stream begins. A SYN decides the beginning at once.
 #
-# Bounds: MAX_HELD_BYTES and MAX_HELD_PIECES held (beyond, whoever drives the stream gives up the
-# oldest hole), RECENT_BYTES of delivered bytes kept to compare retransmissions with, and
-# the places of MAX_GAPS gaps, to know late bytes by, and MAX_ACKNOWLEDGEMENTS of bytes to come.
+# Limits: MAX_HELD_BYTES and MAX_HELD_PIECES are held (above that, the connection gives up the
+# oldest hole). RECENT_BYTES of delivered bytes are kept to compare retransmissions with, the places
+# of MAX_GAPS gaps to recognise late bytes, and MAX_ACKNOWLEDGEMENTS of bytes that have not come.
 
 from __future__ import annotations
 
@@ -27,20 +28,21 @@ RECENT_BYTES = 1024
 MAX_GAPS = 8
 MAX_ACKNOWLEDGEMENTS = 8
 LEAD = 64 * 1024
+"""Position of the first segment seen of a joined stream: room for bytes that come swapped."""
 
 _MASK = 0xFFFFFFFF
 _HALF = 0x80000000
 
 
 class HeldBytes(NamedTuple):
-    """A run of bytes that waits for what precedes it."""
+    """A run of bytes of one segment that waits for earlier bytes."""
 
     start: int
     end: int
     data: bytes
-    """Empty where the capture did not keep the bytes."""
-    after: int
-    """The position in the other direction that this one's sender had received."""
+    """Empty if the capture did not keep the bytes."""
+    acknowledged: int
+    """The position in the other direction that the segment acknowledges; 0 if that was reached."""
     ts_ns: int
     arrival: int
     """The number of its packet in the connection."""
@@ -62,11 +64,11 @@ class Stream:
         "destination",
         "direction",
         "finish",
-        "first",
         "held",
         "held_bytes",
         "joining",
         "latest",
+        "origin",
         "position",
         "source",
     )
@@ -75,56 +77,74 @@ class Stream:
         self.direction = direction
         self.source = source
         self.destination = destination
-        self.first: int | None = None
-        """The sequence number of position 0, once known."""
+        self.origin: int | None = None
+        """The sequence number of position 0; None until it is known."""
         self.beginning: int | None = None
-        """The sequence number of the first byte that is delivered, once settled."""
+        """The sequence number of the first byte to deliver; None until it is decided."""
         self.joining = False
-        """Where the stream begins is not settled."""
+        """True while the beginning of a joined stream is undecided."""
         self.position = 0
-        """The next byte to deliver."""
+        """The position of the next byte to deliver."""
         self.finish: int | None = None
-        """The position of FIN, once seen."""
+        """The position of FIN; None until it is seen."""
         self.acknowledged = 0
-        """How far the other end has received, as it says."""
+        """The highest position that the other end has acknowledged."""
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
-        """Arrival and time of whichever delivered piece was captured last."""
+        """Arrival and time of the delivered piece that was captured last."""
         self._recent = b""
         self._gaps: list[tuple[int, int]] = []
         self._acknowledgements: list[tuple[int, int, int]] = []
-        """Positions that the other end has received before they came, with arrival and time."""
+        """Positions acknowledged before their bytes came, with arrival and time of the segment."""
 
-    def place(self, sequence: int) -> int:
-        """Turn a sequence number into a position. `first` is known."""
-        distance = (sequence - (self.first or 0) - self.position) & _MASK
+    def position_of(self, sequence: int) -> int:
+        """The position of a sequence number. `origin` must be known."""
+        distance = (sequence - (self.origin or 0) - self.position) & _MASK
         return self.position + (distance if distance < _HALF else distance - _MASK - 1)
 
     def begin(self, sequence: int) -> None:
-        """Take a sequence number as that of the first byte: a SYN says so."""
-        if self.first is None:
-            self.first = sequence
-        self.position = self.place(sequence)
+        """Decide that the stream begins with the byte of a sequence number."""
+        if self.origin is None:
+            self.origin = sequence
+        self.position = self.position_of(sequence)
         self.beginning = sequence
         self.joining = False
 
+    def take_syn(self, sequence: int) -> int:
+        """Begin the stream behind a SYN, if it has no beginning. Gives the next sequence number."""
+        sequence = sequence + 1 & _MASK
+        if self.beginning is None:
+            self.begin(sequence)
+        return sequence
+
     def join(self, sequence: int, arrival: int, ts_ns: int) -> None:
-        """Learn of a byte near the beginning of a stream without SYN."""
-        self.first = (sequence - LEAD) & _MASK
+        """Note the first sequence number seen of a stream whose SYN is not in the capture."""
+        self.origin = (sequence - LEAD) & _MASK
         self.joining = True
-        # All before it was received long ago, so no more than a swap of packets is waited for.
+        # The other end received all earlier bytes long ago, so only swapped packets may still come.
         self.acknowledge(LEAD, arrival, ts_ns)
 
     def begins_at(self, sequence: int) -> bool:
-        """Tell whether a SYN before this sequence number is the one of this stream."""
+        """True if a SYN right before this sequence number is the SYN of this stream."""
         if self.joining:
-            return 0 <= self.place(sequence) <= (self.held[0].start if self.held else LEAD)
+            return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
 
+    def is_before_next(self, sequence: int) -> bool:
+        """True if a sequence number is the one before the next expected byte."""
+        origin = self.origin
+        return origin is not None and not (sequence + 1 - origin - self.position) & _MASK
+
+    @property
+    def holds_a_probe(self) -> bool:
+        """True if the first held piece is a single byte and the byte behind it has not come."""
+        first, *later = self.held
+        return len(first.data) == 1 and not (later and later[0].start == first.end)
+
     def rebase(self, sequence: int) -> None:
-        """Take a sequence number as that of the next byte, whatever was expected."""
-        self.first = (sequence - self.position) & _MASK
+        """Make a sequence number that of the next byte, and forget what was known before."""
+        self.origin = (sequence - self.position) & _MASK
         self.joining = False
         self._gaps.clear()
         self.finish = None
@@ -133,7 +153,7 @@ class Stream:
         self._recent = b""
 
     def acknowledge(self, position: int, arrival: int, ts_ns: int) -> None:
-        """Note that the other end has received all before a position, which has not come."""
+        """Note that the other end has received all bytes before a position that have not come."""
         if position > self.acknowledged:
             self.acknowledged = position
             known = [one for one in self._acknowledgements if one[0] > self.position]
@@ -142,17 +162,18 @@ class Stream:
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
     def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int) -> bool:
-        """Bytes that the other end has received have not come within so many packets or ns."""
+        """True if acknowledged bytes have not come within `packets` packets or `wait_ns`."""
         for position, since, since_ns in self._acknowledgements:
             if position > self.position:
                 return arrival - since >= packets or ts_ns - since_ns >= wait_ns
         return False
 
     def is_overfull(self) -> bool:
+        """True if more is held than MAX_HELD_BYTES or MAX_HELD_PIECES."""
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:
-        """Move on by delivered bytes, or by `length` bytes that are missing (data is empty)."""
+        """Move on by `length` bytes: delivered ones, or missing ones if `data` is empty."""
         self.position += length
         if not data:
             self._recent = b""
@@ -162,15 +183,15 @@ class Stream:
             self._recent = (self._recent + data)[-RECENT_BYTES:]
 
     def pass_over(self, hole: int) -> None:
-        """Give up a hole. Where the stream begins with it, it begins behind it."""
+        """Give up a hole of so many bytes. A joined stream begins behind it."""
         if self.joining:
-            self.begin((self.first or 0) + self.position + hole & _MASK)
+            self.begin((self.origin or 0) + self.position + hole & _MASK)
             return
         self._gaps = [*self._gaps[1 - MAX_GAPS :], (self.position, self.position + hole)]
         self.advance(b"", hole)
 
     def take_late(self, piece: HeldBytes) -> bytes:
-        """The bytes of a piece whose hole was given up, told once."""
+        """The bytes of a piece whose hole was given up. Each such hole is reported once."""
         for gap in self._gaps:
             start, end = max(gap[0], piece.start), min(gap[1], piece.end)
             if start < end:
@@ -179,8 +200,8 @@ class Stream:
         return b""
 
     def differs_from_delivered(self, start: int, data: bytes) -> bool:
-        """Compare a second copy with what was delivered, as far as that is kept."""
-        # A keep-alive probe may carry one arbitrary byte, the one before the next expected
+        """True if a second copy differs from the delivered bytes, as far as they are kept."""
+        # A keep-alive probe may carry any one byte in place of the one before the next expected
         # (RFC 1122, 4.2.3.6).
         if len(data) == 1 and start == self.position - 1:
             return False
@@ -193,7 +214,7 @@ class Stream:
         )
 
     def hold(self, piece: HeldBytes) -> bool:
-        """Keep what no held piece has of a piece. True where a second copy differs."""
+        """Hold the bytes of a piece that are not held yet. True if its copy of others differs."""
         differs = False
         merged: list[HeldBytes] = []
         cursor = piece.start
@@ -214,7 +235,7 @@ class Stream:
         return differs
 
     def release(self) -> HeldBytes:
-        """Take the first held piece."""
+        """Remove and return the first held piece."""
         piece = self.held.pop(0)
         self.held_bytes -= len(piece.data)
         return piece

@@ -1,4 +1,4 @@
-"""What the reassembler tells of a connection beside its bytes, in order with them."""
+"""Items that the reassembler gives beside the bytes of a connection, in order with them."""
 
 from __future__ import annotations
 
@@ -9,62 +9,62 @@ from mbtool.core import Chunk, Connection, Direction, EventKind, WireEvent
 
 
 class CloseReason(StrEnum):
-    """Why nothing more comes of a connection."""
+    """Why a connection ended."""
 
     FINISHED = "finished"
-    """Both ends closed it."""
+    """Both ends closed it with FIN."""
     RESET = "reset"
     REFUSED = "refused"
-    """Reset in answer to the attempt to open it."""
+    """The slave reset it before it was open."""
     REPLACED = "replaced"
-    """Its ends opened another with the same ports."""
+    """Its ends opened another connection with the same ports."""
     IDLE = "idle"
-    """Silent for longer than the reassembler keeps its state."""
+    """No packet for longer than the reassembler keeps a connection."""
     DISCARDED = "discarded"
-    """More connections than the reassembler keeps."""
+    """The reassembler keeps no more connections."""
     CAPTURE_END = "capture-end"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """A connection's first sign. Its chunks and gaps follow."""
+    """The first packet of a connection. Its chunks and gaps follow."""
 
     ts_ns: int
     connection: Connection
     joined: bool
-    """Its beginning is not in the capture, so its first byte may be the middle of an ADU."""
+    """True if its beginning is not in the capture. Its first byte may be inside an ADU."""
     note: str = ""
-    """What else is known of it: of a tap's connection, who its ends are by their certificates."""
+    """More about it. For a connection of a tap: the names in the certificates of its ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamGap:
-    """Bytes of one direction that are missing between the chunk before and the chunk after."""
+    """Bytes of one direction that are missing between two chunks."""
 
     ts_ns: int
-    """The time of what comes after the gap."""
+    """The time of the bytes behind the gap."""
     connection: Connection
     direction: Direction
     missing: int
-    """How many; 0 where the sequence numbers took a leap that says nothing."""
+    """How many bytes; 0 if unknown, since the sequence numbers jumped too far."""
     kind: EventKind = EventKind.GAP
-    """GAP, or CUT where the capture kept only part of a packet."""
+    """GAP, or CUT if the capture kept only part of a packet."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamClosed:
-    """A connection's end. No chunk of it follows."""
+    """The end of a connection. None of its chunks follow."""
 
     ts_ns: int
     connection: Connection
     reason: CloseReason
     keep_alives: int = 0
-    """How many keep-alive probes both ends have sent."""
+    """How many keep-alive probes both ends sent."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamEvent:
-    """What is told of a connection's packets; of fragments also before or without its opening."""
+    """An event about packets of a connection. One about fragments may precede its StreamOpened."""
 
     connection: Connection
     event: WireEvent

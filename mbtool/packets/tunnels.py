@@ -1,6 +1,6 @@
-"""Finds the IP packet that another IP packet carries: mirrors over a network, and other tunnels."""
+"""Finds an IP packet inside another one: traffic that switches mirror, and other tunnels."""
 
-# What a switch mirrors to a far port arrives inside IP:
+# A switch that mirrors traffic to a distant port sends it inside IP packets:
 #
 #     GRE (protocol 47; RFC 2784, RFC 2890): flags and version, protocol, then 4 bytes each for a
 #     checksum, a key and a sequence number where their flags are set; behind it
@@ -13,8 +13,8 @@
 #     VXLAN (UDP port 4789; RFC 7348): 8 bytes, then an Ethernet frame
 #     IPv4 or IPv6 at once (protocols 4 and 41; RFC 2003, RFC 4213)
 #
-# An outer packet in fragments is not put together; of GRE it is told. Whoever asks bounds how often
-# he does: tunnels may stand in tunnels.
+# An outer packet in fragments is not reassembled; if it carries GRE, the caller reports it.
+# A tunnel may contain a tunnel, so the caller limits how often it calls find_inner.
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 GRE_IN_FRAGMENTS = -2
-"""In place of an offset."""
+"""Returned in place of an offset: the packet is a fragment that carries GRE."""
 MAX_TUNNELS = 4
-"""How deep tunnels are looked into."""
+"""How many tunnels inside each other are read."""
 
 _VXLAN_PORT = 4789
 _VXLAN_FLAG = 0x08
 
 GRE = 47
 ERSPAN = (0x88BE, 0x22EB)
-"""Of GRE: types I and II, type III."""
+"""GRE protocols: ERSPAN types I and II, ERSPAN type III."""
 _ETHERNET, _IP = 0x6558, (0x0800, 0x86DD)
 _CHECKSUM, _KEY, _SEQUENCE = 0x8000, 0x2000, 0x1000
 _UNREADABLE = 0x4007
-"""Routing, or a version other than 0."""
+"""GRE flags that are not read: routing, and a version other than 0."""
 
 _IPV4_HEADER = struct.Struct(">B5xHxB")
 
 
 def find_inner(data: bytes, at: int, original_length: int) -> int:
-    """Where the IP packet begins that the one at an offset carries.
+    """The offset of the IP packet inside the IP packet at an offset.
 
-    NOT_IP where it carries none, GRE_IN_FRAGMENTS where that cannot be known. The offset may lie
-    behind the data.
+    NOT_IP if there is none, GRE_IN_FRAGMENTS if the outer packet is a fragment that carries GRE.
+    Both offsets may lie behind the end of the data.
     """
     if len(data) < at + 20:
         return NOT_IP
@@ -103,4 +103,4 @@ _FINDERS: dict[int, Callable[[bytes, int], int]] = {
     41: lambda _, at: at,
     GRE: _behind_gre,
 }
-"""By protocol: IPv4, UDP, IPv6, GRE."""
+"""By IP protocol: IPv4, UDP (VXLAN), IPv6, GRE."""

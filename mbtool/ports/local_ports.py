@@ -183,7 +183,7 @@ def _permission(path: Path, name: str) -> list[Trouble]:
     if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         return []
     why = who_may(str(path))
-    return [Trouble(f"permission denied; {why.problem}", why.mend)]
+    return [Trouble(f"permission denied; {why.problem}", why.remedy)]
 
 
 def _held(holder: Holder, name: str) -> Trouble:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome, Response, Transport, whole_pdu
 from mbtool.modbus.distortion import Distortion
+from mbtool.modbus.functions import EXCEPTION_BIT, READS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -35,7 +36,6 @@ DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 _WHOLE_ADU = 1024
 """More bytes than an ADU has."""
 _RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
-_ADDRESSED_READS = frozenset((0x01, 0x02, 0x03, 0x04, 0x17))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +100,9 @@ def _time(event: WireEvent) -> int:
 def _is_answer(asked: Transaction, raw: bytes) -> bool:
     """Whether bytes begin as an answer to a request would."""
     body, request = _body(asked.transport, raw), _body(asked.transport, asked.request_raw or b"")
-    if len(body) < 2 or body[0] != asked.unit or body[1] & 0x7F != asked.function:
+    if len(body) < 2 or body[0] != asked.unit or body[1] & ~EXCEPTION_BIT != asked.function:
         return False
-    return asked.function not in _ADDRESSED_READS or body[:5] != request[:5]
+    return asked.function not in READS or body[:5] != request[:5]
 
 
 def _body(transport: Transport, raw: bytes) -> bytes:

@@ -22,7 +22,7 @@ from enum import Enum, StrEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from mbtool.core import Direction
-from mbtool.modbus import REACHING, parse_pdu
+from mbtool.modbus import TABLE_FUNCTIONS, parse_pdu
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -189,7 +189,7 @@ class ImageMatcher:
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         if moment.is_over and self._on_end is OnEnd.SILENT:
             return NoAnswer.SILENCE
-        if not key[1] or key[1][0] not in REACHING:
+        if not key[1] or key[1][0] not in TABLE_FUNCTIONS:
             return self._others.find(key, moment)
         return NoAnswer.IMAGE
 
@@ -207,7 +207,7 @@ def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
 def _likeness(key: Key) -> bytes | None:
     """What requests have in common that reach the same place by the same function."""
     unit, pdu = key
-    if not pdu or pdu[0] not in REACHING:
+    if not pdu or pdu[0] not in TABLE_FUNCTIONS:
         return None
     request = parse_pdu(pdu, Direction.REQUEST)
     return None if request.problem is not None else bytes([unit]) + pdu[:3]

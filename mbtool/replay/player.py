@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Direction
 from mbtool.modbus import (
-    REACHING,
+    TABLE_FUNCTIONS,
     Response,
     Table,
     Transport,
@@ -224,7 +224,7 @@ class RecordedSlave:
             return None
         refusal = _Code.ILLEGAL_DATA_ADDRESS
         if reach is None:
-            reaching = request.code in REACHING
+            reaching = request.code in TABLE_FUNCTIONS
             refusal = _Code.ILLEGAL_DATA_VALUE if reaching else _Code.ILLEGAL_FUNCTION
         refused = exception_pdu(request.code, refusal)
         return Response(refused, self._delay_ns(unit, pdu[0], None))

@@ -30,7 +30,7 @@ from mbtool.core import (
     SerialFormat,
     WireEvent,
 )
-from mbtool.modbus import ascii_adu, rtu_adu
+from mbtool.modbus import ascii_adu, exception_pdu, rtu_adu
 from mbtool.sources.byte_files import SerialBytes
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class _TextReader:
             yield self._chunk(int(match[1], 16), pdu, Direction.RESPONSE)
         elif (match := _EXCEPTION.fullmatch(text)) and request is not None:
             code = int(match[1], 16) if match[1] else _ILLEGAL_DATA_ADDRESS
-            pdu = bytes((request.function | 0x80, code))
+            pdu = exception_pdu(request.function, code)
             yield self._chunk(request.unit, pdu, Direction.RESPONSE)
         else:
             yield from self._other(text)

@@ -74,8 +74,8 @@ def _print_trouble(console: Console, trouble: Trouble, where: str = "") -> None:
         subsequent_indent=2 * _INDENT,
     ):
         _print_whole(console, line, "yellow")
-    if trouble.mend:
-        _print_whole(console, f"{2 * _INDENT}{trouble.mend}")
+    if trouble.remedy:
+        _print_whole(console, f"{2 * _INDENT}{trouble.remedy}")
 
 
 def _print_whole(console: Console, line: str, style: str = "") -> None:

@@ -7,7 +7,9 @@ import pytest
 from mbtool.core import Direction, SerialFormat
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
-from mbtool.modbus import Adu, DirectionBy, Outcome, Transport, crc, parse_pdu
+from mbtool.modbus import Adu, Outcome, Transport, parse_pdu
+from mbtool.modbus.adu import DirectionBy
+from mbtool.modbus.adu_bytes import crc
 from tests.benchmarks.bus_traffic import (
     EXCEPTIONS,
     RATES,

@@ -20,9 +20,9 @@ from mbtool.modbus import (
     encode_pdu,
     mbap_adu,
     parse_pdu,
-    pdu_of,
     rtu_adu,
 )
+from mbtool.modbus.pdu import pdu_of
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 from tests.cases.worked_examples import worked_examples
 from tests.feeding import Line, every_way, feed_all

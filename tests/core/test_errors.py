@@ -1,4 +1,4 @@
-"""Errors by whose they are."""
+"""The error classes."""
 
 from __future__ import annotations
 
@@ -34,6 +34,8 @@ def test_profile_error_names_file_key_and_problem() -> None:
         (OutputError, MbtoolError),
     ],
 )
-def test_error_is_caught_by_its_kind(error: type[MbtoolError], kind: type[MbtoolError]) -> None:
+def test_error_is_caught_by_its_base_class(
+    error: type[MbtoolError], kind: type[MbtoolError]
+) -> None:
     assert issubclass(error, kind)
     assert issubclass(kind, MbtoolError)

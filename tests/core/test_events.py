@@ -1,11 +1,11 @@
-"""What is told about a wire beside its transactions."""
+"""Events of a link."""
 
 from __future__ import annotations
 
 from mbtool.core.events import EventKind, WireEvent
 
 
-def test_kinds_keep_the_values_that_stand_in_logs() -> None:
+def test_event_kinds_keep_the_values_that_logs_contain() -> None:
     assert {kind.value for kind in EventKind} >= {
         "skipped", "bad-check", "foreign", "gap", "overlap", "discarded", "opened", "closed",
         "unreadable", "cut", "line-error",

@@ -1,4 +1,4 @@
-"""What a source brings in."""
+"""Chunks, packets and connections, as sources deliver them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_connections_between_the_same_ends_differ_by_number() -> None:
     assert Connection(*ends) != Connection(*ends, 1)
 
 
-def test_chunk_is_a_serial_read_of_unknown_direction_unless_told() -> None:
+def test_chunk_is_by_default_a_serial_read_of_unknown_direction() -> None:
     chunk = Chunk(ts_ns=1, link="rs485", data=b"\x01")
     assert chunk.direction is Direction.UNKNOWN
     assert chunk.stamp is Stamp.LAST_BYTE

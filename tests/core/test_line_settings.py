@@ -1,4 +1,4 @@
-"""What --link says of a file."""
+"""The value of --link for a file."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def test_reads_the_settings_of_a_line(text: str, line: LineSettings) -> None:
         ("rtu@9600-7E1", "RTU needs 8 data bits, for example rtu@19200-8E1"),
     ],
 )
-def test_refuses_what_is_no_line(text: str, problem: str) -> None:
+def test_refuses_a_text_that_is_no_line(text: str, problem: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_line(text)
     assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_link_is_made_of_them() -> None:
+def test_settings_and_a_port_make_a_link() -> None:
     line = LineSettings(SerialFormat(9600, 7), ascii=True)
     assert line.on("bench") == SerialLink("bench", SerialFormat(9600, 7), ascii=True)

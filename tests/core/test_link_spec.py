@@ -171,7 +171,7 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("tcp:10.0.0.9:" + "9" * 5000, "is no address"),
     ],
 )
-def test_link_that_cannot_be_says_what_would_be_right(text: str, advice: str) -> None:
+def test_an_impossible_link_says_what_would_be_right(text: str, advice: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_link(text)
     assert advice in str(caught.value)
@@ -179,13 +179,13 @@ def test_link_that_cannot_be_says_what_would_be_right(text: str, advice: str) ->
 
 
 @pytest.mark.parametrize("text", ["foo", "usb:/dev/ttyUSB0", "tcp:"])
-def test_a_text_that_is_no_link_is_told_what_the_command_takes(text: str) -> None:
+def test_the_error_for_a_text_that_is_no_link_names_the_links_of_the_command(text: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_link(text, HEARD)
     assert str(caught.value) == f"link {text!r}: write {HEARD}"
 
 
-def test_whoever_speaks_needs_one_port() -> None:
+def test_only_a_link_with_one_port_can_send() -> None:
     one, two = parse_link("rtu:/dev/a@9600"), parse_link("rtu:/dev/a,/dev/b@9600")
     assert isinstance(one, SerialLink)
     assert isinstance(two, SerialLink)
@@ -194,7 +194,7 @@ def test_whoever_speaks_needs_one_port() -> None:
         two.demand_one_port()
 
 
-def test_a_line_without_settings_is_settled_with_all_its_ports() -> None:
+def test_an_auto_link_keeps_all_its_ports_when_its_settings_are_found() -> None:
     link = AutoLink(("/dev/a", "/dev/b"))
     assert link.name == "a+b"
     assert str(link) == "rtu:/dev/a,/dev/b@auto"
@@ -211,7 +211,7 @@ def test_a_line_without_settings_is_settled_with_all_its_ports() -> None:
         ("net:eth0,any", "any is all interfaces"),
     ],
 )
-def test_interfaces_that_hear_one_network_are_a_few_different_ones(text: str, says: str) -> None:
+def test_a_link_takes_a_limited_number_of_different_interfaces(text: str, says: str) -> None:
     with pytest.raises(UsageError, match=f"^link '{text}': .*{says}"):
         parse_link(text)
 
@@ -230,7 +230,7 @@ def test_a_link_of_several_interfaces_has_one_name_without_a_slash() -> None:
         (ListenTls("a.pem"), TargetTls("ca.pem"), ("master", "slave")),
     ],
 )
-def test_a_tap_says_on_which_sides_it_has_tls(
+def test_a_tap_names_the_sides_with_tls(
     listen: ListenTls | None, target: TargetTls | None, sides: tuple[str, ...]
 ) -> None:
     tap = TapLink(

@@ -1,4 +1,4 @@
-"""What there is to open here, as words."""
+"""The texts of local ports, interfaces and troubles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_an_interface_can_be_captured_unless_there_is_trouble() -> None:
     assert not LocalInterface(name="eth0", troubles=(Trouble("forbidden"),)).may_capture
 
 
-def test_trouble_is_one_line_with_what_mends_it() -> None:
+def test_trouble_is_one_line_with_its_remedy() -> None:
     assert str(Trouble("its group is dialout", "sudo usermod")) == (
         "its group is dialout: sudo usermod"
     )

@@ -58,7 +58,7 @@ def test_silences_can_be_given(text: str, t1_5_us: int, t3_5_us: int) -> None:
     assert SerialFormat.parse(str(line)) == line
 
 
-def test_silences_take_the_place_of_those_before() -> None:
+def test_given_silences_replace_earlier_ones() -> None:
     line = SerialFormat.parse("9600-8E1,t1.5=1ms,t3.5=5ms")
     assert str(line.with_silences(None, Silence.parse("6ms"))) == "9600-8E1,t1.5=1ms,t3.5=6ms"
     assert line.with_silences(None, None) == line
@@ -76,18 +76,18 @@ def test_silences_take_the_place_of_those_before() -> None:
         ("9600-8E1,t1.5=6ms", "t1.5 of 6ms is longer than t3.5"),
     ],
 )
-def test_silences_that_cannot_be_are_the_users_mistake(text: str, why: str) -> None:
+def test_impossible_silences_are_usage_errors(text: str, why: str) -> None:
     with pytest.raises(UsageError) as caught:
         SerialFormat.parse(text)
     assert why in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["19200-8E1", "9600-7O2", "115200-8N1"])
-def test_settings_read_as_they_are_written(text: str) -> None:
+def test_settings_are_written_as_they_are_read(text: str) -> None:
     assert str(SerialFormat.parse(text)) == text
 
 
-def test_letters_may_be_small_and_the_format_left_out() -> None:
+def test_letters_may_be_lower_case_and_the_format_may_be_left_out() -> None:
     assert SerialFormat.parse("9600-8n1") == SerialFormat(9600, 8, "N", 1)
     assert SerialFormat.parse("38400") == SerialFormat(38400, 8, "E", 1)
 
@@ -95,19 +95,19 @@ def test_letters_may_be_small_and_the_format_left_out() -> None:
 @pytest.mark.parametrize(
     "text", ["", "fast", "0", "9600-", "9600-8E", "9600-9N1", "9600-8N3", "9600 8N1", "9" * 5000]
 )
-def test_settings_that_cannot_be_are_the_users_mistake(text: str) -> None:
+def test_impossible_settings_are_usage_errors(text: str) -> None:
     with pytest.raises(UsageError, match="for example 19200-8E1"):
         SerialFormat.parse(text)
 
 
 @pytest.mark.parametrize("baud", ["0", "1", "49", "4000001", "99999999"])
-def test_a_rate_that_no_port_has_is_the_users_mistake(baud: str) -> None:
+def test_a_rate_that_no_port_has_is_a_usage_error(baud: str) -> None:
     with pytest.raises(UsageError, match=f"no port has {baud} baud; write 50 to 4000000"):
         SerialFormat.parse(f"{baud}-8E1")
 
 
 @pytest.mark.parametrize("baud", [50, 300, 4_000_000])
-def test_a_rate_that_a_port_has_is_taken(baud: int) -> None:
+def test_a_rate_that_a_port_has_is_accepted(baud: int) -> None:
     assert SerialFormat.parse(str(baud)).baud == baud
 
 

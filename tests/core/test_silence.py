@@ -1,4 +1,4 @@
-"""Silences as a user or a manual says them."""
+"""Silences in a user's or a manual's units."""
 
 from __future__ import annotations
 
@@ -30,6 +30,6 @@ def test_reads_a_silence(text: str, written: str, ns: int) -> None:
 @pytest.mark.parametrize(
     "text", ["", "5", "ms", "-5ms", "5s", "0bits", "1e3ms", "٥ms", "9" * 5000 + "ms", "1.2345ms"]
 )
-def test_a_silence_that_cannot_be_is_the_users_mistake(text: str) -> None:
+def test_an_impossible_silence_is_a_usage_error(text: str) -> None:
     with pytest.raises(UsageError, match="for example 28bits or 5ms"):
         Silence.parse(text)

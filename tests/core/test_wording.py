@@ -17,7 +17,7 @@ def test_a_comma_groups_the_thousands_of_a_count() -> None:
     assert counted(1, "request", ",") == "1 request"
 
 
-def test_a_noun_follows_a_count_that_stands_elsewhere() -> None:
+def test_the_noun_of_a_count_can_be_had_alone() -> None:
     assert [plural(count, "unit") for count in (0, 1, 2)] == ["units", "unit", "units"]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mbtool.core import InputError, ProfileError, UsageError
+from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import (
     MAX_EXTENDED,

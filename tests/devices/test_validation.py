@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbtool.core import ProfileError
+from mbtool.core.errors import ProfileError
 from mbtool.devices.model import (
     Access,
     AnswerWord,

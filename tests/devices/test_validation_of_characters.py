@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core import ProfileError
+from mbtool.core.errors import ProfileError
 from mbtool.devices.loading import builtin_profiles, load_profile
 from mbtool.devices.validation_of_characters import validate_characters
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from mbtool.core import ProfileError
+from mbtool.core.errors import ProfileError
 from mbtool.devices.model import ByteOrder, Point, PointType, WordOrder
 from mbtool.devices.validation_of_points import Accused, validate_point
 from mbtool.modbus.tables import Table

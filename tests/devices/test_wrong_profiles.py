@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from jsonschema import Draft7Validator
 
-from mbtool.core import MbtoolError, ProfileError
+from mbtool.core.errors import MbtoolError, ProfileError
 from mbtool.devices.loading import MAX_FILE_BYTES, load_profile, profile_from_json
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import profile_schema

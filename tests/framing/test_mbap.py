@@ -69,7 +69,7 @@ def test_length_may_be_from_2_to_254(length: int) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
-def test_finds_the_next_adu_after_a_header_that_cannot_be(length: int) -> None:
+def test_finds_the_next_adu_after_an_impossible_header(length: int) -> None:
     garbage = bytes.fromhex("0001 0000") + length.to_bytes(2) + b"\x11\x03"
     events = every_way(requests, garbage + READ_HOLDING_REQUEST)
     assert [type(event).__name__ for event in events] == ["Skipped", "Adu"]
@@ -120,7 +120,7 @@ def test_malformed_pdu_is_an_adu_in_step() -> None:
     assert pdus(every_way(requests, malformed + READ_HOLDING_REQUEST)) == [(1, "03006b"), READ]
 
 
-def test_foreign_protocol_is_one_event_and_keeps_the_step() -> None:
+def test_foreign_protocol_is_one_event_and_the_splitter_stays_in_step() -> None:
     foreign = bytes.fromhex("0000 0001 0006 00 02 0000 0010")  # Protocol id 1.
     events = every_way(requests, foreign + READ_HOLDING_REQUEST)
     assert [(one.kind, one.raw) for one in skipped(events)] == [(EventKind.FOREIGN, foreign)]
@@ -147,7 +147,7 @@ def test_resynchronises_behind_a_gap() -> None:
     assert splitter.close() == []
 
 
-def test_believes_an_unknown_function_only_right_behind_a_gap() -> None:
+def test_accepts_an_unknown_function_only_right_behind_a_gap() -> None:
     unknown = mbap_adu(3, 0x11, bytes.fromhex("63 0102"))
     splitter = requests()
     splitter.gap()
@@ -181,7 +181,7 @@ def test_a_megabyte_in_one_segment_loses_nothing() -> None:
     assert pdus(events)[-2:] == [READ, READ]
 
 
-def test_is_idle_in_step_and_with_nothing_held() -> None:
+def test_is_idle_if_in_step_and_without_held_bytes() -> None:
     splitter = requests()
     idle = []
     for piece in (b"", READ_HOLDING_REQUEST[:5], READ_HOLDING_REQUEST[5:], b"\xff" * 20):

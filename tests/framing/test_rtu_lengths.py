@@ -1,4 +1,4 @@
-"""What an RTU frame's bytes say about its size."""
+"""The size of an RTU frame by its bytes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_size_follows_from_the_first_bytes(
     assert frame_size(bytes.fromhex(head), direction) == size
 
 
-def test_frame_with_a_wrong_crc_is_told_with_both_values() -> None:
+def test_frame_with_a_wrong_crc_is_reported_with_both_values() -> None:
     frame = bytes.fromhex("11 03 006B 0003 7688")
     assert why_skipped(frame, [REQUEST]) == (
         EventKind.BAD_CHECK,
@@ -79,7 +79,7 @@ def test_crc_needs_four_bytes(size: int) -> None:
     assert crc_ends(shortest[:size], most=3) == [4] * (size == 4)
 
 
-def test_each_end_is_one_that_the_crc_confirms() -> None:
+def test_the_crc_confirms_each_end() -> None:
     data = bytes(range(200)) + rtu_adu(3, bytes(range(200))) * 2
     for place in range(len(data)):
         ends = crc_ends(data[place : place + 256], most=256)

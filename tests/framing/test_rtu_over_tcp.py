@@ -64,14 +64,14 @@ def test_finds_the_next_frame_after_bad_bytes() -> None:
     assert adus(events)[0].verdicts == (Verdict.RESYNCHRONISED,)
 
 
-def test_frame_with_a_wrong_crc_is_told_with_both_values() -> None:
+def test_frame_with_a_wrong_crc_is_reported_with_both_values() -> None:
     bad = READ_HOLDING_REQUEST[:-1] + b"\x88"
     (event,) = skipped(every_way(requests, READ_HOLDING_REQUEST + bad + WRITE_COIL_REQUEST))
     assert (event.kind, event.raw) == (EventKind.BAD_CHECK, bad)
     assert event.reason == "a frame with CRC 8876H, where 8776H would be right"
 
 
-def test_function_that_no_table_knows_is_skipped() -> None:
+def test_frame_of_an_unknown_function_is_skipped() -> None:
     unknown = rtu_adu(1, b"\x41\x00")
     events = every_way(requests, unknown + READ_HOLDING_REQUEST)
     assert pdus(events) == [READ]
@@ -102,7 +102,7 @@ def test_holds_no_more_than_one_frame_and_a_run_of_skipped_bytes() -> None:
     assert most < 256 + MAX_RUN
 
 
-def test_is_idle_with_no_beginning_of_a_frame() -> None:
+def test_is_idle_without_an_incomplete_frame() -> None:
     splitter = requests()
     frame = rtu_adu(1, bytes.fromhex("03 0000 0001"))
     idle = []

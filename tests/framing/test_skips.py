@@ -24,7 +24,7 @@ def test_run_is_one_event_with_the_time_of_its_first_byte() -> None:
     assert not skips
 
 
-def test_full_run_goes_out_and_the_next_begins_with_its_own_time() -> None:
+def test_full_run_becomes_an_event_and_the_next_begins_with_its_own_time() -> None:
     events: list[Adu | Skipped] = []
     skips = run()
     skips.add(bytes(MAX_RUN - 1), 10, events)
@@ -36,7 +36,7 @@ def test_full_run_goes_out_and_the_next_begins_with_its_own_time() -> None:
     assert len(events[-1].raw) == MAX_RUN - 1
 
 
-def test_event_has_the_check_that_is_wrong() -> None:
+def test_event_has_the_wrong_check() -> None:
     check = Checksum(received=0x8876, computed=0x8776)
     skips = SkipRun(lambda raw: (EventKind.BAD_CHECK, "wrong", check))
     events: list[Adu | Skipped] = []

@@ -1,4 +1,4 @@
-"""A byte queue that knows when each byte arrived."""
+"""A byte queue that keeps the arrival time of each byte."""
 
 from __future__ import annotations
 

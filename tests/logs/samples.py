@@ -13,7 +13,8 @@ from mbtool.devices import NamedTransaction, PointValue
 from mbtool.logs.layout import Opcode
 from mbtool.logs.records import RecordStream
 from mbtool.logs.writer import LogWriter
-from mbtool.modbus import DirectionBy, Outcome, Transport, Verdict
+from mbtool.modbus import Outcome, Transport, Verdict
+from mbtool.modbus.adu import DirectionBy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""What tests ask of the events of a splitter, of Bus and of Conversation."""
+"""Functions that tests use to read the events of splitters and decoders."""
 
 from __future__ import annotations
 
@@ -41,6 +41,9 @@ def pdus(events: Iterable[Adu | Skipped]) -> list[tuple[int, str]]:
 
 
 def with_parity(characters: bytes, parity: str) -> bytes:
-    """What a port of 8 data bits hears of 7 and a parity bit: `even`, `odd`, `mark` or `space`."""
+    """The bytes that a port of 8 data bits hears from a line with 7 and a parity bit.
+
+    The parity is `even`, `odd`, `mark` or `space`.
+    """
     marked = {"even": (0, 1), "odd": (1, 0), "mark": (1, 1), "space": (0, 0)}[parity]
     return bytes(each | marked[each.bit_count() & 1] << 7 for each in characters)

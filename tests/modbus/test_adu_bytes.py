@@ -1,4 +1,4 @@
-"""What each line adds to a PDU."""
+"""The ADUs of each transport, and their checks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_check_values_are_the_published_ones() -> None:
     assert lrc(bytes.fromhex("02 01 0064 0001")) == 0x98
 
 
-def test_each_line_frames_a_pdu_its_way() -> None:
+def test_each_transport_makes_its_own_adu() -> None:
     assert rtu_adu(0x11, READ) == bytes.fromhex("11 03 006B 0003 7687")
     assert ascii_adu(0x11, READ) == b":1103006B00037E\r\n"
     assert mbap_adu(0x1234, 0x11, READ) == bytes.fromhex("1234 0000 0006 11 03 006B 0003")

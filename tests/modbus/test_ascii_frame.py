@@ -41,7 +41,7 @@ def test_digits_may_be_lower_case() -> None:
 
 
 @pytest.mark.parametrize("parity", ["even", "odd", "mark"])
-def test_parity_in_bit_7_is_looked_through_where_the_port_has_8_bits(parity: str) -> None:
+def test_parity_in_bit_7_is_removed_if_the_port_has_8_bits(parity: str) -> None:
     heard = with_parity(FRAME, parity)
     frame = read(heard)
     assert (frame.body, frame.end, frame.checksum.ok) == (BODY, b"\r\n", True)
@@ -77,12 +77,12 @@ def test_delimiter_of_8_bits_is_no_parity() -> None:
         (b":\n", "0 bytes, where unit, function and LRC are 3 at least"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(raw: bytes, reason: str) -> None:
+def test_the_reason_names_the_error_and_its_place(raw: bytes, reason: str) -> None:
     assert read_frame(raw) is None
     assert why_unreadable(raw).startswith(f"a frame with {reason}")
 
 
-def test_what_is_wrong_behind_parity_is_named_without_it() -> None:
+def test_the_reason_names_characters_without_their_parity() -> None:
     heard = with_parity(b":020G0064000198\r\n", "even")
     assert why_unreadable(heard).startswith("a frame with 'G' (47H) as its character 5, ")
     assert why_unreadable(heard, eight_bits=False).startswith("a frame with B2H as its character 3")

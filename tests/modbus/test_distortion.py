@@ -22,21 +22,21 @@ FRAMED = {
 
 def _sent(spoiling: Distortion | None, transport: Transport = Transport.RTU) -> bytes:
     return b"".join(
-        data for _, data in wire_pieces(Response(PDU, spoiling=spoiling), transport, 1, 7)
+        data for _, data in wire_pieces(Response(PDU, distortion=spoiling), transport, 1, 7)
     )
 
 
 @pytest.mark.parametrize("transport", Transport)
 @pytest.mark.parametrize("spoiling", [None, Distortion()])
-def test_an_answer_that_is_not_spoilt_leaves_whole(
+def test_a_response_without_distortion_is_sent_whole(
     transport: Transport, spoiling: Distortion | None
 ) -> None:
-    assert wire_pieces(Response(PDU, spoiling=spoiling), transport, 1, 7) == [
+    assert wire_pieces(Response(PDU, distortion=spoiling), transport, 1, 7) == [
         (0, FRAMED[transport])
     ]
 
 
-def test_another_unit_has_a_good_check() -> None:
+def test_an_adu_with_another_unit_has_a_correct_check() -> None:
     assert _sent(Distortion(unit_by=2)) == rtu_adu(3, PDU)
     assert _sent(Distortion(unit_by=255), Transport.TCP) == mbap_adu(7, 0, PDU)
 
@@ -63,23 +63,23 @@ def test_modbus_tcp_has_no_check_that_could_be_wrong() -> None:
     assert _sent(Distortion(wrong_check=True), Transport.TCP) == FRAMED[Transport.TCP]
 
 
-def test_bytes_are_missing_and_others_follow() -> None:
+def test_bytes_can_be_cut_off_and_added_at_the_end() -> None:
     assert _sent(Distortion(cut=2, extra=b"\xff")) == FRAMED[Transport.RTU][:-2] + b"\xff"
 
 
-def test_nothing_is_left_of_an_answer_that_is_cut_off_whole() -> None:
-    assert wire_pieces(Response(PDU, spoiling=Distortion(cut=99)), Transport.RTU, 1) == []
+def test_a_response_that_is_cut_off_completely_sends_nothing() -> None:
+    assert wire_pieces(Response(PDU, distortion=Distortion(cut=99)), Transport.RTU, 1) == []
 
 
-def test_silence_is_silence() -> None:
-    answer = Response(PDU, spoiling=Distortion(silent=True, extra=b"\xff"))
+def test_a_silent_response_sends_nothing() -> None:
+    answer = Response(PDU, distortion=Distortion(silent=True, extra=b"\xff"))
     assert wire_pieces(answer, Transport.RTU, 1) == []
 
 
 @given(st.integers(1, 300), st.integers(0, 10**9))
-def test_pieces_are_the_whole_with_silence_between_them(pieces: int, gap_ns: int) -> None:
+def test_pieces_make_the_whole_adu_with_pauses_between_them(pieces: int, gap_ns: int) -> None:
     spoiling = Distortion(pieces=pieces, gap_ns=gap_ns)
-    sent = wire_pieces(Response(PDU, spoiling=spoiling), Transport.TCP, 1, 7)
+    sent = wire_pieces(Response(PDU, distortion=spoiling), Transport.TCP, 1, 7)
     assert b"".join(data for _, data in sent) == FRAMED[Transport.TCP]
     assert len(sent) == min(pieces, len(FRAMED[Transport.TCP]))
     assert all(data for _, data in sent)
@@ -87,13 +87,13 @@ def test_pieces_are_the_whole_with_silence_between_them(pieces: int, gap_ns: int
 
 
 @given(st.binary(min_size=1, max_size=253), st.integers(0, 0xFFFF), st.integers(0, 255))
-def test_what_is_not_damaged_is_read_back(pdu: bytes, transaction_id: int, unit: int) -> None:
+def test_an_adu_without_damage_can_be_read_back(pdu: bytes, transaction_id: int, unit: int) -> None:
     spoiling = Distortion(unit_by=3, id_by=5, pieces=3)
     splitter = MbapSplitter(Direction.RESPONSE)
     events = [
         event
         for _, data in wire_pieces(
-            Response(pdu, spoiling=spoiling), Transport.TCP, unit, transaction_id
+            Response(pdu, distortion=spoiling), Transport.TCP, unit, transaction_id
         )
         for event in splitter.feed(data, 0)
     ]

@@ -1,4 +1,4 @@
-"""What a request lets one expect of its response."""
+"""The response that a request asks for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from mbtool.core import Direction
 from mbtool.modbus.expected_response import MAX_KNOWN, UNKNOWN_SIZE, ExpectedResponse
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
-from mbtool.modbus.request_match import is_answer_to
+from mbtool.modbus.request_match import is_response_to
 from tests.strategies import Exchange, Message, exchanges, messages
 
 READ = bytes.fromhex("03 006B 0003")
@@ -49,10 +49,10 @@ def of(request: str) -> ExpectedResponse:
 def test_response_follows_from_the_request(request_: str, head: str, size: int) -> None:
     expected = of(request_)
     code = int(request_[:2], 16)
-    assert (expected.code, expected.head, expected.size) == (code, bytes.fromhex(head), size)
+    assert (expected.code, expected.prefix, expected.size) == (code, bytes.fromhex(head), size)
 
 
-def test_nobody_answers_force_listen_only() -> None:
+def test_force_listen_only_has_no_response() -> None:
     assert ExpectedResponse.of(bytes.fromhex("08 0004 0000")) is None
 
 
@@ -81,7 +81,7 @@ def test_request_for_contacts_may_have_the_form_of_its_own_response() -> None:
 
 
 @pytest.mark.parametrize("quantity", ["0080", "00FF", "FFFF"])
-def test_quantity_that_no_response_can_hold_is_refused_only(quantity: str) -> None:
+def test_quantity_that_no_response_can_hold_fits_an_exception_only(quantity: str) -> None:
     expected = of(f"03 0000 {quantity}")
     byte_count = 2 * int(quantity, 16) & 0xFF
     assert not expected.fits(bytes((0x03, byte_count)) + bytes(byte_count))
@@ -109,15 +109,17 @@ def test_every_response_of_a_slave_that_keeps_the_rules_fits(exchange: Exchange)
 
 
 @given(request=messages(Direction.REQUEST), other=messages(Direction.RESPONSE))
-def test_what_is_an_answer_when_parsed_fits(request: Message, other: Message) -> None:
+def test_a_pdu_that_is_a_response_when_parsed_fits(request: Message, other: Message) -> None:
     expected = ExpectedResponse.of(request.pdu)
     if request.code == 0x15 and other.pdu != request.pdu:
         return  # A written file record is echoed whole (V1.1b3, 6.15), which parsing does not ask.
-    if expected is not None and is_answer_to(parse_pdu(request.pdu, Direction.REQUEST), other.pdu):
+    if expected is not None and is_response_to(
+        parse_pdu(request.pdu, Direction.REQUEST), other.pdu
+    ):
         assert expected.fits(other.pdu)
 
 
 def test_requests_remembered_are_bounded() -> None:
     for number in range(2 * MAX_KNOWN):
-        assert of(f"06 0001 {number:04X}").head == bytes((6, 0, 1, *number.to_bytes(2)))
+        assert of(f"06 0001 {number:04X}").prefix == bytes((6, 0, 1, *number.to_bytes(2)))
     assert ExpectedResponse.of.cache_info().currsize == MAX_KNOWN

@@ -1,4 +1,4 @@
-"""What a device says about itself."""
+"""The identity that a device reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
 from mbtool.modbus.identification import Identity, identities, text_of
 from tests.devices.transactions import transaction
 
-# MODBUS Application Protocol V1.1b3, 6.21: the example's first answer.
+# MODBUS Application Protocol V1.1b3, 6.21: the first response of the example.
 OBJECTS = bytes.fromhex(
     "2b 0e 01 01 00 00 03"  # read code 1, conformity 1, no more follows, next 0, three objects
     "00 16"
@@ -39,7 +39,7 @@ def test_an_object_of_the_makers_own_is_called_by_its_id() -> None:
     assert said(pdu) == [Identity("object 80H", "A\\x01", 0x80)]
 
 
-def test_of_objects_that_are_cut_the_whole_ones_count() -> None:
+def test_only_whole_objects_of_a_cut_response_count() -> None:
     assert said(OBJECTS[:-2]) == [
         Identity("vendor", "Company identification", 0),
         Identity("product code", "Product code", 1),
@@ -61,27 +61,27 @@ def test_a_server_id_may_be_a_text_before_the_run_indicator() -> None:
     ]
 
 
-def test_a_server_id_without_run_indicator_is_one_thing() -> None:
+def test_a_server_id_without_run_indicator_is_one_property() -> None:
     assert said(bytes.fromhex("11 02 01 02")) == [Identity("server id", "01 02")]
 
 
 @pytest.mark.parametrize("pdu", ["91 01", "11 00", "2b 0d 01 02", "ab 01", "03 02 00 01"])
-def test_other_answers_say_nothing(pdu: str) -> None:
+def test_other_responses_have_no_identity(pdu: str) -> None:
     assert said(bytes.fromhex(pdu)) == []
 
 
-def test_an_exception_and_no_answer_say_nothing() -> None:
+def test_an_exception_and_a_missing_response_have_no_identity() -> None:
     assert identities(transaction(0x2B)) == []
     raw = rtu_adu(5, b"\xab\x01")
     assert identities(transaction(0x2B, exception=1, response_raw=raw)) == []
 
 
 @given(st.sampled_from([0x11, 0x2B]), st.sampled_from(list(Transport)), st.binary(max_size=300))
-def test_no_answer_makes_it_raise(function: int, transport: Transport, raw: bytes) -> None:
+def test_no_response_raises(function: int, transport: Transport, raw: bytes) -> None:
     for one in identities(transaction(function, transport=transport, response_raw=raw)):
         assert one.text.isascii()
         assert one.text.isprintable()
 
 
-def test_a_text_keeps_to_printable_ascii() -> None:
+def test_a_text_has_printable_ascii_only() -> None:
     assert text_of(b"Caf\xe9 \x1b[0m \x00\x00") == "Caf\\xe9 \\x1b[0m"

@@ -20,7 +20,7 @@ FIXED = Layout(("first", 1), ("second", 2))
 COUNTED = Layout(("quantity", 2), tail=Registers(quantity="quantity"))
 
 
-def test_fixed_fields_stand_in_a_row() -> None:
+def test_fixed_fields_are_read_in_order() -> None:
     fields: dict[str, Value] = {"first": 1, "second": 0x203}
     assert FIXED.parse(b"\x55\x01\x02\x03") == (fields, None)
     assert FIXED.encode(fields) == b"\x01\x02\x03"
@@ -43,7 +43,7 @@ def test_long_pdu_keeps_its_fields() -> None:
     assert problem == "5 bytes, where its function has 4"
 
 
-def test_short_head_before_a_tail_says_that_more_may_follow() -> None:
+def test_error_for_short_fixed_fields_says_that_more_may_follow() -> None:
     assert COUNTED.parse(b"\x55\x00")[1] == "2 bytes, where its function has at least 3"
 
 
@@ -88,7 +88,7 @@ def test_length_needs_the_byte_count() -> None:
     assert COUNTED.length(b"\x55\x00\x01\x04") == 8
 
 
-def test_words_are_all_that_is_left_and_at_least_one() -> None:
+def test_uncounted_registers_are_all_remaining_words_and_at_least_one() -> None:
     layout = Layout(tail=UncountedRegisters())
     assert layout.parse(b"\x08\x00\x01\x00\x02") == ({"values": (1, 2)}, None)
     assert layout.parse(b"\x08")[1] == "its data is missing"
@@ -106,7 +106,7 @@ def test_coil_value_is_on_or_off() -> None:
         assert layout.parse(bytes.fromhex(pdu))[1] == problem
 
 
-def test_choice_keeps_what_it_does_not_know_as_bytes() -> None:
+def test_choice_keeps_data_of_unknown_types_as_bytes() -> None:
     layout = Layout(tail=Choice("kind", {1: Layout(("value", 2))}))
     assert layout.parse(b"\x2b\x01\x00\x05") == ({"kind": 1, "value": 5}, None)
     assert layout.parse(b"\x2b\x02\x00\x05") == ({"kind": 2, "data": b"\x00\x05"}, None)
@@ -135,7 +135,7 @@ def test_choice_keeps_what_it_does_not_know_as_bytes() -> None:
         (Layout(tail=Choice("kind", {})), {"kind": b""}, "must be an integer"),
     ],
 )
-def test_what_cannot_be_sent_is_refused(
+def test_fields_that_cannot_be_sent_are_refused(
     layout: Layout, fields: dict[str, Value], problem: str
 ) -> None:
     with pytest.raises(ValueError, match=problem):

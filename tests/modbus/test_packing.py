@@ -1,4 +1,4 @@
-"""Registers and bits, to bytes and back."""
+"""Registers and bits, packed and unpacked."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ def test_first_bit_is_bit_0_of_the_first_byte() -> None:
 
 
 @given(bits(0, 100))
-def test_bits_come_back_with_zeros_to_the_end_of_the_byte(values: tuple[int, ...]) -> None:
+def test_unpacked_bits_are_the_packed_ones_and_zeros_to_the_end_of_the_byte(
+    values: tuple[int, ...],
+) -> None:
     packed = pack_bits(values)
     assert len(packed) == bit_bytes(len(values))
     assert unpack_bits(packed) == values + (0,) * (-len(values) % 8)
 
 
 @given(registers(0, 125))
-def test_registers_come_back(values: tuple[int, ...]) -> None:
+def test_unpacked_registers_are_the_packed_ones(values: tuple[int, ...]) -> None:
     assert words(pack_words(values)) == values
 
 
-def test_what_is_no_register_or_bit_is_refused() -> None:
+def test_values_that_are_no_register_or_bit_are_refused() -> None:
     with pytest.raises(ValueError, match=r"0\.\.65535"):
         pack_words([65536])
     with pytest.raises(ValueError, match=r"0\.\.65535"):

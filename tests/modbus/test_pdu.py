@@ -148,14 +148,14 @@ def test_quantities_follow_from_the_values_where_they_are_left_out() -> None:
     assert parse_pdu(both, REQUEST).number("write_quantity") == 1
 
 
-def test_fault_of_a_write_is_told_and_its_values_kept() -> None:
+def test_fault_of_a_write_is_reported_and_its_values_are_kept() -> None:
     # Two registers behind a quantity of one.
     parsed = parse_pdu(bytes.fromhex("10 00F2 0001 04 0258 000A"), REQUEST)
     assert parsed.problem == "2 registers for a quantity of 1"
     assert parsed.numbers() == (600, 10)
 
 
-def test_pdu_that_is_empty_or_too_large_is_told() -> None:
+def test_pdu_that_is_empty_or_too_large_is_reported() -> None:
     assert parse_pdu(b"", REQUEST).problem == "no function code"
     assert parse_pdu(bytes([0x41]) * 253, REQUEST).problem is None
     assert parse_pdu(bytes([0x41]) * 254, REQUEST).problem == (
@@ -163,13 +163,13 @@ def test_pdu_that_is_empty_or_too_large_is_told() -> None:
     )
 
 
-def test_exception_response_without_its_code_is_told() -> None:
+def test_exception_response_without_its_code_is_reported() -> None:
     parsed = parse_pdu(b"\x83", RESPONSE)
     assert (parsed.function, parsed.exception_code) == (3, None)
     assert parsed.problem == "1 bytes, where its function has 2"
 
 
-def test_number_is_none_for_what_is_none() -> None:
+def test_number_is_none_for_a_field_that_is_no_number() -> None:
     parsed = parse_pdu(bytes.fromhex("03 02 1234"), RESPONSE)
     assert parsed.numbers() == (0x1234,)
     assert parsed.number("values") is None
@@ -215,7 +215,7 @@ def test_adu_of_any_transport_has_a_unit_and_a_pdu(transport: Transport, raw: by
 
 @pytest.mark.parametrize("transport", Transport)
 @pytest.mark.parametrize("raw", [None, b"", b"\x01", b":01"])
-def test_no_pdu_is_had_of_an_adu_that_is_cut_short(transport: Transport, raw: bytes | None) -> None:
+def test_an_adu_that_is_cut_short_has_no_pdu(transport: Transport, raw: bytes | None) -> None:
     assert whole_pdu(transport, raw) is None
 
 

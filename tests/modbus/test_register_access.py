@@ -1,4 +1,4 @@
-"""What requests reach."""
+"""The addresses and values that requests read and write."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
+from mbtool.modbus.functions import TABLE_FUNCTIONS
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.modbus.register_access import (
-    REACHING,
     RegisterAccess,
     keeps_limits,
     register_access,
@@ -22,12 +22,12 @@ COILS, INPUTS = Table.COILS, Table.DISCRETE_INPUTS
 HOLDING, REGISTERS = Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS
 
 
-def _reach(request: str) -> RegisterAccess | None:
+def _access(request: str) -> RegisterAccess | None:
     return register_access(parse_pdu(bytes.fromhex(request), Direction.REQUEST))
 
 
 @pytest.mark.parametrize(
-    ("request_", "reach"),
+    ("request_", "access"),
     [
         ("01 0010 0003", RegisterAccess(COILS, reads=range(16, 19))),
         ("02 0010 0003", RegisterAccess(INPUTS, reads=range(16, 19))),
@@ -39,12 +39,14 @@ def _reach(request: str) -> RegisterAccess | None:
         ("10 0010 0002 04 0001 0002", RegisterAccess(HOLDING, writes=range(16, 18))),
         ("16 0010 00F2 0025", RegisterAccess(HOLDING, writes=range(16, 17))),
         ("17 0003 0006 000E 0001 02 00FF", RegisterAccess(HOLDING, range(3, 9), range(14, 15))),
-        # Past the last address: whether an address exists is not the request's form.
+        # Past the last address: that is no error of the form.
         ("03 FFFF 0002", RegisterAccess(HOLDING, range(0xFFFF, 0x10001))),
     ],
 )
-def test_names_what_is_read_and_written(request_: str, reach: RegisterAccess) -> None:
-    assert _reach(request_) == reach
+def test_gives_the_addresses_that_are_read_and_written(
+    request_: str, access: RegisterAccess
+) -> None:
+    assert _access(request_) == access
 
 
 @pytest.mark.parametrize(
@@ -62,8 +64,8 @@ def test_names_what_is_read_and_written(request_: str, reach: RegisterAccess) ->
         "41 00",
     ],
 )
-def test_knows_no_reach_of_what_is_wrong_or_reaches_no_table(request_: str) -> None:
-    assert _reach(request_) is None
+def test_a_wrong_request_or_one_without_a_table_has_no_register_access(request_: str) -> None:
+    assert _access(request_) is None
 
 
 @pytest.mark.parametrize(
@@ -97,7 +99,7 @@ def test_request_keeps_the_limits_of_its_function(request_: str, keeps: bool) ->
         ("17 0003 0006 000E 0002 04 00FF 0001", [0, 0], (0xFF, 1)),
     ],
 )
-def test_tells_what_a_write_leaves(
+def test_gives_the_values_after_a_write(
     request_: str, before: list[int], after: tuple[int, ...]
 ) -> None:
     assert values_after(parse_pdu(bytes.fromhex(request_), Direction.REQUEST), before) == after
@@ -119,15 +121,15 @@ def test_makes_the_standards_response(request_: str, values: list[int], response
     assert made.hex(" ") == response
 
 
-@given(st.sampled_from(sorted(REACHING)), st.binary(max_size=260))
-def test_what_has_an_access_can_be_executed(function: int, data: bytes) -> None:
+@given(st.sampled_from(sorted(TABLE_FUNCTIONS)), st.binary(max_size=260))
+def test_a_request_with_register_access_can_be_executed(function: int, data: bytes) -> None:
     pdu = bytes([function]) + data
     request = parse_pdu(pdu, Direction.REQUEST)
-    reach = register_access(request)
-    if reach is None:
+    access = register_access(request)
+    if access is None:
         return
-    assert reach.reads or reach.writes
-    if reach.writes:
-        assert len(values_after(request, [0] * len(reach.writes))) == len(reach.writes)
-    response = response_to(request, pdu, [0] * len(reach.reads))
+    assert access.reads or access.writes
+    if access.writes:
+        assert len(values_after(request, [0] * len(access.writes))) == len(access.writes)
+    response = response_to(request, pdu, [0] * len(access.reads))
     assert parse_pdu(response, Direction.RESPONSE).problem is None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mbtool.core import Direction
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.request_match import answers, is_answer_to, mismatch
+from mbtool.modbus.request_match import is_response_code, is_response_to, mismatch
 from tests.strategies import Exchange, exchanges
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
@@ -48,7 +48,7 @@ def test_response_belongs_to_its_request(request_: str, response: str, problem: 
     asked = parse_pdu(bytes.fromhex(request_), REQUEST)
     answer = bytes.fromhex(response)
     assert mismatch(asked, parse_pdu(answer, RESPONSE)) == problem
-    assert is_answer_to(asked, answer) == (problem is None)
+    assert is_response_to(asked, answer) == (problem is None)
 
 
 @pytest.mark.parametrize(
@@ -56,23 +56,25 @@ def test_response_belongs_to_its_request(request_: str, response: str, problem: 
     [("83 02", True), ("83", False), ("83 02 00", False), ("84 02", False), ("", False)],
 )
 def test_exception_response_belongs_to_a_request_of_its_function(response: str, fits: bool) -> None:
-    assert is_answer_to(parse_pdu(READ, REQUEST), bytes.fromhex(response)) is fits
+    assert is_response_to(parse_pdu(READ, REQUEST), bytes.fromhex(response)) is fits
 
 
 def test_function_code_above_127_is_answered_by_itself_only() -> None:
-    assert answers(0x83, 0x83)
-    assert not answers(0x83, 0x03)
-    assert answers(0x03, 0x83)
+    assert is_response_code(0x83, 0x83)
+    assert not is_response_code(0x83, 0x03)
+    assert is_response_code(0x03, 0x83)
 
 
 @given(exchange=exchanges(), place=st.integers(0, 300), byte=st.integers(0, 255))
-def test_what_fits_by_its_bytes_belongs_together(exchange: Exchange, place: int, byte: int) -> None:
-    """Of the two that judge an answer, by its bytes and by its meaning, the first is stricter."""
+def test_a_response_that_fits_by_its_bytes_belongs_to_its_request(
+    exchange: Exchange, place: int, byte: int
+) -> None:
+    """The comparison of a response by its bytes is stricter than that by its fields."""
     expected = ExpectedResponse.of(exchange.request)
     if expected is None or exchange.response is None:
         return
     asked = parse_pdu(exchange.request, REQUEST)
-    assert is_answer_to(asked, exchange.response)
+    assert is_response_to(asked, exchange.response)
     at = place % len(exchange.response)
     altered = exchange.response[:at] + bytes([byte]) + exchange.response[at + 1 :]
     answer = parse_pdu(altered, RESPONSE)

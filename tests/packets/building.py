@@ -82,7 +82,7 @@ def ipv6(
 
 
 def in_fragments(whole: Packet, *sizes: int, identification: int = 7) -> list[Packet]:
-    """Cut an Ethernet packet of IPv4 into fragments; sizes in bytes, the rest is the last one's."""
+    """Cut an Ethernet packet of IPv4 into fragments of these sizes in bytes and one of the rest."""
     end = 14 + int.from_bytes(whole.data[16:18], "big")
     source, destination = (str(ip_address(whole.data[at : at + 4])) for at in (26, 30))
     payload, at = whole.data[34:end], 0
@@ -112,7 +112,7 @@ def ethernet(payload: bytes, kind: int = 0x0800, tags: bytes = b"") -> bytes:
 
 
 def gre(inner: bytes, protocol: int, header: bytes = b"", *, flags: int = 0) -> bytes:
-    """Make a GRE packet in IPv4; `header` is what its flags and its protocol put before `inner`."""
+    """Make a GRE packet in IPv4; `header` has the optional fields before `inner`."""
     return ipv4(struct.pack(">HH", flags, protocol) + header + inner, protocol=47)
 
 
@@ -121,7 +121,7 @@ ERSPAN_II = bytes.fromhex("0000002a  1001 0001 00000000")
 
 
 def erspan(frame: bytes) -> bytes:
-    """What a switch sends that mirrors an Ethernet frame over a network: ERSPAN type II."""
+    """Make a packet with a mirrored Ethernet frame: ERSPAN type II."""
     return ethernet(gre(frame, 0x88BE, ERSPAN_II, flags=0x1000))
 
 
@@ -189,7 +189,7 @@ class Talk:
         return sent
 
     def at(self, sender: End, sequence: int, payload: bytes = b"", flags: int = ACK) -> Packet:
-        """Send at any sequence number; nothing moves on but time."""
+        """Send at any sequence number; only the time moves on."""
         other = self.slave if sender is self.master else self.master
         acknowledgement = other.sequence if flags & ACK else 0
         self.ts_ns += 1_000_000
@@ -203,7 +203,7 @@ def cut(whole: Packet, length: int) -> Packet:
 
 
 def pcap(packets: list[Packet], order: str = "<", *, magic: int = 0xA1B2C3D4) -> bytes:
-    """Make a pcap file; the magic says what its fractions count."""
+    """Make a pcap file; the magic gives the unit of its fractions."""
     unit = 1 if magic == 0xA1B23C4D else 1000
     extra = bytes(8) if magic == 0xA1B2CD34 else b""
     link_type = packets[0].link_type if packets else 1

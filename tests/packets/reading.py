@@ -28,7 +28,7 @@ def run_packets(
 
 
 def words_of(items: list[StreamItem]) -> list[str | int]:
-    """Give what was said, `>` before a request and `<` before a response; a gap as its length."""
+    """Give the bytes as text behind `>` (request) or `<` (response), and a gap as its length."""
     words: list[str | int] = []
     for item in items:
         if isinstance(item, Chunk):
@@ -43,7 +43,7 @@ def close_reasons(items: list[StreamItem]) -> list[CloseReason]:
 
 
 def wire_events(items: list[StreamItem]) -> list[WireEvent]:
-    """The events, those of connections among them."""
+    """The events, including those of connections."""
     told = (item.event if isinstance(item, StreamEvent) else item for item in items)
     return [one for one in told if isinstance(one, WireEvent)]
 

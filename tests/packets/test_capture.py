@@ -53,7 +53,7 @@ def test_every_beginning_of_a_file_gives_the_packets_in_it(file: bytes) -> None:
         assert packets == whole[: len(packets)]
         assert error is None or isinstance(error, CutError)
         clean += error is None
-    # A cut is not seen only between two records: behind the header, and behind two packets.
+    # Only cuts between two records are not noticed: behind the header, and behind two packets.
     assert clean == (3 if file is _PCAP else 4)
 
 
@@ -87,7 +87,7 @@ def test_no_damage_raises_anything_but_input_errors(
     _read(bytes(damaged))
 
 
-# Names and packets as the table of the captures' README has them.
+# Names and numbers of packets are those of the table in the README of the captures.
 _PUBLIC = {
     "ITI__ICS-Security-Tools/mb2.pcap": 13472,
     "ITI__ICS-Security-Tools/Modbus__modbus_test.pcap": 2257,
@@ -171,7 +171,7 @@ def _wrapped(wrap: Callable[[bytes], bytes]) -> list[Packet]:
 
 
 def _patched(at: int, value: bytes) -> bytes:
-    """The capture of what was said, with other bytes at a place."""
+    """The capture of a conversation, with other bytes at a place."""
     file = pcap(_said())
     return file[:at] + value + file[at + len(value) :]
 

@@ -48,7 +48,7 @@ def test_the_first_packets_of_a_joined_connection_may_be_swapped(order: tuple[in
     assert [item.ts_ns // _MS for item in items if isinstance(item, Chunk)][-2:] == [5, 6]
 
 
-def test_where_a_joined_stream_begins_is_settled_after_a_while() -> None:
+def test_the_beginning_of_a_joined_stream_is_decided_after_a_while() -> None:
     talk = Talk()
     reassembler = TcpReassembler()
     assert words_of(run_packets([talk.request(b"ask")], reassembler, close=False)) == []
@@ -250,7 +250,7 @@ def test_the_first_copy_wins_and_a_difference_is_one_event(
     assert (event.source, event.destination) == (str(_MASTER), str(_SLAVE))
 
 
-def test_bytes_behind_a_filled_hole_have_the_time_of_what_filled_it() -> None:
+def test_bytes_behind_a_filled_hole_have_the_time_of_the_segment_that_filled_it() -> None:
     talk = Talk()
     late = talk.at(talk.master, 1004, b"def")
     filling = talk.at(talk.master, 1001, b"abc")
@@ -285,7 +285,7 @@ def test_an_acknowledged_hole_is_given_up_after_a_few_packets() -> None:
     packets += [talk.response(b"THIRD"), talk.request(b"fourth")]
     items = run_packets(packets, close=False)
 
-    # All that was said after the lost request waits for it, then comes in order.
+    # All bytes after the lost request wait for it, then come in order.
     assert len(packets) - 6 == PATIENCE
     assert words_of(items) == [">first", "<FIRST", 4, "<LOST", ">third", "<THIRD", ">fourth"]
 
@@ -302,7 +302,7 @@ def test_an_acknowledged_hole_is_given_up_after_a_while() -> None:
     assert words_of(reassembler.advance(5 * _MS + PATIENCE_NS)) == [4, "<LOST", ">second"]
 
 
-def test_a_hole_that_nobody_acknowledges_is_given_up_after_longer() -> None:
+def test_a_hole_without_an_acknowledgement_is_given_up_later() -> None:
     talk = Talk()
     packets = [*talk.handshake(), talk.at(talk.master, 1004, b"def")]
     reassembler = TcpReassembler()
@@ -427,7 +427,7 @@ def test_a_reset_in_answer_to_a_syn_is_a_refusal() -> None:
     assert close_reasons(items) == [CloseReason.REFUSED]
 
 
-def test_a_leap_of_the_sequence_numbers_is_a_gap_of_unknown_length() -> None:
+def test_a_jump_of_the_sequence_numbers_is_a_gap_of_unknown_length() -> None:
     talk = Talk()
     packets = [*talk.handshake(), talk.request(b"one")]
     talk.master.sequence += WINDOW + 1
@@ -436,7 +436,7 @@ def test_a_leap_of_the_sequence_numbers_is_a_gap_of_unknown_length() -> None:
     assert words_of(run_packets(packets)) == [">one", 0, ">two", "<TWO", ">three"]
 
 
-def test_what_is_held_is_bounded_by_pieces() -> None:
+def test_the_number_of_held_pieces_is_limited() -> None:
     talk = Talk()
     packets = talk.handshake()
     packets += [talk.at(talk.master, 1002 + at, b"x") for at in range(MAX_HELD_PIECES)]
@@ -447,7 +447,7 @@ def test_what_is_held_is_bounded_by_pieces() -> None:
     assert words_of(run_packets(packets, close=False)) == [1, *[">x"] * (MAX_HELD_PIECES + 1)]
 
 
-def test_what_is_held_is_bounded_by_bytes() -> None:
+def test_the_number_of_held_bytes_is_limited() -> None:
     talk = Talk()
     block = MAX_HELD_BYTES // 4
     packets = talk.handshake()

@@ -91,7 +91,7 @@ def test_a_fragment_that_the_capture_cut_keeps_its_length() -> None:
         b"\x55" + bytes(60),
     ],
 )
-def test_passes_over_what_is_no_fragment_of_tcp(data: bytes) -> None:
+def test_ignores_packets_that_are_no_fragment_of_tcp(data: bytes) -> None:
     assert find_fragment(data, 0, len(data)) is None
 
 
@@ -153,13 +153,13 @@ def test_the_first_end_wins(other: Fragment) -> None:
     assert whole.overlap is Overlap.DIFFERENT
 
 
-def test_an_end_before_what_has_come_is_none() -> None:
+def test_an_end_before_bytes_that_have_come_is_ignored() -> None:
     (whole,) = _feed([_part(8, 24), _fragment(0, b"short", last=True), _part(24, 48), _part(0, 8)])
 
     assert whole.payload == _PAYLOAD
 
 
-def test_what_follows_bytes_that_the_capture_cut_is_missing() -> None:
+def test_bytes_behind_a_cut_fragment_are_missing() -> None:
     (whole,) = _feed([_fragment(0, b"1234", end=8), _fragment(8, b"rest", last=True)])
 
     data, length = whole.packet()
@@ -184,7 +184,7 @@ def test_a_packet_that_is_not_whole_in_time_is_given_up() -> None:
     assert held.close() == []
 
 
-def test_time_that_runs_backwards_ends_no_wait_for_long() -> None:
+def test_a_clock_that_steps_back_does_not_keep_packets_for_long() -> None:
     held = Fragments()
     held.feed(_part(0, 8), 10**18, "if0")
 
@@ -201,7 +201,7 @@ def test_the_number_of_packets_is_bounded() -> None:
     assert (given_up.ending, given_up.key[3]) == (DatagramEnd.DISCARDED, 0)
 
 
-def test_a_packet_that_was_whole_is_forgotten_silently() -> None:
+def test_a_whole_packet_is_forgotten_without_an_event() -> None:
     held = Fragments()
     _feed([_part(0, 24), _part(24, 48)], held)
 

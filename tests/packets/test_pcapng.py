@@ -115,7 +115,7 @@ def test_blocks_without_a_packet_are_skipped() -> None:
     assert [each.data for each in _read(_START + others + _MAKE.enhanced(b"a"))] == [b"a"]
 
 
-def test_options_that_break_off_keep_what_came_before() -> None:
+def test_options_before_an_early_end_are_kept() -> None:
     body = struct.pack("<HHI", 1, 0, 0) + struct.pack("<HH4sHH", _NAME, 4, b"eth0", _RESOLUTION, 99)
 
     file = _MAKE.section() + _MAKE.block(1, body) + _MAKE.enhanced(b"a")
@@ -136,7 +136,9 @@ def test_options_that_break_off_keep_what_came_before() -> None:
         (_MAKE.block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 2, 0, -1)), "version 2.0"),
     ],
 )
-def test_damage_is_told_in_one_line_after_the_packets_before_it(block: bytes, problem: str) -> None:
+def test_damage_is_reported_in_one_line_after_the_packets_before_it(
+    block: bytes, problem: str
+) -> None:
     packets = read_capture(io.BytesIO(_START + _MAKE.enhanced(b"a") + block), "line.pcapng")
 
     assert next(packets).data == b"a"

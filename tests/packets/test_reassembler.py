@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
-from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_WAITING, TcpReassembler
+from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_HOLDING, TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
 from mbtool.packets.stream_events import CloseReason, StreamClosed, StreamGap, StreamOpened
 from tests.captures import read_packets
@@ -94,7 +94,7 @@ def test_passes_over_connections_of_other_ports() -> None:
     ],
     ids=["lower port speaks", "lower port listens", "got the SYN", "answered the SYN"],
 )
-def test_decides_who_is_the_slave_where_both_ports_are_wanted(
+def test_decides_which_end_is_the_slave_if_both_ports_are_wanted(
     source_port: int, destination_port: int, flags: int, slave_port: int
 ) -> None:
     data = ethernet(ipv4(tcp(source_port, destination_port, 1000, flags=flags, payload=b"a")))
@@ -133,7 +133,7 @@ def test_a_port_used_again_is_another_connection(finished: bool) -> None:
     ]
 
 
-def test_a_connection_that_speaks_after_a_reset_goes_on_as_another() -> None:
+def test_bytes_after_a_reset_belong_to_another_connection() -> None:
     talk = Talk()
     packets = [*talk.handshake(), talk.request(b"ask"), talk.at(talk.master, 1004, flags=RST)]
 
@@ -143,17 +143,17 @@ def test_a_connection_that_speaks_after_a_reset_goes_on_as_another() -> None:
     assert close_reasons(items) == [CloseReason.RESET, CloseReason.CAPTURE_END]
 
 
-def test_scans_and_strays_open_nothing() -> None:
+def test_port_scans_and_stray_packets_open_no_connection() -> None:
     talk = Talk()
     flags = (ACK, FIN | ACK, RST, RST | ACK)
 
     assert run_packets([talk.at(talk.master, 1000, flags=each) for each in flags]) == []
 
 
-def test_the_number_of_connections_that_wait_is_bounded() -> None:
+def test_the_number_of_connections_with_held_bytes_is_limited() -> None:
     reassembler = TcpReassembler()
     said = []
-    for number in range(MAX_WAITING + 1):
+    for number in range(MAX_HOLDING + 1):
         talk = Talk(master=End(MASTER, 10000 + number, 1000))
         said += words_of(
             run_packets(
@@ -164,7 +164,7 @@ def test_the_number_of_connections_that_wait_is_bounded() -> None:
     assert said == [1, ">x"]
 
 
-def test_the_least_recently_used_connection_is_discarded_beyond_the_bound() -> None:
+def test_the_least_recently_used_connection_is_discarded_above_the_limit() -> None:
     reassembler = TcpReassembler()
     items = []
     for number in range(MAX_CONNECTIONS + 1):
@@ -191,7 +191,7 @@ def test_an_idle_connection_is_forgotten() -> None:
     assert items[0].joined
 
 
-def test_time_that_runs_backwards_harms_nothing() -> None:
+def test_a_clock_that_steps_back_loses_nothing() -> None:
     talk = Talk(ts_ns=10**18)
     packets = [*talk.handshake(), talk.request(b"one")]
     talk.ts_ns = 0
@@ -237,7 +237,7 @@ def test_packets_cut_in_their_headers_are_one_event() -> None:
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2), (0, 0, 1, 1, 2, 2)])
-def test_a_packet_in_fragments_is_put_together(order: tuple[int, ...]) -> None:
+def test_a_packet_in_fragments_is_reassembled(order: tuple[int, ...]) -> None:
     talk = Talk()
     packets = talk.handshake()
     fragments = in_fragments(talk.request(bytes(range(65, 91))), 8, 24)
@@ -251,7 +251,7 @@ def test_a_packet_in_fragments_is_put_together(order: tuple[int, ...]) -> None:
     assert asked.ts_ns == 10 * _MS + (4 if len(order) > 3 else 2)
 
 
-def test_fragments_of_ipv6_with_extension_headers_are_put_together() -> None:
+def test_fragments_of_ipv6_with_extension_headers_are_reassembled() -> None:
     header = bytes.fromhex("06 00 0104 00000000")  # destination options before TCP
     data = header + tcp(49152, 502, 1000, payload=b"abcdefghijk")
     hops = bytes.fromhex("2c 00 0104 00000000")  # hop-by-hop options before the fragment header

@@ -113,7 +113,7 @@ def test_does_not_believe_a_packet_longer_than_its_frame() -> None:
         ipv6(bytes.fromhex("06 ff 0104 00000000") + _TCP, following=0),
     ],
 )
-def test_passes_over_what_is_no_tcp_segment(data: bytes) -> None:
+def test_ignores_packets_without_a_tcp_segment(data: bytes) -> None:
     assert _read(data) is None
 
 

@@ -31,12 +31,12 @@ def test_the_bytes_of_rtac_serial_stand_behind_its_header(event: int) -> None:
     (piece,) = serial_pieces(packet(_rtac(event, FRAME), 7, link_type=250))
     assert isinstance(piece, Chunk)
     assert (piece.ts_ns, piece.data) == (7, FRAME)
-    # Who captured may have been the master, a slave or neither.
+    # The capturing device may have been the master, a slave or neither.
     assert piece.direction is Direction.UNKNOWN
 
 
 @pytest.mark.parametrize("event", [0, 1, 4, 6, 0xFF])
-def test_a_record_that_only_tells_of_control_lines_gives_nothing(event: int) -> None:
+def test_a_record_of_control_lines_gives_nothing(event: int) -> None:
     assert serial_pieces(packet(_rtac(event, lines=0x18), link_type=250)) == []
 
 
@@ -50,7 +50,7 @@ def test_a_record_that_only_tells_of_control_lines_gives_nothing(event: int) -> 
         (10, EventKind.GAP, "overrun"),
     ],
 )
-def test_errors_of_rtac_serial_are_told_before_the_bytes(
+def test_errors_of_rtac_serial_come_before_the_bytes(
     event: int, kind: EventKind, word: str
 ) -> None:
     error, piece = serial_pieces(packet(_rtac(event, FRAME), link_type=250))

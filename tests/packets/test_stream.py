@@ -18,12 +18,12 @@ from mbtool.packets.stream import (
 
 def _stream(first: int = 0) -> Stream:
     stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
-    stream.first = first
+    stream.origin = first
     return stream
 
 
 def _piece(start: int, data: bytes) -> HeldBytes:
-    return HeldBytes(start, start + len(data), data, after=0, ts_ns=0, arrival=0)
+    return HeldBytes(start, start + len(data), data, acknowledged=0, ts_ns=0, arrival=0)
 
 
 @given(
@@ -37,7 +37,7 @@ def test_places_a_sequence_number_nearest_to_the_next(
     stream = _stream(first)
     stream.position = position
 
-    assert stream.place((first + position + distance) % 2**32) == position + distance
+    assert stream.position_of((first + position + distance) % 2**32) == position + distance
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.binary(min_size=1, max_size=12)), max_size=20))
@@ -70,7 +70,7 @@ def test_is_overfull_beyond_its_bounds() -> None:
     assert stream.is_overfull()
 
 
-def test_compares_a_second_copy_with_what_it_still_has() -> None:
+def test_compares_a_second_copy_with_the_bytes_that_it_still_has() -> None:
     stream = _stream()
     data = bytes(range(256)) * 8
     stream.advance(data, len(data))
@@ -95,7 +95,7 @@ def test_a_joined_stream_begins_where_its_first_hole_ends() -> None:
     stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
     stream.join(3, arrival=1, ts_ns=0)
 
-    assert (stream.place(3), stream.place(2)) == (LEAD, LEAD - 1)
+    assert (stream.position_of(3), stream.position_of(2)) == (LEAD, LEAD - 1)
     assert stream.begins_at(3)
     assert stream.begins_at(2**32 - 7)
     assert not stream.begins_at(4)
@@ -106,7 +106,7 @@ def test_a_joined_stream_begins_where_its_first_hole_ends() -> None:
     assert stream.take_late(_piece(0, bytes(LEAD))) == b""
 
 
-def test_a_doubt_is_as_old_as_the_acknowledgement_of_what_is_missing() -> None:
+def test_a_wait_begins_with_the_acknowledgement_of_the_missing_bytes() -> None:
     stream = _stream()
     stream.acknowledge(3, arrival=1, ts_ns=0)
     stream.acknowledge(6, arrival=3, ts_ns=0)
@@ -120,7 +120,7 @@ def test_a_doubt_is_as_old_as_the_acknowledgement_of_what_is_missing() -> None:
     assert not stream.is_overdue(99, 3, 999, 100)
 
 
-def test_remembers_so_many_acknowledgements_and_gaps() -> None:
+def test_remembers_a_limited_number_of_acknowledgements_and_gaps() -> None:
     stream = _stream()
     for number in range(1000):
         stream.acknowledge(10 * number + 1, arrival=number, ts_ns=0)

@@ -86,12 +86,12 @@ def test_finds_the_packet_inside(outer: bytes) -> None:
         *("a header that is too short", "other UDP", "no GRE", "a byte", "nothing"),
     ],
 )
-def test_what_carries_no_packet_that_is_known_has_none(outer: bytes) -> None:
+def test_other_packets_have_no_inner_packet(outer: bytes) -> None:
     assert find_inner(outer, 0, len(outer)) == NOT_IP
 
 
 @pytest.mark.parametrize("wrap", [erspan, vxlan])
-def test_a_mirrored_connection_is_followed_also_where_it_was_fragmented(
+def test_a_mirrored_connection_is_followed_even_if_it_was_fragmented(
     wrap: Callable[[bytes], bytes],
 ) -> None:
     talk = Talk()
@@ -120,7 +120,7 @@ def test_fragments_of_a_tunnel_are_one_event_for_each_interface() -> None:
     ]
 
 
-def test_tunnels_in_tunnels_are_looked_into_up_to_a_bound() -> None:
+def test_tunnels_in_tunnels_are_read_up_to_a_limit() -> None:
     data = tcp(50000, 502, 1, payload=b"deep")
     for _ in range(MAX_TUNNELS):
         data = ipv4(data, protocol=4 if data[0] >> 4 == 4 else 6)

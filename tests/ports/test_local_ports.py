@@ -114,7 +114,7 @@ def test_a_uart_is_named_by_the_driver_of_its_hardware(machine: Machine) -> None
     port = only(machine)
     assert (port.driver, port.description) == ("serial", "port on the pnp bus")
     assert (port.fifo_bytes, port.low_latency, port.low_latency_support) == (8, False, True)
-    assert [trouble.mend for trouble in port.troubles] == [
+    assert [trouble.remedy for trouble in port.troubles] == [
         "echo 1 | sudo tee /sys/class/tty/ttyS0/rx_trig_bytes"
     ]
 
@@ -170,7 +170,7 @@ def test_who_holds_a_port_is_told_with_how_to_end_a_service(
     held, free = local_ports(machine.root)
     assert held.holders == (Holder(412, command),)
     assert held.troubles[0].problem.startswith(f"held by {command} (412): ")
-    assert held.troubles[0].mend == mend
+    assert held.troubles[0].remedy == mend
     assert (free.holders, free.troubles) == ((), ())
 
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction, SerialFormat
 from mbtool.framing.skips import MAX_RUN
-from mbtool.modbus import Adu, Skipped, ascii_adu, pdu_of
+from mbtool.modbus import Adu, Skipped, ascii_adu
 from mbtool.modbus.adu import MAX_ASCII_ADU, Transport, Verdict
+from mbtool.modbus.pdu import pdu_of
 from mbtool.serial_line import AsciiSplitter
 from mbtool.serial_line.ascii import CHARACTER_TIMEOUT_NS
 from tests.feeding import Line, feed_all

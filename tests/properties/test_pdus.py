@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus import parse_pdu, pdu_length
-from mbtool.modbus.request_match import is_answer_to
+from mbtool.modbus.pdu import parse_pdu, pdu_length
+from mbtool.modbus.request_match import is_response_to
 from tests.strategies import Message, messages
 
 DIRECTIONS = st.sampled_from(tuple(Direction))
@@ -66,7 +66,7 @@ def test_bytes_too_many_are_a_problem_and_the_fields_stay(message: Message, extr
 def test_no_bytes_raise(data: bytes, direction: Direction) -> None:
     parsed = parse_pdu(data, direction)
     pdu_length(data, direction)
-    is_answer_to(parsed, data)
+    is_response_to(parsed, data)
 
 
 @given(messages(), st.binary(max_size=20), st.integers(0, 30), DIRECTIONS)

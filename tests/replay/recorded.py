@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
-from mbtool.modbus import Adu, DirectionBy, Transport, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus import Adu, Transport, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu import DirectionBy
 
 if TYPE_CHECKING:
     from mbtool.modbus import Transaction

@@ -78,7 +78,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 def test_what_is_to_be_copied_is_whole_on_any_terminal(width: int) -> None:
     wordy = Trouble("a long story of what is wrong " * 5, "sudo " + "very " * 30 + "long")
     lines = ports(ADAPTER, LocalSerialPort(device="/dev/ttyS1", troubles=(wordy,)), width=width)
-    copied = [f"rtu:{STABLE}@19200-8E1", f"    {TEE}", f"    {wordy.mend}"]
+    copied = [f"rtu:{STABLE}@19200-8E1", f"    {TEE}", f"    {wordy.remedy}"]
     assert [line for line in lines if line in copied] == copied
     others = [line for line in lines if line not in [*copied, "rtu:/dev/ttyS1@19200-8E1"]]
     assert max(map(len, others)) <= width

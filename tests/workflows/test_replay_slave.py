@@ -256,7 +256,7 @@ def test_a_wrong_crc_of_the_recording_comes_again_where_it_is_wanted() -> None:
         damaged = [
             wire_pieces(answer, Transport.RTU_TCP, 1)[0][1]
             for answer in answers
-            if answer is not None and answer.spoiling is not None
+            if answer is not None and answer.distortion is not None
         ]
         assert damaged == expected
 

@@ -33,7 +33,7 @@ from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.named import NamedTransaction
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, WRITE_ONE
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
@@ -61,7 +61,6 @@ _SILENCES = {
 }
 _BLOCK_SIGNS = frozenset((Verdict.SPLIT, Verdict.GLUED))
 _DIAGNOSTICS = 0x08
-_ECHOED_WHOLE = frozenset((0x05, 0x06, 0x16))
 
 
 @dataclass(slots=True)
@@ -262,7 +261,7 @@ def _answers(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool
         return True
     return (
         transaction.outcome is Outcome.NO_ANSWER
-        and transaction.function in _ECHOED_WHOLE
+        and transaction.function in WRITE_ONE
         and transaction.start_ns - broadcast.request_ns < TURNAROUND_NS
         and _request(transaction) == _request(broadcast)
     )

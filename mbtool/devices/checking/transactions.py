@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.rules import DeviceCode
 from mbtool.devices.findings import finding_text, request_data, value_ranges, values_outside
-from mbtool.devices.form import ADDRESSES, answer_form, padding_of, request_form
+from mbtool.devices.form import answer_form, padding_of, request_form
 from mbtool.devices.references import is_neutral
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, short_name
+from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS, WRITE_LIMIT_17H, short_name
+from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 _FORMS_OF_REQUESTS = frozenset(("MB-101", "MB-102", "MB-103"))
 _FORMS_OF_ANSWERS = frozenset(("MB-201", "MB-202", "MB-203"))
-_PLAIN = frozenset((0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F, 0x10))
+_PLAIN = TABLE_FUNCTIONS - {0x16, 0x17}
 """Functions that only read or only write values."""
 _PADDING = frozenset(("MB-105", "MB-204"))
 

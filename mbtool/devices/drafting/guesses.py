@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from mbtool.devices.model import PointType, WordOrder
+from mbtool.modbus.functions import READ_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -89,7 +90,7 @@ def _text(first: int, columns: Sequence[Sequence[int]], at: int, samples: Sample
     # The zeros or spaces behind a text belong to it.
     while end < len(columns) and not samples.changes[end] and columns[end][0] in (0, 0x2020):
         end += 1
-    words = min(end - at, 125)
+    words = min(end - at, READ_LIMIT)
     text = data.rstrip(b"\x00 ").decode("ascii")
     return Guess(first + at, PointType.STRING, f'the text "{text}"', length=words)
 

@@ -29,6 +29,7 @@ from mbtool.devices.importing.cells import (
 from mbtool.devices.importing.columns import Column, Meaning
 from mbtool.devices.importing.spellings import Order, TypeSpelling, parse_order, parse_type
 from mbtool.devices.model import Access, PointType
+from mbtool.modbus.functions import READ_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -222,11 +223,10 @@ class RowReader:
         if size is None:
             return None
         registers = -(-size // self._size_of)
-        if not 1 <= registers <= 125:
+        if not 1 <= registers <= READ_LIMIT:
             column = self._sheet.column(Meaning.LENGTH)
-            self._complaints.add(
-                number, column, self._of(row, Meaning.LENGTH), "is no size; 1 to 125 registers are"
-            )
+            problem = f"is no size; 1 to {READ_LIMIT} registers are"
+            self._complaints.add(number, column, self._of(row, Meaning.LENGTH), problem)
             return None
         return int(registers)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Self
 
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import ADDRESSES, Table
 from mbtool.slave.device.blocks import Blocks
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from mbtool.devices.model import Point, Profile
 
-ADDRESSES = 0x10000
 
 _DIGITS = bytes.maketrans(b"\x00\x01", b"01")
 

@@ -27,8 +27,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.modbus.functions import READS, TABLE_FUNCTIONS
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
-from mbtool.modbus.register_access import REACHING, register_access, response_to, values_after
+from mbtool.modbus.register_access import register_access, response_to, values_after
 from mbtool.modbus.response import Response
 from mbtool.slave.device.image import packed_bits
 
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
 MAX_KNOWN = 4096
 
-_PLAIN_READS = frozenset({0x01, 0x02, 0x03, 0x04})
+_PLAIN_READS = READS - {0x17}
 """Functions whose response is a byte count and what they read."""
 
 
@@ -87,7 +88,7 @@ class DeviceResponder:
             return _response(known)
         rule = self._profile.rule(function)
         own = self.behaviour.own.get(function)
-        if rule is None or (own is None and function not in REACHING):
+        if rule is None or (own is None and function not in TABLE_FUNCTIONS):
             raise _RefusedError(exceptions.function)
         if own is not None:
             return own(pdu, now_ns)

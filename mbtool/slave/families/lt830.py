@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING
 from mbtool.devices.findings import holds_read_only_point, value_ranges, values_outside
 from mbtool.devices.values import places_of
 from mbtool.modbus.pdu import exception_pdu
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import ADDRESSES, Table
 from mbtool.slave.device.behaviour import Behaviour
-from mbtool.slave.device.image import ADDRESSES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -23,7 +23,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
 from mbtool.modbus.register_access import register_access
 from mbtool.slave.device.behaviour import Behaviour
@@ -141,7 +141,7 @@ class Wago(Behaviour):
             self._restart()
 
     def answered(self, pdu: bytes, response: bytes | None, now_ns: int) -> None:
-        if response is not None and response[0] & 0x80:
+        if response is not None and response[0] & EXCEPTION_BIT:
             self._count_exception(pdu, response[1])
         elif pdu[0] != 0x0B:
             self._went_well = self._went_well + 1 & 0xFFFF

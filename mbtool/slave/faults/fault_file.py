@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from mbtool.core import UsageError
 from mbtool.devices import parse_span
 from mbtool.devices.toml_file import read_toml
+from mbtool.modbus.adu import MAX_TCP_ADU
 from mbtool.slave.faults.faults import Fault, FaultCondition, FaultKind
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def _fault(table: _Table, profiles: list[Profile]) -> Fault:
         return Fault(kind=kind, match=match, extra=table.hexadecimal("bytes"))
     if kind is FaultKind.SPLIT:
         gap_ns = round(table.real("gap_ms", _DEFAULT_GAP_MS, 0, MAX_SECONDS * 1000) * _MS)
-        count = table.number("pieces", 2, 2, 260)
+        count = table.number("pieces", 2, 2, MAX_TCP_ADU)
         return Fault(kind=kind, match=match, count=count, delay_ns=gap_ns)
     return Fault(
         kind=kind,

@@ -116,7 +116,7 @@ class FaultySlave:
             if answer is not None:
                 answer = fault.applied(unit, pdu, request, access, answer)
             elif fault.ends_connections:
-                silence = Response(b"", spoiling=Distortion(silent=True))
+                silence = Response(b"", distortion=Distortion(silent=True))
                 answer = fault.applied(unit, pdu, request, access, silence)
         return answer
 
@@ -166,8 +166,8 @@ class _Active:
             case FaultKind.STUCK | FaultKind.OFFSET:
                 return self._with_other_values(unit, pdu, request, access, answer)
             case _:
-                distortion = _distorted(fault, answer.spoiling or Distortion())
-                return replace(answer, spoiling=distortion)
+                distortion = _distorted(fault, answer.distortion or Distortion())
+                return replace(answer, distortion=distortion)
 
     def _with_other_values(
         self, unit: int, pdu: bytes, request: Pdu, access: RegisterAccess | None, answer: Response

@@ -194,7 +194,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._last_request_ns = now_ns
         if answer is None:
             return True
-        if answer.delay_ns or answer.spoiling is not None or self._waiting:
+        if answer.delay_ns or answer.distortion is not None or self._waiting:
             self._put(answer, transaction_id, unit, now_ns)
         else:
             self._transport.write(mbap_adu(transaction_id, unit, answer.pdu))
@@ -223,8 +223,8 @@ class MasterConnection(asyncio.BufferedProtocol):
         for after_ns, piece in wire_pieces(answer, transport, unit, transaction_id or 0):
             last_ns = due_ns + after_ns
             self._waiting.append((last_ns, piece))
-        if answer.spoiling is not None and answer.spoiling.ending is not None:
-            self._waiting.append((last_ns, answer.spoiling.ending))
+        if answer.distortion is not None and answer.distortion.ending is not None:
+            self._waiting.append((last_ns, answer.distortion.ending))
 
     def _send_due(self) -> None:
         """Send what is due, and come back for the next."""

@@ -103,12 +103,12 @@ class SlaveMonitor:
     def _records(self, request: Adu, answer: Response | None) -> Iterator[Record]:
         transaction = self._joined(request, answer)
         yield self._namer.name(transaction)
-        if answer is not None and answer.spoiling is not None:
+        if answer is not None and answer.distortion is not None:
             yield WireEvent(
                 ts_ns=request.end_ns + answer.delay_ns,
                 link=self._ends.link,
                 kind=EventKind.SPOILT,
-                message=f"the answer above, on purpose: {_how_spoilt(answer.spoiling)}",
+                message=f"the answer above, on purpose: {_how_spoilt(answer.distortion)}",
                 raw=transaction.response_raw or b"",
             )
 

@@ -124,7 +124,7 @@ def test_an_exception_has_its_code_and_the_write_is_done() -> None:
     ],
 )
 def test_an_answer_is_spoilt_on_its_way(fault: Fault, spoiling: Distortion) -> None:
-    assert _slave(fault).respond(1, READ, 0) == Response(VALUES, spoiling=spoiling)
+    assert _slave(fault).respond(1, READ, 0) == Response(VALUES, distortion=spoiling)
 
 
 def test_faults_add_up() -> None:
@@ -132,7 +132,7 @@ def test_faults_add_up() -> None:
         1, READ, 0
     )
     assert answer == Response(
-        VALUES, spoiling=Distortion(silent=True, ending=ConnectionEnding.RESET)
+        VALUES, distortion=Distortion(silent=True, ending=ConnectionEnding.RESET)
     )
 
 
@@ -144,7 +144,7 @@ class _Silent:
 def test_a_connection_also_ends_where_the_slave_says_nothing() -> None:
     closing = FaultySlave(_Silent(), [Fault(kind=FaultKind.CLOSE)])
     assert closing.respond(1, READ, 0) == Response(
-        b"", spoiling=Distortion(silent=True, ending=ConnectionEnding.CLOSE)
+        b"", distortion=Distortion(silent=True, ending=ConnectionEnding.CLOSE)
     )
     assert FaultySlave(_Silent(), [Fault(kind=FaultKind.DELAY)]).respond(1, READ, 0) is None
 

@@ -161,7 +161,7 @@ def test_takes_as_long_as_the_answer_says(line: VirtualLine, master: serial.Seri
 
 def test_an_answer_is_spoilt_as_it_says(line: VirtualLine, master: serial.Serial) -> None:
     spoiling = Distortion(unit_by=1, pieces=2, gap_ns=30_000_000)
-    responder = _only_unit_1(lambda _, pdu: Response(pdu, spoiling=spoiling))
+    responder = _only_unit_1(lambda _, pdu: Response(pdu, distortion=spoiling))
     with SerialSlave(_link(line), responder):
         begin = time.monotonic()
         master.write(rtu_adu(1, READ))

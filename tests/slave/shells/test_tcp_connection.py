@@ -257,7 +257,7 @@ def test_keep_alive_is_set_as_the_rules_say() -> None:
 def _spoilt(**spoiling: Any) -> Scripted:
     """Spoils the answers to unit 9; others echo."""
     return Scripted(
-        lambda unit, pdu: Response(pdu, spoiling=Distortion(**spoiling) if unit == 9 else None)
+        lambda unit, pdu: Response(pdu, distortion=Distortion(**spoiling) if unit == 9 else None)
     )
 
 

@@ -38,7 +38,7 @@ def test_registers_are_written_as_the_profile_does(tmp_path: Path) -> None:
     path = _file(tmp_path, "no-answer", more='registers = "HR400001..400002"')
     slave = faulty(Scripted(echo), path, LINE, [load_profile("idec-ft1a-touch")])  # type: ignore[arg-type]
     answers = [slave.respond(1, bytes([3, 0, address, 0, 1]), 0) for address in (0, 2)]
-    assert [answer is not None and answer.spoiling is None for answer in answers] == [False, True]
+    assert [answer is not None and answer.distortion is None for answer in answers] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -74,4 +74,4 @@ def test_what_a_link_can_do_is_taken(tmp_path: Path, kind: str, link: TcpLink | 
     slave = faulty(Scripted(echo), _file(tmp_path, kind), link)
     answer = slave.respond(1, b"\x03\x00\x00\x00\x01", 0)
     assert answer is not None
-    assert answer.spoiling is not None
+    assert answer.distortion is not None

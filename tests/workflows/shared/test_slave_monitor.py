@@ -49,13 +49,13 @@ def test_an_exchange_is_a_transaction_in_the_devices_words() -> None:
 def test_silence_and_a_spoilt_answer_that_is_not_sent_are_no_answer() -> None:
     exchanges = _tcp()
     exchanges.take(_request(), None)
-    exchanges.take(_request(), Response(VALUE, spoiling=Distortion(silent=True)))
+    exchanges.take(_request(), Response(VALUE, distortion=Distortion(silent=True)))
     assert [one.outcome for one in _transactions(exchanges)] == [Outcome.NO_ANSWER] * 2
 
 
 def test_a_spoilt_answer_is_shown_as_it_left() -> None:
     exchanges = _tcp()
-    exchanges.take(_request(), Response(VALUE, spoiling=Distortion(cut=1, pieces=2, gap_ns=3)))
+    exchanges.take(_request(), Response(VALUE, distortion=Distortion(cut=1, pieces=2, gap_ns=3)))
     (transaction,) = _transactions(exchanges)
     assert transaction.response_raw == mbap_adu(7, 1, VALUE)[:-1]
     assert transaction.response_ns == 1_003
@@ -75,7 +75,7 @@ def test_a_spoilt_answer_is_shown_as_it_left() -> None:
 )
 def test_behind_a_spoilt_answer_stands_what_was_done_to_it(spoiling: Distortion, says: str) -> None:
     exchanges = _tcp()
-    exchanges.take(_request(), Response(VALUE, delay_ns=5, spoiling=spoiling))
+    exchanges.take(_request(), Response(VALUE, delay_ns=5, distortion=spoiling))
     exchanges.take(_request(), Response(VALUE))
     _, event, good = exchanges.records()
     assert isinstance(event, WireEvent)
