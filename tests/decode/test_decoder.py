@@ -284,7 +284,7 @@ def test_closing_twice_gives_nothing_more() -> None:
 
 
 def test_holds_a_bounded_number_of_conversations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decoding, "MAX_CONVERSATIONS", 3)
+    monkeypatch.setattr(decoding, "MAX_CONNECTIONS", 3)
     decoder = _decoder()
     connections = [
         Connection(Endpoint("10.0.0.1", 50000 + number), CONNECTION.slave) for number in range(5)
@@ -303,7 +303,7 @@ def test_holds_a_bounded_number_of_conversations(monkeypatch: pytest.MonkeyPatch
 
 
 def test_what_is_used_stays_when_room_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decoding, "MAX_CONVERSATIONS", 2)
+    monkeypatch.setattr(decoding, "MAX_CONNECTIONS", 2)
     other, third = (
         Connection(Endpoint("10.0.0.2", port), CONNECTION.slave) for port in (50300, 50301)
     )
