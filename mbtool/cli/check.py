@@ -207,10 +207,12 @@ class _DocumentPrinter:
 
 def _sentence(checking: Checking) -> str:
     """`14 findings of 3 codes in 8120 transactions; docs/findings.md explains them`."""
-    number, codes = checking.counts.total(), len(checking.counts)
-    transactions = f"{checking.transactions} transaction{'' if checking.transactions == 1 else 's'}"
+    from mbtool.core.wording import counted
+
+    number = checking.counts.total()
+    transactions = counted(checking.transactions, "transaction")
     if not number:
         return f"no findings in {transactions}"
-    findings = "1 finding" if number == 1 else f"{number} findings"
-    kinds = "" if number == 1 else f" of {codes} code{'' if codes == 1 else 's'}"
+    kinds = "" if number == 1 else f" of {counted(len(checking.counts), 'code')}"
+    findings = counted(number, "finding")
     return f"{findings}{kinds} in {transactions}; docs/findings.md explains each code"

@@ -10,6 +10,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import interruptible, say
+from mbtool.core.wording import milliseconds
 from mbtool.sources.priority import run_promptly
 from mbtool.workflows.replay_bus import BusRun, line_link
 
@@ -49,7 +50,7 @@ def _what_is_played(file: str, run: BusRun, link: SerialLink, options: BusOption
 def _outcome(report: BusReport) -> str:
     text = f"{report.bytes:,} bytes in {report.pieces:,} pieces"
     if report.lateness_p99_ns is not None:
-        text = f"{text}; at most {report.lateness_p99_ns / 1e6:.1f} ms late (p99)"
+        text = f"{text}; at most {milliseconds(report.lateness_p99_ns)} late (p99)"
     if report.held:
         text = f"{text}; {report.held:,} waited for the line, which is too slow for their times"
     return text

@@ -15,6 +15,7 @@ from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import interruptible, say
 from mbtool.core import InputError, OutputError, UsageError
+from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
 from mbtool.workflows.replay_master import MasterRun, junit
@@ -83,8 +84,8 @@ def _add_ranges(file: Path, learned: Sequence[str]) -> None:
         known = ranges_of([file])
     fresh = [one for one in learned if one not in known]
     _write(file, "".join(f"{one}\n" for one in [*known, *fresh]))
-    count = "1 range" if len(fresh) == 1 else f"{len(fresh)} ranges"
-    say(f"{count} of registers learned; give --ignore-from {file} to leave them out")
+    ranges = counted(len(fresh), "range")
+    say(f"{ranges} of registers learned; give --ignore-from {file} to leave them out")
 
 
 def _demand_writable(file: Path) -> None:
@@ -108,10 +109,9 @@ def _write(file: Path, text: str) -> None:
 
 
 def _what_is_played(file: str, run: MasterRun, to: LinkSpec, options: MasterOptions) -> str:
-    count = len(run.script.steps)
-    requests = "1 request" if count == 1 else f"{count:,} requests"
+    requests = counted(len(run.script.steps), "request", ",")
     units = ", ".join(map(str, sorted(run.script.units))) or "all"
-    whom = "unit" if len(run.script.units) == 1 else "units"
+    whom = plural(len(run.script.units), "unit")
     lasts = "as fast as answers come"
     if options.rate is not None:
         lasts = f"{float(run.script.length_ns / options.rate) / 1e9:,.1f} s"
@@ -119,11 +119,11 @@ def _what_is_played(file: str, run: MasterRun, to: LinkSpec, options: MasterOpti
 
 
 def _outcome(report: Report) -> str:
-    count = "1 request" if report.requests == 1 else f"{report.requests:,} requests"
-    differ = "1 answer" if report.different == 1 else f"{report.different:,} answers"
+    count = counted(report.requests, "request", ",")
+    differ = counted(report.different, "answer", ",")
     text = f"{count}; {differ} not as recorded"
     if report.unsolicited:
         text = f"{text}; {report.unsolicited:,} that nobody asked for"
     if report.lateness_p99_ns is not None:
-        text = f"{text}; requests left at most {report.lateness_p99_ns / 1e6:.1f} ms late (p99)"
+        text = f"{text}; requests left at most {milliseconds(report.lateness_p99_ns)} late (p99)"
     return text

@@ -11,6 +11,7 @@ from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.serve import serve
 from mbtool.cli.talk import say
+from mbtool.core.wording import plural
 from mbtool.slave.shells import slave_link
 from mbtool.workflows.replay_slave import SlaveRun
 
@@ -41,5 +42,5 @@ def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remot
 def _what_is_played(file: str, run: SlaveRun) -> str:
     count = len(run.recording.answers)
     requests = "1 request" if count == 1 else f"{count:,} different requests"
-    units = "unit" if len(run.recording.units) == 1 else "units"
+    units = plural(len(run.recording.units), "unit")
     return f"{file}: {requests} to {units} {', '.join(map(str, sorted(run.recording.units)))}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core.wording import counted
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.framing.mbap import MbapSplitter
@@ -133,8 +134,7 @@ def skipped_event(
     skipped: Skipped, link: str, endpoints: tuple[str, str], speaker: str = ""
 ) -> WireEvent:
     """Report bytes that were not decoded; `speaker` names their sender on a serial line."""
-    size = len(skipped.raw)
-    amount = f"{size} byte{'' if size == 1 else 's'}{f' of {speaker}' if speaker else ''}"
+    amount = counted(len(skipped.raw), "byte") + (f" of {speaker}" if speaker else "")
     return WireEvent(
         ts_ns=skipped.ts_ns,
         link=link,

@@ -18,8 +18,6 @@ from mbtool.modbus.transaction import Outcome, Transaction
 
 MAX_CACHED_REQUESTS = 256
 """Parsed requests that are kept; beyond that the one that was not used longest is dropped."""
-_ECHOED_WRITES = (0x05, 0x06, 0x16)
-"""Write single coil, write single register, mask write: the response repeats the request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +145,7 @@ class _RequestFacts(msgspec.Struct, frozen=True):
     def of(cls, pdu: Pdu) -> _RequestFacts:
         sub_function = pdu.number("sub_function")
         quantity = pdu.number("quantity")
-        if quantity is None and pdu.code in _ECHOED_WRITES and "address" in pdu.fields:
+        if quantity is None and pdu.code in (0x05, 0x06, 0x16) and "address" in pdu.fields:
             quantity = 1
         return cls(
             pdu=pdu,
@@ -213,7 +211,7 @@ def _values(pdu: Pdu) -> tuple[int, ...] | None:
 
 def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
     """The values that a response brings; None if it only repeats the request's."""
-    if request.code in _ECHOED_WRITES:
+    if request.code in (0x05, 0x06, 0x16):
         return None
     values = _values(response)
     if values is not None and request.code in READ_BITS:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import DamageError, EventKind, WireEvent
+from mbtool.core.wording import counted
 
 if TYPE_CHECKING:
     from mbtool.core import InputError
@@ -69,8 +70,7 @@ class Damage:
     def _told(self) -> str:
         told = self._first
         if self._places > 1:
-            others = self._places - 1
-            told += f", and at {others} more place{'' if others == 1 else 's'}"
+            told += f", and at {counted(self._places - 1, 'more place')}"
         if self._left_out:
             told += f"; {self._left_out} bytes of the log are left out"
         return told

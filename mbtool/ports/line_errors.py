@@ -15,6 +15,8 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -123,10 +125,10 @@ class LineErrors:
 
 
 def _counted_text(grown: ErrorCounts) -> str:
-    counted = (
+    counts = (
         (grown.parity, "parity error"),
         (grown.frame, "framing error"),
         (grown.breaks, "break"),
     )
-    said = [f"{count} {word}{'' if count == 1 else 's'}" for count, word in counted if count]
+    said = [counted(count, noun) for count, noun in counts if count]
     return f"the driver counts {', '.join(said)}" if said else ""

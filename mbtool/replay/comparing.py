@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.replay.significance import Shift, rank_sum, same_share
@@ -237,8 +238,7 @@ def _runs(
 
 
 def _transactions(count: int) -> Side:
-    text = "" if not count else "1 transaction" if count == 1 else f"{count:,} transactions"
-    return Side(text=text, count=count)
+    return Side(text=counted(count, "transaction", ",") if count else "", count=count)
 
 
 def _outcomes_text(asked: Asked) -> str:

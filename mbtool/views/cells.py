@@ -10,6 +10,7 @@ from datetime import date
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
+from mbtool.core.wording import milliseconds
 from mbtool.devices import describe_points, describe_written, finding_text
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, short_name
 
@@ -159,7 +160,7 @@ def latency_text(latency_ns: int | None) -> str:
         return ""
     if latency_ns >= 10_000_000_000:
         return f"{latency_ns / 1e9:.1f} s"
-    return f"{latency_ns / 1e6:.1f} ms"
+    return milliseconds(latency_ns)
 
 
 def clock_time(ts_ns: int) -> str:

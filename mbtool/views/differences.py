@@ -8,6 +8,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def what_text(difference: Difference) -> str:
     if difference.name is not None and difference.name != difference.reference:
         parts.append(difference.name)
     if difference.alike:
-        parts.append(f"and {difference.alike} other request{'s' if difference.alike > 1 else ''}")
+        parts.append(f"and {counted(difference.alike, 'other request')}")
     if difference.p is not None:
         parts.append(f"({_chance(difference.p)})")
     return " ".join(parts).strip()
@@ -50,7 +51,7 @@ def what_text(difference: Difference) -> str:
 
 def count_text(found: Sequence[Difference]) -> str:
     """How many differences there are."""
-    return "1 difference" if len(found) == 1 else f"{len(found):,} differences"
+    return counted(len(found), "difference", ",")
 
 
 def _slave(difference: Difference) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
+from mbtool.core.wording import counted
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.views.cells import clock_time, day
@@ -74,7 +75,7 @@ def print_summaries(console: Console, summaries: Summaries) -> None:
         (
             one.first.code,
             one.first.severity.value,
-            f"{one.number} time{'' if one.number == 1 else 's'}",
+            counted(one.number, "time"),
             f"{_time(one.first)}  {where(one.first)}",
         )
         for one in summaries

@@ -11,6 +11,7 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def _timing(port: LocalSerialPort) -> str:
     if port.latency_timer_ms is not None:
         return f"timer {port.latency_timer_ms} ms"
     if port.fifo_bytes is not None:
-        return f"FIFO {port.fifo_bytes} byte{'' if port.fifo_bytes == 1 else 's'}"
+        return f"FIFO {counted(port.fifo_bytes, 'byte')}"
     return _UNKNOWN
 
 

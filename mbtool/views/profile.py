@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Group
 
+from mbtool.core.wording import counted
 from mbtool.devices import Access, ByteOrder, PointInstance, PointType, WordOrder, write_reference
 from mbtool.modbus import FUNCTIONS, function_name
 from mbtool.views.tables import plain, plain_table
@@ -182,7 +183,7 @@ def _scale(point: Point) -> list[str]:
     unit = f" {point.unit}" if point.unit and not ranged else ""
     parts = [f"number{formula}{unit}"] if formula else []
     if point.decimals is not None:
-        parts.append(f"{point.decimals} decimal{'' if point.decimals == 1 else 's'}")
+        parts.append(counted(point.decimals, "decimal"))
     return parts
 
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, Silence, WireEvent
+from mbtool.core.wording import counted, milliseconds
 from mbtool.devices.checking.finding import Finding, found, found_in
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
@@ -234,11 +235,10 @@ def _note_least(
 
 
 def _pace_text(code: str, count: _Occurrences) -> str:
-    requests = "1 request" if count.number == 1 else f"{count.number} requests"
     behind = "a broadcast" if code == "RTU-302" else "the frame before"
     return (
-        f"{requests} sooner than {count.wanted} after {behind}; the soonest after "
-        f"{count.least_ns / 1e6:.1f} ms"
+        f"{counted(count.number, 'request')} sooner than {count.wanted} after {behind}; "
+        f"the soonest after {milliseconds(count.least_ns)}"
     )
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from statistics import median, quantiles
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import milliseconds
 from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
@@ -118,4 +119,4 @@ def _text(poll: _Poll) -> str | None:
 
 
 def _ms(ns: float) -> str:
-    return f"{ns / 1e9:.2f} s" if ns >= 1e9 else f"{ns / 1e6:.1f} ms"
+    return f"{ns / 1e9:.2f} s" if ns >= 1e9 else milliseconds(ns)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.core.wording import counted
 from mbtool.devices.drafting.guesses import Guess, guess_registers
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.model import (
@@ -98,14 +99,10 @@ def _who(seen: ObservedSlave) -> str:
     return f"unit {seen.unit}{at}"
 
 
-def _times(count: int, what: str = "time") -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
-
-
 def _head(seen: ObservedSlave, file: str, left_out: int) -> list[str]:
     head = [
         f"Drafted by mbtool from what {_who(seen)} was asked and answered in {file}, "
-        f"{_times(seen.transactions, 'transaction')}. It knows no more than that: an address or "
+        f"{counted(seen.transactions, 'transaction')}. It knows no more than that: an address or "
         "a function that nobody asked for is missing here. Types of registers are guesses, with "
         "the reason above each; give the points their names, and correct what the manual says "
         "otherwise. HR10 is holding register 10 on the wire; if the manual calls it 40011, set "
@@ -266,13 +263,13 @@ def _found(seen: ObservedSlave) -> dict[int, _Function]:
 
 def _about_function(code: int, one: _Function) -> Iterator[str]:
     known = FUNCTIONS.get(code)
-    yield f"{code:02X} {function_name(code)}: answered {_times(one.ok)}"
+    yield f"{code:02X} {function_name(code)}: answered {counted(one.ok, 'time')}"
     if one.ok and known is not None and known.limit > 1 and known.table is not None:
         yield f"{one.most} at most"
     for exception, count in sorted(one.refused.items()):
-        yield f"exception {exception:02X} {exception_name(exception)} {_times(count)}"
+        yield f"exception {exception:02X} {exception_name(exception)} {counted(count, 'time')}"
     if one.silent:
-        yield f"{_times(one.silent)} no answer"
+        yield f"{counted(one.silent, 'time')} no answer"
 
 
 def _limit(code: int, one: _Function) -> int | None:

@@ -17,6 +17,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from mbtool.core.errors import UsageError
+from mbtool.core.wording import plural
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.importing.addresses import (
     Written,
@@ -247,7 +248,7 @@ class _Import:
         if rows:
             shown = ", ".join(map(str, rows[:_SHOWN_ROWS]))
             more = f" and {len(rows) - _SHOWN_ROWS} more" if len(rows) > _SHOWN_ROWS else ""
-            self._remarks.append(f"row{'s' if len(rows) > 1 else ''} {what}: {shown}{more}")
+            self._remarks.append(f"{plural(len(rows), 'row')} {what}: {shown}{more}")
 
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")

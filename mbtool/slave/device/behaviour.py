@@ -1,30 +1,30 @@
-"""What a device does that its profile's data cannot say, as the responder asks for it."""
+"""What a device does beyond its profile's data: the hooks that a responder calls."""
 
-# A Behaviour stands between the responder and the image of one device. This one adds nothing; a
-# device's own overrides what differs:
+# A profile says which registers, functions and exceptions a device has. A Behaviour adds what no
+# table can say. This class adds nothing; a family's own class overrides what differs:
 #
-#     own          functions that the standard's table of registers and bits has no place for
-#     watches      whether it learns of each request: of `barred` before, of `answered` behind it
-#     barred       an exception for any request, before it is looked at (check 0)
-#     allows       whether a range may be read, or written (check 3)
-#     refusal      an exception for a request that has passed every other check (check 4)
-#     is_live      which reads give more than what the image holds
-#     shown        what such a read gives
-#     standing     what stands where a master writes, for a write that leaves part of it
-#     store        where what a master writes goes
-#     written      what that sets off
-#     answered     what a request came to
-#     units        which numbers it can have on a line
-#     rules        the rules of its connections, where it has any
-#     kept         what outlasts a restart
-#     inputs_set   what is at its inputs has changed
-#     outputs      what it puts out: for people, as no master reads it
+#     own          functions that neither read nor write registers or bits
+#     watches      True if `barred` and `answered` are to be called for each request
+#     barred       the exception for any request, checked first (check 0 of responder.py)
+#     allows       True if a range may be read, or written (check 3)
+#     refusal      the exception for a request that has passed every other check (check 4)
+#     is_live      True if a read of a range gives other values than the image holds
+#     shown        the values that such a read gives
+#     standing     the values that a write replaces; a mask write (16H) keeps some of their bits
+#     store        stores what a master writes
+#     written      called after a write
+#     answered     called with each request and its response
+#     units        the unit numbers that the device can have on a serial line
+#     rules        its rules for TCP connections, if it has any
+#     kept         the registers that survive a restart
+#     inputs_set   called when values at the device's inputs may have changed
+#     outputs      the state of the device's outputs; shown to people, no master reads it
 #
-# All of it is called from the thread of the slave, with the time as an argument; `outputs` from
-# whichever thread shows them.
+# All of it runs in the slave's thread with the time as an argument. Only `outputs` may be called
+# from another thread.
 #
-# Holds what `allows` has answered, for at most MAX_ALLOWED ranges: a profile's blocks take longer
-# to look through than all the rest of a request.
+# Memory: the answers of `allows` for at most MAX_ALLOWED ranges. Looking through a profile's
+# blocks takes longer than all the rest of a request.
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ if TYPE_CHECKING:
 MAX_ALLOWED = 4096
 
 OwnFunction = Callable[[bytes, int], bytes | None]
-"""Gets a request PDU and the time, gives the response PDU, or None for silence."""
+"""Takes a request PDU and the time in ns; returns the response PDU, or None for silence."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceOutput:
-    """What stands at one of a device's outputs."""
+    """The state of one of a device's outputs."""
 
     name: str
     value: int
     text: str
-    """The value as it leaves the device, with its unit."""
+    """The value as the device puts it out, with its unit."""
 
 
 class Behaviour:
     """A device that does what its profile says and nothing else."""
 
     kept: tuple[tuple[Table, range], ...] = ()
-    """The addresses whose values outlast a restart."""
+    """The addresses whose values survive a restart."""
     watches = False
     units = range(1, 248)
     """The unit numbers that it can be given on a serial line."""
@@ -73,17 +73,17 @@ class Behaviour:
         self.own: Mapping[int, OwnFunction] = {}
         self.rules: ConnectionPolicy | None = None
         self.keep: Callable[[], None] | None = None
-        """Stores what is `kept`; the device calls it when any of that has changed."""
+        """Saves the registers of `kept`; the device calls it when one of them has changed."""
         self._allowed: dict[tuple[Table, int, int, bool], bool] = {}
-        """What `allows` has answered, at most MAX_ALLOWED."""
+        """The answers of `allows`, at most MAX_ALLOWED."""
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
-        """The exception code that a request gets whatever it is, or None; if it `watches`."""
+        """The exception code that any request gets now, or None. Called only if `watches`."""
         return None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
-        """Whether a master may read, or write, all of a range. The answer never changes."""
+        """True if a master may read, or write, the whole range. The answer never changes."""
         asked = table, span.start, span.stop, writing
         known = self._allowed.get(asked)
         if known is None:
@@ -98,34 +98,34 @@ class Behaviour:
         return known
 
     def refusal(
-        self, function: int, reach: RegisterAccess, values: Sequence[int], now_ns: int
+        self, function: int, access: RegisterAccess, values: Sequence[int], now_ns: int
     ) -> int | None:
-        """The exception code for a request that could be executed otherwise, or None.
+        """The exception code for a request that has passed all other checks, or None.
 
-        `values` are those that it would leave where it writes.
+        `values` are the values that the request would leave at the addresses it writes.
         """
         return None
 
     def is_live(self, table: Table, span: range) -> bool:
-        """Whether a read of this range must ask `refusal` and `shown` each time.
+        """True if each read of this range must call `refusal` and `shown`.
 
         The answer for a range never changes.
         """
         return False
 
     def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
-        """What a master reads where a range is live; `values` is what the image holds."""
+        """The values that a master reads from a live range; `values` are those of the image."""
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """What stands where a master writes: a mask write (16) leaves part of it."""
+        """The values that a write would replace; a mask write (16H) keeps some of their bits."""
         return self.image.get(table, span.start, len(span))
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Keep what a master writes; the range is one that it may write.
+        """Store what a master writes. The range has passed `allows`.
 
-        An address that is one thing to write and another to read keeps what is read: what was
-        written there went out, and the image has no place for it.
+        Some addresses hold one thing for reading and another for writing. The image holds what is
+        read there, so what is written there is not stored.
         """
         if not self._has_write_areas:
             self.image.set(table, span.start, values)
@@ -136,14 +136,14 @@ class Behaviour:
                 self.image.set(table, address, [value])
 
     def written(self, table: Table, span: range, now_ns: int) -> None:
-        """Learn that a master has written a range, which is stored already."""
+        """Called after a master has written a range and `store` has stored it."""
 
     def answered(self, pdu: bytes, response: bytes | None, now_ns: int) -> None:
-        """Learn what a request came to; if it `watches`."""
+        """Called with each request PDU and its response PDU, if `watches`."""
 
     def inputs_set(self, now_ns: int) -> None:
-        """Learn that inputs in the image may have been set; for a device that averages them."""
+        """Called when inputs in the image may have changed. A device that averages uses it."""
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
-        """What stands at the outputs."""
+        """The state of all outputs."""
         return ()

@@ -1,10 +1,10 @@
-"""Registers that a device gives out in blocks, each from the block's first address alone."""
+"""Registers that a device gives out in blocks: a read must begin at the block's first address."""
 
-# A profile's points say so with `block`. A block's registers are no part of the table: what a read
-# from its first address brings, and what stands at the addresses behind that one, are two things.
-# Which reads there may be is devices/blocks.py's matter.
+# A profile's point says so with `block`. The registers of a block are apart from the table: a read
+# that begins at the block's first address gives the block's registers; a read that begins at one
+# of the addresses behind it gives the table's. devices/blocks.py says which reads are allowed.
 #
-# Bounds: a block ends where its last point does, so it has 65536 registers at most.
+# Size: a block ends with its last point, so it has at most 65536 registers.
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ class Blocks:
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
-        """What a read from the first address of a block brings, else None."""
+        """The registers that a read gives if it begins at a block's first address, else None."""
         block = self._blocks.get((table, span.start)) if self._blocks else None
         return None if block is None else block[: len(span)]
 
     def set(self, table: Table, first: int, offset: int, values: Sequence[int]) -> None:
-        """Write a part of a block. Raises ValueError for what is beyond it, or no register."""
+        """Write a part of a block. Raises ValueError beyond its end and beyond 0..65535."""
         block = self._blocks[table, first]
         if offset + len(values) > len(block) or not all(0 <= one <= 0xFFFF for one in values):
             raise ValueError(f"the block at {first} does not hold {list(values)} from {offset} on")
         block[offset : offset + len(values)] = values
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Make the blocks of one table those of another."""
+        """Make the blocks of `with_table` those of `table` too."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block

@@ -1,16 +1,16 @@
-"""Which connections a device takes, how it watches them, and what it does when one is lost."""
+"""Which TCP connections a device accepts, and how it supervises and ends them."""
 
-# A TCP shell owns the sockets and the clock; it asks these rules who may stay:
+# A TCP shell owns the sockets and the clock, and asks the device's policy:
 #
-#     admit      a master has connected: it is let in or not, and another may have to leave for it
-#     lost       a connection has ended, and why
-#     turn_out   whatever the device wants ended now, and until when it takes no connection
+#     admit             a master has connected: may it stay, and must another one leave for it?
+#     lost              a connection has ended, and why
+#     closed_until_ns   all connections are to be closed now, and none is accepted until this time
 #
-# and reads from them what its sockets and timers are to be set to. A request may change these:
-# then `changed` is true until the shell has looked again.
+# The policy also says how the sockets' keep-alive and idle times are to be set. A request may
+# change these values; `changed` is then True until the shell has read them again.
 #
-# Rules hold one Peer for each connection that is let in, `places` at most, and the last MAX_NOTES
-# sentences for the user that nobody has taken.
+# Memory: one Peer for each accepted connection, `places` at most, and the last MAX_NOTES messages
+# for the user.
 
 from __future__ import annotations
 
@@ -26,76 +26,76 @@ class Loss(Enum):
     """Why a connection ended."""
 
     CLOSED = auto()
-    """The master closed it or broke it off, or the slave did."""
+    """The master or the slave closed or reset it."""
     NOT_ALIVE = auto()
-    """The master did not answer the alive check."""
+    """The master did not answer the keep-alive probes."""
     SPLIT = auto()
-    """The last part of a request did not come in time."""
+    """The last part of a request did not arrive in time."""
 
 
 @dataclass(slots=True, eq=False)
 class Peer:
-    """A master that is let in."""
+    """A master whose connection was accepted."""
 
     host: str
     heard_ns: int
-    """When it last said something, or connected. The shell keeps this up to date."""
+    """When it last sent something, or connected. The shell updates this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """What becomes of a new connection."""
+    """The decision about a new connection."""
 
     peer: Peer | None
-    """None where it is turned away."""
+    """None if the connection is refused."""
     leaves: Peer | None = None
-    """Whose connection is to be closed for it."""
+    """The master whose connection is closed to make room."""
     is_full: bool = False
-    """It is turned away because all places are taken. For another reason the rules' notes tell."""
+    """True if it is refused because all places are taken. `notes` tell any other reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeepAlive:
-    """How TCP finds out that a master is gone."""
+    """TCP keep-alive: how the slave finds out that a master is gone."""
 
     start_s: int
-    """How long nothing is said before the first probe."""
+    """Seconds of silence before the first probe."""
     interval_s: int
-    """From one probe to the next."""
+    """Seconds from one probe to the next."""
     count: int
-    """How many go without an answer before the connection is given up."""
+    """Unanswered probes until the connection is given up."""
 
 
 class ConnectionPolicy:
-    """The rules of a device whose manual states none: so many, and no longer idle than this."""
+    """The policy of a device whose manual states none: a number of places and an idle time."""
 
     def __init__(self, places: int = 32, idle_s: float = 600.0) -> None:
         self.places = places
         self.idle_s = idle_s
-        """A connection without a whole request for so long is closed."""
+        """A connection is closed after so many seconds without a complete request."""
         self.changed = False
-        """Whether `keep_alive`, `split_s` or `closed_until_ns` may say something else now."""
+        """True if `keep_alive`, `split_s` or `closed_until_ns` may have changed."""
         self.peers: list[Peer] = []
         self.notes: deque[str] = deque(maxlen=MAX_NOTES)
-        """What the rules have done, in sentences for the user."""
+        """What the policy has done, as messages for the user."""
 
     @property
     def keep_alive(self) -> KeepAlive | None:
-        """None leaves it off."""
+        """The keep-alive settings, or None for no keep-alive."""
         return None
 
     @property
     def split_s(self) -> float:
-        """A request whose last part comes later than this after its first one is given up."""
+        """Longest time in seconds from a request's first part to its last."""
         return math.inf
 
     @property
     def closed_until_ns(self) -> int | None:
-        """All connections are closed, and none is taken before this time."""
+        """If not None: close all connections, and accept none before this time."""
         return None
 
     def admit(self, host: str, now_ns: int) -> Admission:
-        """Learn that a master has connected."""
+        """Decide about a master that has connected."""
         if len(self.peers) >= self.places:
             return Admission(None, is_full=True)
         peer = Peer(host, now_ns)
@@ -103,6 +103,6 @@ class ConnectionPolicy:
         return Admission(peer)
 
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
-        """Learn that a connection has ended; the second time this says nothing."""
+        """Remove a connection that has ended. Calling it twice does no harm."""
         if peer in self.peers:
             self.peers.remove(peer)

@@ -1,11 +1,11 @@
-"""A device of which some values move by themselves."""
+"""A device some of whose values change over time."""
 
-# They are worked out when the device is asked, so nothing runs between two requests. Time begins
-# with the first request. A master that writes such a value has written it until the next request
-# that is at least RESOLUTION_NS later.
+# The values are computed when a request arrives, so nothing runs between two requests. Time counts
+# from the first request. If a master writes such a value, its own value stays until the next
+# request that comes at least RESOLUTION_NS later.
 #
-# A device that averages its inputs (behaviour.py, inputs_set) is also shown what they were since
-# the request before, at MAX_BETWEEN moments at most.
+# A device that averages its inputs (Behaviour.inputs_set) is also given the values that they had
+# since the previous request, at MAX_BETWEEN moments at most.
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_BETWEEN = 64
 
 
 class DrivenDevice:
-    """Answers as the device does, once its values are those of the moment."""
+    """Sets the changing values of a device, then lets the device answer."""
 
     def __init__(self, device: DeviceResponder, driven: Sequence[Driven]) -> None:
         self._device = device
@@ -45,7 +45,7 @@ class DrivenDevice:
         return self._device.respond(unit, pdu, now_ns)
 
     def _between(self, now_ns: int) -> Sequence[int]:
-        """Moments since the last request, evenly apart."""
+        """Moments since the last request, at equal distances."""
         passed_ns = now_ns - self._last_ns
         count = min(passed_ns // RESOLUTION_NS, MAX_BETWEEN)
         return [self._last_ns + passed_ns * place // count for place in range(1, count)]
@@ -54,5 +54,5 @@ class DrivenDevice:
         self._last_ns = now_ns
         moment_ns = now_ns - (self._begin_ns or 0)
         for each in self._driven:
-            each.spot.put(self._device.image, each.course(moment_ns))
+            each.target.put(self._device.image, each.course(moment_ns))
         self._device.behaviour.inputs_set(now_ns)

@@ -1,11 +1,11 @@
-"""The four tables of an embedded slave: what its registers and bits hold."""
+"""The four tables of an embedded slave: the contents of its registers and bits."""
 
-# Every address of every table exists here and holds 0 at first; which of them a device has is its
-# profile's matter, and the responder's to check.
+# Every address of every table exists here and is 0 at first. The profile says which addresses the
+# device has, and the responder checks that.
 #
-# A register is kept as it travels, high byte first, and a bit as a byte of 0 or 1, so that what a
-# response carries is one slice. 384 KiB in all, and what the profile's blocks hold (blocks.py):
-# memory does not grow.
+# A register is stored as on the wire, high byte first, and a bit as a byte of 0 or 1, so that the
+# data of a response is one slice. Size: 384 KiB, and the profile's blocks (blocks.py). It never
+# grows.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DIGITS = bytes.maketrans(b"\x00\x01", b"01")
 
 
 class RegisterImage:
-    """What each address of the four tables holds: registers 0..65535, bits 0 or 1."""
+    """The value of each address of the four tables: registers 0..65535, bits 0 or 1."""
 
     __slots__ = ("_cells", "blocks")
 
@@ -36,7 +36,7 @@ class RegisterImage:
 
     @classmethod
     def of(cls, profile: Profile) -> Self:
-        """What a device holds before anyone writes it: the defaults of its points, else 0."""
+        """The image of a device that nobody has written to: its points' defaults, else 0."""
         image = cls(Blocks.of(profile))
         for point in profile.points:
             if point.default is not None:
@@ -45,7 +45,7 @@ class RegisterImage:
         return image
 
     def get(self, table: Table, address: int, quantity: int = 1) -> list[int]:
-        """The values of a range. Raises ValueError for one that no table has."""
+        """The values of a range. Raises ValueError beyond 0..65535."""
         _check_range(address, quantity)
         if table.is_bits:
             return list(self._cells[table][address : address + quantity])
@@ -53,7 +53,7 @@ class RegisterImage:
         return list(struct.unpack(f">{quantity}H", data))
 
     def set(self, table: Table, address: int, values: Sequence[int]) -> None:
-        """Write a range: all of it, or nothing and ValueError for what no table can hold."""
+        """Write a range, or nothing and ValueError for a wrong address or value."""
         _check_range(address, len(values))
         highest = 1 if table.is_bits else 0xFFFF
         if not all(0 <= value <= highest for value in values):
@@ -63,9 +63,9 @@ class RegisterImage:
         self._cells[table][width * address : width * (address + len(values))] = data
 
     def put(self, point: Point, address: int, values: Sequence[int]) -> None:
-        """Write one of the places of a point, where a master finds it: in its block, if it has one.
+        """Write one instance of a point: into its block, if it has one, else into the table.
 
-        Raises ValueError for what no table can hold.
+        Raises ValueError for a wrong address or value.
         """
         if point.block is None:
             self.set(point.table, address, values)
@@ -73,9 +73,9 @@ class RegisterImage:
             self.blocks.set(point.table, point.block, address - point.block, values)
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Make two tables one: each address of both holds what `with_table` holds.
+        """Make `table` and `with_table` the same table.
 
-        Where that is 0 it takes over what the other one holds.
+        Where both held a value, that of `with_table` counts, unless it was 0.
         """
         ours, theirs = self._cells[table], self._cells[with_table]
         if ours is theirs:
@@ -88,9 +88,9 @@ class RegisterImage:
         self.blocks.share(table, with_table)
 
     def cells(self, table: Table, span: range) -> tuple[bytearray, slice]:
-        """The bytes of a table, two for a register and one for a bit, and which are the range's.
+        """The table's own bytes (two a register, one a bit), and the slice of a range in them.
 
-        For who reads the same range again and again; the bytes stay the table's.
+        A caller that reads one range again and again keeps both.
         """
         width = _width(table)
         return self._cells[table], slice(width * span.start, width * span.stop)
@@ -98,7 +98,7 @@ class RegisterImage:
 
 def packed_bits(cells: bytearray) -> bytes:
     """Bits as a response carries them: eight to a byte, the lowest address lowest (V1.1b3, 6.1)."""
-    digits = cells.translate(_DIGITS)[::-1]  # A number's digits begin with the highest.
+    digits = cells.translate(_DIGITS)[::-1]  # The highest digit comes first.
     return int(digits, 2).to_bytes((len(cells) + 7) // 8, "little")
 
 

@@ -1,21 +1,21 @@
-"""Reads the values that a slave is to start with, or to show over time, from a TOML file."""
+"""Reads a TOML file with the values that a slave starts with and those that change over time."""
 
-# A key says what is meant (spots.py), a value what stands there, a list what stands there and
-# behind it, and a table how it moves (signals.py):
+# A key names a register, a bit or a point (value_targets.py). Its value is a number, a list of
+# numbers for it and the addresses behind it, or a table that says how it changes (signals.py):
 #
 #     HR400001 = 4660
 #     HR400010 = [1, 2, -3]      # negative numbers are 16-bit two's complement
 #     C1 = 1
 #     "CH1 digital value" = { ramp = [0, 16000], seconds = 10 }
 #     HR400020 = { sine = [0, 100], seconds = 60 }
+#     HR400023 = { steps = [0, 50, 100], seconds = 5 }
 #     HR400021 = { walk = [0, 100], step = 2, seconds = 0.5, seed = 7 }
 #     HR400022 = { from = "site.mcap", what = "HR400001", unit = 3, speed = 2, loop = false }
 #
-# The file speaks in the order of its lines: where ranges overlap, the later line counts, and a
-# value that moves counts before all that stand. A master's rights do not matter here, so inputs can
-# be given values too.
+# Lines are applied in their order: where ranges overlap, the later line counts, and a value that
+# changes counts more than all constant ones. Access rights are ignored, so inputs can have values.
 #
-# Limits: a file of at most 4 MiB, room for every address of all tables.
+# Limits: a file of at most 4 MiB. There is room for every address of all tables.
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from mbtool.core import UsageError
 from mbtool.devices.toml_file import read_toml
 from mbtool.modbus.tables import Table
-from mbtool.slave.device.signals import Ramp, Signal, Sine, Walk
+from mbtool.slave.device.signals import Ramp, Signal, Sine, Steps, Walk
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 
 if TYPE_CHECKING:
@@ -42,45 +42,46 @@ MAX_SECONDS = 10_000_000
 _FORMS = {
     "ramp": ("seconds",),
     "sine": ("seconds",),
+    "steps": ("seconds",),
     "walk": ("step", "seconds", "seed"),
     "from": ("what", "unit", "link", "speed", "loop"),
 }
-"""Each way to move, and the keys that go with it."""
+"""The kinds of change, each with the further keys that it takes."""
 _GREATEST = 1e300
-"""No end of a movement is beyond, so that twice the distance of two is a number too."""
+"""Limit of numbers in the file; twice the difference of two is still a float."""
 _STEPS = 20
-"""A walk without a step crosses its range in about the square of so many."""
+"""The default step of a walk is its range divided by this."""
 
 Course = Callable[[int], list[int]]
-"""The registers or the bit at a moment since the beginning, in ns."""
+"""Gives the registers or the bit at a moment in ns since the beginning."""
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A place whose value moves."""
+    """A register, bit or point whose value changes."""
 
-    spot: ValueTarget
+    target: ValueTarget
     course: Course
 
 
 @dataclass(frozen=True, slots=True)
 class FromCapture:
-    """What a place repeats of a capture."""
+    """A value that is repeated from a capture."""
 
     path: Path
     table: Table
     address: int
     words: int
     unit: int | None
-    """None where the capture has only one."""
+    """None if the capture has only one unit."""
     link: str | None
-    """None where the unit is on one only."""
+    """None if the unit is on one link only."""
     speed: float
     loop: bool
 
 
 Recall = Callable[[FromCapture], Course]
-"""Finds what a capture held. Raises UsageError, InputError."""
+"""Reads the course of a value from a capture. Raises UsageError, InputError."""
 
 
 def load_image(
@@ -91,56 +92,56 @@ def load_image(
     *,
     recall: Recall | None = None,
 ) -> list[Driven]:
-    """Write the values of a file into an image, and give back what is to move.
+    """Write the constant values of a file into an image, and return the changing ones.
 
-    `only` is what a file of a device's state may speak of; it has whole registers and nothing that
-    moves. Raises InputError for a file that is no TOML, UsageError for what it says; the image then
-    holds what came before.
+    `only` restricts a file of a device's saved state to these addresses; such a file holds whole
+    registers and no changing values. Raises InputError for a file that is no TOML, UsageError for
+    a wrong key or value; the image then holds the lines before that one.
     """
     hint = "write lines such as HR400001 = 4660"
-    spots = ValueTargets(profile)
+    targets = ValueTargets(profile)
     driven: list[Driven] = []
     for key, value in read_toml(path, MAX_FILE_BYTES, "register image", hint).items():
         try:
-            spot = spots.find(key)
+            target = targets.find(key)
         except UsageError as error:
             raise UsageError(f"{path}: {error}") from error
         try:
             if isinstance(value, dict) and only is None:
-                movement = _Movement(path, key, spot, spots, value)
-                _demand_area(profile, spot, spot.words)
-                driven.append(Driven(spot, movement.course(recall)))
+                movement = _Movement(path, key, target, targets, value)
+                _demand_area(profile, target, target.words)
+                driven.append(Driven(target, movement.course(recall)))
                 continue
-            values = _values(spot, value, stored=only is not None)
-            _demand_area(profile, spot, len(values))
-            span = range(spot.address, spot.address + len(values))
-            if only is not None and not _is_among(spot.table, span, only):
+            values = _values(target, value, stored=only is not None)
+            _demand_area(profile, target, len(values))
+            span = range(target.address, target.address + len(values))
+            if only is not None and not _is_among(target.table, span, only):
                 raise UsageError(
                     f"{profile.name} does not keep this over a restart; "
                     f"is this a file of start values, for --image?"
                 )
-            spot.put(image, values)
+            target.put(image, values)
         except (UsageError, ValueError, OverflowError) as error:
             raise UsageError(f"{path}: {key}: {error}") from error
     return driven
 
 
-def _values(spot: ValueTarget, value: object, *, stored: bool) -> list[int]:
+def _values(target: ValueTarget, value: object, *, stored: bool) -> list[int]:
     if not isinstance(value, list):
-        return spot.registers(value, stored=stored)
+        return target.registers(value, stored=stored)
     if not value:
         raise UsageError("the list is empty; write a number or numbers")
-    if spot.is_named:
+    if target.is_named:
         raise UsageError(f"{reprlib.repr(value)}: a name is one value; list values at a reference")
-    plain = ValueTarget(spot.table, spot.address, None)
+    plain = ValueTarget(target.table, target.address, None)
     return [one for each in value for one in plain.registers(each, stored=True)]
 
 
-def _demand_area(profile: Profile, spot: ValueTarget, count: int) -> None:
-    if profile.area(spot.table, spot.address, count) is None and (
-        spot.point is None or spot.point.block is None
+def _demand_area(profile: Profile, target: ValueTarget, count: int) -> None:
+    if profile.area(target.table, target.address, count) is None and (
+        target.point is None or target.point.block is None
     ):
-        area = profile.area(spot.table, spot.address)
+        area = profile.area(target.table, target.address)
         if area is None:
             raise UsageError(f"{profile.name} has no such address")
         values = "1 value does" if count == 1 else f"{count} values do"
@@ -154,15 +155,20 @@ def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -
 
 
 class _Movement:
-    """One table of the file: how a value moves."""
+    """One table of the file: how a value changes."""
 
     def __init__(
-        self, path: Path, key: str, spot: ValueTarget, spots: ValueTargets, table: dict[str, Any]
+        self,
+        path: Path,
+        key: str,
+        target: ValueTarget,
+        targets: ValueTargets,
+        table: dict[str, Any],
     ) -> None:
         self._path = path
         self._key = key
-        self._spot = spot
-        self._spots = spots
+        self._target = target
+        self._targets = targets
         self._table = table
         forms = [form for form in _FORMS if form in table]
         if len(forms) != 1:
@@ -183,13 +189,15 @@ class _Movement:
             return recall(wanted)
         signal = self._signal()
         for end in (signal.lowest, signal.highest):
-            self._spot.nearest(end)
-        spot = self._spot
-        return lambda moment_ns: spot.nearest(signal.at(moment_ns))
+            self._target.nearest(end)
+        target = self._target
+        return lambda moment_ns: target.nearest(signal.at(moment_ns))
 
     def _signal(self) -> Signal:
-        first, last = self._pair()
         seconds_ns = round(self._number("seconds", None, 0.001, MAX_SECONDS) * 1e9)
+        if self._form == "steps":
+            return Steps(self._listed(), seconds_ns)
+        first, last = self._pair()
         if self._form == "ramp":
             return Ramp(first, last, seconds_ns)
         lowest, highest = min(first, last), max(first, last)
@@ -200,11 +208,11 @@ class _Movement:
         return Walk(lowest, highest, step, seconds_ns, f"{seed}/{self._key.casefold()}")
 
     def _from_capture(self) -> FromCapture:
-        source = self._spot
+        source = self._target
         what = self._text("what")
         if what is not None:
-            source = self._spots.find(what)
-            if source.table.is_bits != self._spot.table.is_bits:
+            source = self._targets.find(what)
+            if source.table.is_bits != self._target.table.is_bits:
                 self._wrong("what", f"{what!r}: a bit and a register cannot stand for each other")
         name = self._text("from") or ""
         loop = self._table.get("loop", True)
@@ -217,7 +225,7 @@ class _Movement:
             self._path.parent / name,
             source.table,
             source.address,
-            self._spot.words,
+            self._target.words,
             unit,
             self._text("link"),
             self._number("speed", 1, 0.001, 1_000_000),
@@ -235,6 +243,12 @@ class _Movement:
         if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_number, pair)):
             self._wrong(self._form, f"{reprlib.repr(pair)}: write two numbers, such as [0, 100]")
         return float(pair[0]), float(pair[1])
+
+    def _listed(self) -> list[float]:
+        values = self._table[self._form]
+        if not isinstance(values, list) or not values or not all(map(_is_number, values)):
+            self._wrong(self._form, f"{reprlib.repr(values)}: write numbers, such as [0, 50, 100]")
+        return [float(value) for value in values]
 
     def _number(self, key: str, default: float | None, least: float, greatest: float) -> float:
         if key not in self._table and default is not None:

@@ -1,27 +1,26 @@
 """Answers requests as a device does, from its profile and its register image."""
 
-# The standard's order of checks (V1.1b3, section 7 and the state diagrams of section 6):
+# The checks, in the standard's order (V1.1b3, section 7 and the state diagrams of section 6):
 #
-#     0  device     it takes requests at all (behaviour.py)                   its own
-#     1  function   the profile has it                                        exceptions.function
-#     2  value      form, quantity, byte count and value are allowed          exceptions.value
-#     3  address    every address of the range lies in an area of the table,
-#                   and the area may be written where the function writes     exceptions.address
-#     4  execution  what the device's behaviour refuses (behaviour.py)        its own
+#     0  device     the device accepts requests at all (Behaviour.barred)      the behaviour's code
+#     1  function   the profile has the function                               exceptions.function
+#     2  value      form, quantity, byte count and value are allowed           exceptions.value
+#     3  address    every address lies in an area of the table, and the area
+#                   may be written if the function writes                      exceptions.address
+#     4  execution  the behaviour refuses it (Behaviour.refusal)               the behaviour's code
 #
-# Which code stands for which check is the profile's to say: FT1A Touch, for one, knows only 01 and
-# 02. Nothing is written before every check has passed, so a refused write leaves the image alone.
-# A range may run from one area into the next where no hole lies between them.
+# The profile says which exception code each check gives: FT1A Touch, for one, has only 01 and 02.
+# Nothing is written before every check has passed. A range may run from one area into the next if
+# there is no hole between them.
 #
-# Served: 01-06, 0F, 10, 16, 17, and the functions of the device's own (behaviours.py). A function
-# that a profile lists beyond these gets the answer of one that the device lacks.
+# Functions answered: 01-06, 0F, 10, 16, 17, and the device's own (Behaviour.own). Any other gets
+# exceptions.function, even if the profile lists it.
 #
-# Masters ask for the same few ranges again and again. A read that has passed its checks passes them
-# the next time too, as profiles do not change, so the responder remembers which bytes ask for which
-# range: at most MAX_KNOWN requests, then it begins anew. Reads that a behaviour calls live are not
-# remembered.
+# Masters poll the same few ranges. A read that has passed its checks passes them again, as profiles
+# do not change, so the responder remembers the ranges of at most MAX_KNOWN request PDUs, then
+# forgets all. Reads of live ranges (Behaviour.is_live) are not remembered.
 #
-# The unit is whoever called's matter (units.py): a responder is one device.
+# A responder is one device; units.py decides which unit numbers it answers to.
 
 from __future__ import annotations
 
@@ -49,21 +48,21 @@ _PLAIN_READS = frozenset({0x01, 0x02, 0x03, 0x04})
 
 
 _Known = tuple[bytes, bytearray, slice, bool]
-"""Of a read: the head of the response, where the rest stands, and whether that is bits."""
+"""Of a read: the first bytes of the response, the cells of the rest, and True for bits."""
 
 
 class DeviceResponder:
-    """One device. Its image may be read and written from outside between two requests."""
+    """One device. Its image may be read and written by others between two requests."""
 
     def __init__(self, behaviour: Behaviour) -> None:
         self._profile = behaviour.profile
         self.behaviour = behaviour
         self.image = behaviour.image
         self._known: dict[bytes, _Known] = {}
-        """Of reads by their PDU."""
+        """Remembered reads, by their request PDU."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        """Answer a request PDU whatever its unit, or None where the device stays silent."""
+        """The response to a request PDU, or None if the device stays silent. `unit` is ignored."""
         known = self._known.get(pdu)
         if known is not None and not self.behaviour.watches:
             return Response(_response(known))
@@ -93,28 +92,28 @@ class DeviceResponder:
         if own is not None:
             return own(pdu, now_ns)
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = register_access(request)
-        if reach is None or _is_beyond(rule, reach):
+        access = register_access(request)
+        if access is None or _is_beyond(rule, access):
             raise _RefusedError(exceptions.value)
-        self._demand_area(reach.table, reach.reads)
-        self._demand_area(reach.table, reach.writes, writing=True)
+        self._demand_area(access.table, access.reads)
+        self._demand_area(access.table, access.writes, writing=True)
         written: tuple[int, ...] = ()
-        if reach.writes:
-            written = values_after(request, self.behaviour.standing(reach.table, reach.writes))
-        refusal = self.behaviour.refusal(function, reach, written, now_ns)
+        if access.writes:
+            written = values_after(request, self.behaviour.standing(access.table, access.writes))
+        refusal = self.behaviour.refusal(function, access, written, now_ns)
         if refusal is not None:
             raise _RefusedError(refusal)
-        return self._execute(request, reach, written, pdu, now_ns)
+        return self._execute(request, access, written, pdu, now_ns)
 
     def _demand_area(self, table: Table, span: range, *, writing: bool = False) -> None:
         if not self.behaviour.allows(table, span, writing=writing):
             raise _RefusedError(self._profile.exceptions.address)
 
     def _execute(
-        self, request: Pdu, reach: RegisterAccess, written: Sequence[int], pdu: bytes, now_ns: int
+        self, request: Pdu, access: RegisterAccess, written: Sequence[int], pdu: bytes, now_ns: int
     ) -> bytes:
-        table, reads, writes = reach.table, reach.reads, reach.writes
-        if writes:  # Before the read, where a function does both (6.17).
+        table, reads, writes = access.table, access.reads, access.writes
+        if writes:  # Function 17H writes before it reads (V1.1b3, 6.17).
             self.behaviour.store(table, writes, written)
             self.behaviour.written(table, writes, now_ns)
         values: list[int] = []
@@ -124,16 +123,16 @@ class DeviceResponder:
             if self.behaviour.is_live(table, reads):
                 values = self.behaviour.shown(table, reads, values, now_ns)
             elif block is None and request.code in _PLAIN_READS:
-                self._remember(pdu, reach)
+                self._remember(pdu, access)
         return response_to(request, pdu, values)
 
-    def _remember(self, pdu: bytes, reach: RegisterAccess) -> None:
+    def _remember(self, pdu: bytes, access: RegisterAccess) -> None:
         if len(self._known) >= MAX_KNOWN:
             self._known.clear()
-        quantity = len(reach.reads)
-        count = (quantity + 7) // 8 if reach.table.is_bits else 2 * quantity
-        cells, part = self.image.cells(reach.table, reach.reads)
-        self._known[pdu] = bytes([pdu[0], count]), cells, part, reach.table.is_bits
+        quantity = len(access.reads)
+        count = (quantity + 7) // 8 if access.table.is_bits else 2 * quantity
+        cells, part = self.image.cells(access.table, access.reads)
+        self._known[pdu] = bytes([pdu[0], count]), cells, part, access.table.is_bits
 
 
 class _RefusedError(Exception):
@@ -149,10 +148,10 @@ def _response(known: _Known) -> bytes:
     return head + (packed_bits(cells[part]) if is_bits else cells[part])
 
 
-def _is_beyond(rule: FunctionRule, reach: RegisterAccess) -> bool:
-    """Whether a quantity is more than the profile allows; `limit` is of reads, if there are any."""
-    if rule.limit is not None and len(reach.reads or reach.writes) > rule.limit:
+def _is_beyond(rule: FunctionRule, access: RegisterAccess) -> bool:
+    """True if a quantity exceeds the profile's limit; `limit` is for reads if there are any."""
+    if rule.limit is not None and len(access.reads or access.writes) > rule.limit:
         return True
-    if rule.write_limit is None or not reach.reads:
+    if rule.write_limit is None or not access.reads:
         return False
-    return len(reach.writes) > rule.write_limit
+    return len(access.writes) > rule.write_limit

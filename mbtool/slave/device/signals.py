@@ -1,33 +1,30 @@
-"""Values that move over time: what a signal is at a moment, and nothing else."""
+"""Values that change over time, each a function of the time since the slave was first asked."""
 
-# A signal is a function of the time since the slave began: the same moment gives the same value,
-# whatever was asked before. Moments are integer nanoseconds from 0 on.
+# Times are integer nanoseconds from 0 on.
 #
-#     ramp   from the first value to the last one, then from the first again
-#     sine   between the lowest and the highest value, from the middle upwards
-#     walk   from the middle, a random step every so often; its steps are normally distributed, and
-#            it turns back at the lowest and the highest value
+#     ramp    rises (or falls) evenly from the first value to the last, then begins again
+#     sine    swings between the lowest and the highest value and begins in the middle, rising
+#     steps   shows one value after the other, each for the same time, then begins again
+#     walk    begins in the middle and takes a random step at regular times; the size of a step is
+#             normally distributed, and the walk turns back at the lowest and the highest value
 #
-# A walk at its n-th step is a sum of n random numbers, but not added up one by one, as a slave that
-# is asked once a day could not wait for that. It is a Brownian motion known at 1, 2, 4, 8, ...
-# steps; between two known moments the middle one is drawn around the mean of both (Lévy's
-# construction), and so on down to step n: about 2 log2(n) draws. Each draw is a hash of the seed
-# and of its place, so the order of asking does not matter.
+# Ramp, sine and steps depend on the time alone. A walk is made step by step from its seed, so the
+# same seed gives the same walk. If more than MAX_STEPS steps passed since it was last asked, it
+# makes only the last MAX_STEPS of them: that bounds the time one request can take to about 50 ms.
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from hashlib import blake2b
-from statistics import NormalDist
+from random import Random
 from typing import Protocol
 
-_NORMAL = NormalDist()
-_DRAWS = 1 << 53
+MAX_STEPS = 100_000
 
 
 class Signal(Protocol):
-    """A value that depends on the time alone."""
+    """A value that changes over time."""
 
     @property
     def lowest(self) -> float: ...
@@ -36,13 +33,13 @@ class Signal(Protocol):
     def highest(self) -> float: ...
 
     def at(self, moment_ns: int) -> float:
-        """The value at a moment since the beginning."""
+        """The value at `moment_ns`, counted from the beginning. Moments never go back."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """A sawtooth; it falls where the last value is the lower one."""
+    """A sawtooth from `first` to `last`; it falls if `last` is the lower one."""
 
     first: float
     last: float
@@ -63,7 +60,7 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """A sine."""
+    """A sine between two values."""
 
     lowest: float
     highest: float
@@ -75,6 +72,25 @@ class Sine:
         return min(max(value, self.lowest), self.highest)
 
 
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """One value after the other, each for `every_ns`."""
+
+    values: Sequence[float]
+    every_ns: int
+
+    @property
+    def lowest(self) -> float:
+        return min(self.values)
+
+    @property
+    def highest(self) -> float:
+        return max(self.values)
+
+    def at(self, moment_ns: int) -> float:
+        return self.values[moment_ns // self.every_ns % len(self.values)]
+
+
 @dataclass(slots=True)
 class Walk:
     """A random walk between two values."""
@@ -82,38 +98,31 @@ class Walk:
     lowest: float
     highest: float
     step: float
-    """The standard deviation of one step."""
+    """Standard deviation of one step, in the unit of the value."""
     every_ns: int
     seed: str
-    _last: tuple[int, float] = field(default=(0, 0.0), repr=False)
-    """The place on the way that was asked for last, as the time between two steps is long."""
+    _random: Random = field(init=False, repr=False)
+    _value: float = field(init=False, repr=False)
+    _number: int = field(init=False, default=0, repr=False)
+    """How many steps have been made or left out so far."""
+
+    def __post_init__(self) -> None:
+        self._random = Random(self.seed)
+        self._value = (self.lowest + self.highest) / 2
 
     def at(self, moment_ns: int) -> float:
-        place = moment_ns // self.every_ns
-        if place != self._last[0]:
-            self._last = place, self._way(place)
+        number = moment_ns // self.every_ns
+        for _ in range(min(number - self._number, MAX_STEPS)):
+            self._value = self._turned_back(self._value + self._random.gauss(0, self.step))
+        self._number = max(number, self._number)
+        return self._value
+
+    def _turned_back(self, value: float) -> float:
+        """A value beyond one end, reflected there."""
         width = self.highest - self.lowest
-        way = (width / 2 + self.step * self._last[1]) % (2 * width) if width else 0.0
-        return self.lowest + min(way, 2 * width - way)
-
-    def _way(self, place: int) -> float:
-        """Where a walk of unit steps without ends is after so many of them."""
-        begin, end, way_begin, way_end = 0, 1, 0.0, self._draw(0, 1)
-        while end < place:
-            way_begin, way_end = way_end, way_end + math.sqrt(end) * self._draw(end, 2 * end)
-            begin, end = end, 2 * end
-        while place not in (begin, end):
-            middle = (begin + end) // 2
-            spread = math.sqrt(end - begin) / 2
-            way = (way_begin + way_end) / 2 + spread * self._draw(begin, middle)
-            if place < middle:
-                end, way_end = middle, way
-            else:
-                begin, way_begin = middle, way
-        return way_begin if place == begin else way_end
-
-    def _draw(self, begin: int, at: int) -> float:
-        """A normally distributed number that belongs to a place."""
-        digest = blake2b(f"{self.seed}/{begin}/{at}".encode(), digest_size=8).digest()
-        number = int.from_bytes(digest, "big") >> 11
-        return _NORMAL.inv_cdf((number + 0.5) / _DRAWS)
+        if not width:
+            return self.lowest
+        distance = (value - self.lowest) % (2 * width)
+        return min(
+            max(self.lowest + min(distance, 2 * width - distance), self.lowest), self.highest
+        )

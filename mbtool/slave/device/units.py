@@ -1,14 +1,14 @@
-"""Whom a request is for: several slaves on one line, or behind one endpoint."""
+"""Passes a request to the slave that it is for: several slaves on one line or endpoint."""
 
-# A responder is one device and answers whatever unit it is asked as. Units stands before it and
-# knows what a unit means where it is played:
+# A responder is one device and answers under any unit number. Units stands before it and applies
+# the rules of the link:
 #
-#     serial line   unit 0 is a broadcast: every slave executes it, none answers (Serial Line V1.02,
-#                   2.1); a unit that no slave here has is another's, so silence
-#     TCP           unit 0 is a unit like any other; a device that answers any unit (FA3) gets all
-#                   that name no other; the rest is silence
+#     serial line   unit 0 is a broadcast: every slave executes it and none answers (Serial Line
+#                   V1.02, 2.1). A unit that no slave here has belongs to another slave: silence.
+#     TCP           unit 0 is a unit like any other. A device that answers any unit (FA3) gets the
+#                   requests for units that no other slave has. All others get silence.
 #
-# RTU over TCP is a serial line at the end of a cable, so it follows the serial line's rules.
+# RTU over TCP follows the rules of a serial line.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BROADCAST_UNIT = 0
 
 
 class Units:
-    """Passes each request to the slave it is for."""
+    """A responder that passes each request to the slave that it is for."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class Units:
         any_unit: Responder | None = None,
         broadcast: bool = False,
     ) -> None:
-        """`any_unit` gets what no slave is for; `broadcast`: unit 0 means all slaves."""
+        """`any_unit` gets requests for units without a slave; `broadcast`: unit 0 means all."""
         self._slaves = dict(slaves)
         self._any_unit = any_unit
         self._broadcast = broadcast
@@ -56,9 +56,9 @@ def units_on(
     device: Responder,
     others: Mapping[int, Responder] | None = None,
 ) -> Units:
-    """A device on a link, under a unit and by the rules of that link, and others beside it.
+    """A device on a link under its unit, with other slaves beside it, by the link's rules.
 
-    Where it answers any unit, it gets those that are no other's.
+    A device that answers any unit gets the requests for units that no other slave has.
     """
     serial = is_line(link)
     any_unit = device if profile.any_unit and not serial else None
@@ -66,5 +66,5 @@ def units_on(
 
 
 def is_line(link: SerialLink | TcpLink) -> bool:
-    """Whether a link has the rules of a serial line."""
+    """True if the rules of a serial line hold on a link."""
     return isinstance(link, SerialLink) or link.rtu

@@ -1,17 +1,17 @@
-"""What a key in a file of values means: a register or a bit of a device, or a named value."""
+"""What a key of a values file names: a register, a bit or a point of a device."""
 
-# A key is, in any case:
+# A key may be, in upper or lower case:
 #
-#     the name of a point    "CH1 digital operation value", "T5 preset value": its value in its own
-#                            measure and type
-#     a reference            HR400001, X1F, T5: what stands in the register; a number that is not
-#                            whole, a text, and any number where a point has several registers, are
-#                            in the measure of the point there
-#     a table and address    "holding 9005": as a reference
+#     the name of a point    "CH1 digital operation value", "T5 preset value". Its value is in the
+#                            point's unit and type.
+#     a reference            HR400001, X1F, T5. Its value is the register's content. A number with
+#                            a fraction, a text, and any number for a point of several registers
+#                            are in the unit of the point there.
+#     a table and address    "holding 9005". As a reference.
 #
-# A reference may stand in several tables under other names, as T5 of FT1A SmartAXIS does, which is
-# a contact, a current value and a preset value. It does not say which is meant, so it is refused,
-# and the answer lists the names.
+# A reference may stand for several points, as T5 of FT1A SmartAXIS does: a contact, a current value
+# and a preset value. It does not say which one is meant, so it is refused, and the error lists the
+# points' names.
 
 from __future__ import annotations
 
@@ -47,24 +47,24 @@ _FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 
 @dataclass(frozen=True, slots=True)
 class ValueTarget:
-    """Where a value goes, and how it is said in registers or as a bit."""
+    """The register, bit or point that a value is for, and its conversion to registers."""
 
     table: Table
     address: int
     point: Point | None
-    """The point that begins there, if one does."""
+    """The point that begins at this address, if there is one."""
     is_named: bool = False
-    """Whether the point's name was the key."""
+    """True if the key was the point's name."""
 
     @property
     def words(self) -> int:
-        """How many registers or bits a value takes."""
+        """Number of registers or bits of one value."""
         return self.point.words if self.point is not None else 1
 
     def registers(self, value: object, *, stored: bool = False) -> list[int]:
-        """The registers or the bit that say a value. Raises UsageError.
+        """A value as registers or as a bit. Raises UsageError.
 
-        Where it is `stored` a whole number is what stands in the register, whatever a point says.
+        If `stored`, a whole number is the register's content, even where a point stands.
         """
         if isinstance(value, bool):
             if not self.table.is_bits:
@@ -77,7 +77,7 @@ class ValueTarget:
         return registers_of(self.point, value)
 
     def nearest(self, value: float) -> list[int]:
-        """The registers that come nearest to a value in the point's measure. Raises UsageError."""
+        """The registers nearest to a value in the point's unit. Raises UsageError."""
         if self.point is None:
             return [self._stored(round(value))]
         if self.point.type in _FLOATS or self.point.scale != 1 or self.point.offset:
@@ -85,7 +85,7 @@ class ValueTarget:
         return registers_of(self.point, round(value))
 
     def put(self, image: RegisterImage, values: list[int]) -> None:
-        """Write registers or bits there; the image must have room for them."""
+        """Write registers or bits into an image."""
         if self.point is not None and self.point.block is not None:
             image.put(self.point, self.address, values)
         else:
@@ -93,7 +93,7 @@ class ValueTarget:
 
     @property
     def _is_measured(self) -> bool:
-        """Whether a whole number is in the measure of the point."""
+        """True if a whole number is in the unit of the point."""
         return self.point is not None and (
             self.is_named or (self.point.words > 1 and self.point.type is not PointType.STRING)
         )
@@ -110,7 +110,7 @@ class ValueTarget:
 
 
 class ValueTargets:
-    """The keys that one device knows."""
+    """The keys of one device."""
 
     def __init__(self, profile: Profile) -> None:
         self._profile = profile
@@ -122,14 +122,14 @@ class ValueTargets:
             for address in point.addresses:
                 reference = write_reference(profile, point.table, address, point.words)
                 name = PointInstance(point, address, reference).name
-                spot = ValueTarget(point.table, address, point, is_named=True)
-                self._by_name.setdefault(name.casefold(), spot)
+                target = ValueTarget(point.table, address, point, is_named=True)
+                self._by_name.setdefault(name.casefold(), target)
                 if point.block in (None, address):
                     self._names.setdefault((point.table, address), name)
                     self._points.setdefault((point.table, address), point)
 
     def find(self, key: str) -> ValueTarget:
-        """What a key means. Raises UsageError."""
+        """The target that a key names. Raises UsageError."""
         named = self._by_name.get(key.strip().casefold())
         if named is not None:
             return named
@@ -150,8 +150,8 @@ class ValueTargets:
             near = difflib.get_close_matches(key.strip().casefold(), self._by_name, n=1)
             if not near:
                 raise
-            spot = self._by_name[near[0]]
-            name = self._names.get((spot.table, spot.address), near[0])
+            target = self._by_name[near[0]]
+            name = self._names.get((target.table, target.address), near[0])
             raise UsageError(
                 f"{key!r} is no name and no reference; did you mean {name!r}?"
             ) from error
@@ -162,7 +162,7 @@ class ValueTargets:
         return table, address
 
     def _meanings(self, key: str) -> Iterator[str]:
-        """What the places are called that a reference names, one in each area that has it."""
+        """The names of the points that a reference may mean, one for each area that has it."""
         for area in self._profile.areas:
             try:
                 place = parse_reference(replace(self._profile, areas=[area]), key)

@@ -1,7 +1,7 @@
-"""Finds a device's behaviour by the name that its profile has for it."""
+"""Makes a device with the behaviour that its profile names."""
 
-# A further family's name goes into BehaviourName, and its class into BEHAVIOURS by that name and,
-# where models of one family differ, the model code.
+# A new family needs its name in BehaviourName (devices/model.py) and its class in BEHAVIOURS under
+# that name. If models of the family differ, the key is the name, a slash and the model code.
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
     "lt830": Lt830,
     "wago": Wago,
 }
-"""By the profile's `behaviour`, and behind a slash the model code where models differ."""
+"""Keys: the profile's `behaviour`; with a slash and the model code if models differ."""
 
 
 def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:
-    """A device that answers from its image and behaves as its family does."""
+    """A device that answers from its image, with the behaviour that its profile names."""
     return DeviceResponder(behaviour_of(profile, image))
 
 

@@ -1,18 +1,18 @@
-"""Averaging and scaling of an analog input, as arithmetic over time."""
+"""Averaging and scaling of an analog input over time."""
 
-# An input holds what it was set to until it is set again. A module converts it every
-# CONVERSION_NS, and gives out, by the kind of processing:
+# An input keeps its value until it is set again. A module converts it every CONVERSION_NS and puts
+# out, depending on its processing:
 #
 #     sampling   each value as it is
-#     period     the mean of one period after the other (a time, or a count of conversions)
+#     period     the mean of one period after another (a time, or a number of conversions)
 #     moving     the mean of the last so many conversions
 #
-# The mean is taken over time, which is what the mean of many conversions comes to. There is no
-# value before the first period, or the first window, is full. Fractions are cut off, as in the
-# manual's example of scaling, where 37.5 becomes 37.
+# The mean is taken over time, which equals the mean of many conversions. There is no result before
+# the first period, or the first window, is complete. Fractions are cut off, as in the manual's
+# example of scaling, where 37.5 becomes 37.
 #
-# A moving mean holds at most MAX_STEPS changes of the input; of more, the oldest are forgotten, and
-# the value behind them is taken to have stood there before.
+# Memory: a moving mean keeps at most MAX_STEPS changes of the input. It forgets the oldest, and
+# then takes the oldest value it still has for the time before.
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from typing import Protocol
 
 FULL_SCALE = 16000
 CONVERSION_NS = 1_000_000
-"""From one conversion of a channel to the next; the chapter does not state it."""
+"""Time between two conversions of a channel. Assumed: the manual does not state it."""
 MAX_STEPS = 1024
 
 _LOWEST, _HIGHEST = -0x8000, 0x7FFF
 
 
 class Processing(Protocol):
-    """What becomes of an input. Times never step back."""
+    """Makes an output value from an input. Times never go back."""
 
     def feed(self, value: int, now_ns: int) -> None:
-        """The input holds this value now; until now it held what it held before."""
+        """The input has this value from now on."""
 
     def result(self, now_ns: int) -> int | None:
-        """What is given out now, or None before the first value is complete."""
+        """The present output, or None before the first one is complete."""
 
 
 class Sampling:
-    """Each value as it is."""
+    """Puts out each value as it is."""
 
     def __init__(self) -> None:
         self._value: int | None = None
@@ -51,14 +51,14 @@ class Sampling:
 
 
 class PeriodMean:
-    """The mean of each whole period."""
+    """Puts out the mean of the last complete period."""
 
     def __init__(self, period_ns: int, value: int, now_ns: int) -> None:
         self._period_ns = period_ns
         self._value = value
         self._begun_ns = self._known_ns = now_ns
         self._sum = 0
-        """Value times ns from the period's beginning to what is known."""
+        """Sum of value times ns since the period began, up to `_known_ns`."""
         self._mean: int | None = None
 
     def feed(self, value: int, now_ns: int) -> None:
@@ -83,13 +83,13 @@ class PeriodMean:
 
 
 class MovingMean:
-    """The mean of the time just passed."""
+    """Puts out the mean of the last `window_ns`."""
 
     def __init__(self, window_ns: int, value: int, now_ns: int) -> None:
         self._window_ns = window_ns
         self._begun_ns = now_ns
         self._steps: deque[tuple[int, int]] = deque([(now_ns, value)], maxlen=MAX_STEPS)
-        """Since when the input has held which value."""
+        """Pairs of a time and the value from that time on."""
 
     def feed(self, value: int, now_ns: int) -> None:
         if value != self._steps[-1][1]:
@@ -105,15 +105,15 @@ class MovingMean:
         for since_ns, value in reversed(self._steps):
             total += value * (until_ns - max(since_ns, first_ns))
             until_ns = since_ns
-        if until_ns > first_ns:  # Steps were forgotten.
+        if until_ns > first_ns:  # The oldest steps were forgotten.
             total += self._steps[0][1] * (until_ns - first_ns)
         return cut(total, self._window_ns)
 
 
 def scaled(value: int, lower: int, upper: int) -> int:
-    """A digital value on the scale from `lower`, which stands for 0, to `upper` for FULL_SCALE.
+    """A digital value 0..FULL_SCALE on the scale from `lower` to `upper`.
 
-    Limits that are equal make no scale: the value stays.
+    Equal limits mean no scaling.
     """
     if lower == upper:
         return value
@@ -121,11 +121,11 @@ def scaled(value: int, lower: int, upper: int) -> int:
 
 
 def cut(dividend: int, divisor: int) -> int:
-    """A quotient without its fraction."""
+    """The quotient without its fraction, rounded towards 0."""
     quotient = abs(dividend) // divisor
     return quotient if dividend >= 0 else -quotient
 
 
 def limited(value: int) -> int:
-    """The nearest number that a register can hold."""
+    """The nearest number that a signed register can hold."""
     return min(max(value, _LOWEST), _HIGHEST)

@@ -1,20 +1,21 @@
-"""What every FA3 module does beyond its registers, and the digital models' outputs."""
+"""What every FA3 module does beyond its profile, and the outputs of the digital models."""
 
-# Sources: the modules' manual, chapters 10.3 and 10.4. What the chapter leaves open is assumed:
+# Sources: the modules' manual, chapters 10.3 and 10.4. Assumed, as the manual leaves it open:
 #
-#     41H to 44H carry one byte, 00; another gets the code of a wrong request PDU
-#     41H  leaves what a restart would: coils and holding registers as they were at first, but for
-#          the non-volatile ones; no alarm. Inputs belong to the world outside and stay
-#     43H  clears RWr1, the latest alarm; 44H the history of alarms, which no register shows
-#     TH   how outputs are set to HOLD or CLEAR is not in the chapter: here they CLEAR
+#     41H to 44H  have one byte of data, 00; any other gets the exception for a wrong value
+#     41H         resets coils and holding registers to their first values, except the non-volatile
+#                 ones, and clears the alarm. Inputs stay, as they come from outside
+#     43H         clears RWr1, the latest alarm
+#     44H         clears the history of alarms, which no register shows
+#     TH models   clear their outputs without a connection; the manual names no setting for HOLD
 #
-# Non-volatile are 00F0H to 00F5H. A written address counts at the next start-up, and the embedded
-# slave's address is its link's, so it is kept and nothing else.
+# The registers 00F0H to 00F5H are non-volatile. A new IP address in 00F0H would count after a
+# restart; the embedded slave's address is that of its link, so the value is kept without effect.
 #
-# Outputs: while no master is connected they are at HOLD or CLEAR, whatever the coils and registers
-# hold; with a connection they follow these. At first no master is connected.
+# Outputs follow the coils and registers while a master is connected. Without one they are held or
+# cleared. At the start no master is connected.
 #
-# Holds the last MAX_HISTORY alarms.
+# Memory: the last MAX_HISTORY alarms.
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ _VOLATILE = (
 
 
 class Fa3(Behaviour):
-    """A module without outputs of its own: FA3-TH1M16XC is just this."""
+    """A module without outputs, such as FA3-TH1M16XC."""
 
     kept = ((Table.HOLDING_REGISTERS, NON_VOLATILE),)
 
@@ -62,7 +63,7 @@ class Fa3(Behaviour):
         )
         self.is_linked = False
         self.history: deque[int] = deque(maxlen=MAX_HISTORY)
-        """The codes of the last alarms, the latest one last."""
+        """Codes of the last alarms, the latest one last."""
         self._at_first = [image.get(table, span.start, len(span)) for table, span in _VOLATILE]
 
     def alarm(self, code: int) -> None:
@@ -70,7 +71,7 @@ class Fa3(Behaviour):
         self.image.set(Table.INPUT_REGISTERS, LATEST_ALARM, [code])
 
     def linked(self, is_linked: bool) -> None:
-        """Learn that the first master has connected, or that the last one has gone."""
+        """Called when the first master has connected, and when the last one has gone."""
         self.is_linked = is_linked
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
@@ -85,7 +86,7 @@ class Fa3(Behaviour):
                 self.keep()
 
     def restarted(self) -> None:
-        """Learn that coils and registers are as they were at first."""
+        """Called after a remote reset has restored coils and registers."""
 
     def _non_volatile(self) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, NON_VOLATILE.start, len(NON_VOLATILE))

@@ -1,20 +1,19 @@
 """The FA3 modules FA3-AT1M8X and FA3-AT1M8Y: settings, conversion and outputs of eight channels."""
 
-# Source: the modules' manual, chapter 10.5. Settings take effect by the initial data setting: the
-# master sets Y9, the module takes them over and sets X9, the master clears Y9, and X9 goes. Before
-# the first one the module works with those that it started with, which is assumed.
+# Source: the modules' manual, chapter 10.5. Settings take effect with the initial data setting: the
+# master sets Y9, the module reads the settings and sets X9, the master clears Y9, and the module
+# clears X9. Assumed: before the first one the module works with the settings it started with.
 #
-# FA3-AT1M8X. What the image holds in RWr2 to RWr9 is what is at the inputs, as a digital value from
-# 0 to 16000; what a master reads there is that value averaged and scaled. X10 to X17 tell that a
-# channel's first value is complete; until then, after an initial data setting, RWr keeps the value
-# before. A channel that is disabled reads 0. Assumed are: averaging process 3, moving average; how
-# long a conversion takes (conversion.py); that a time or count of 0 means sampling.
+# FA3-AT1M8X. RWr2 to RWr9 of the image hold the inputs as digital values from 0 to 16000. A master
+# reads them averaged and scaled. X10 to X17 are set once a channel's first value is complete; until
+# then, after an initial data setting, RWr keeps the previous value. A disabled channel reads 0.
+# Assumed: averaging process 3 is a moving average; the time of a conversion (conversion.py); a time
+# or count of 0 means sampling.
 #
-# FA3-AT1M8Y. A channel puts out its digital value where D/A conversion is enabled (0102H) and its
-# output too (Y10 to Y17), else 0. Without a connection HOLD keeps what stood there last, CLEAR
-# gives 0. 0 to 16000 is 1 to 5 V (chapter 10.5: 3600 is 1.9 V). What the module does with a value
-# beyond the warning limits is not in the chapter: here it is told beside the output, which follows
-# the value all the same.
+# FA3-AT1M8Y. A channel puts out its digital value if D/A conversion (0102H) and its output (Y10 to
+# Y17) are enabled, else 0. Without a connection HOLD keeps the last output and CLEAR gives 0.
+# 0 to 16000 is 1 to 5 V (chapter 10.5: 3600 is 1.9 V). The manual does not say what the module does
+# with a value beyond the warning limits: here the output follows the value, and the text says so.
 
 from __future__ import annotations
 
@@ -57,7 +56,7 @@ _MS = 1_000_000
 
 
 class _Fa3Analog(Fa3):
-    """What both have in common: the initial data setting."""
+    """The initial data setting, which both models have."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
@@ -77,7 +76,7 @@ class _Fa3Analog(Fa3):
         self.image.set(Table.DISCRETE_INPUTS, _INITIAL_SETTING, [0])
 
     def take_settings(self, now_ns: int) -> None:
-        """Work with the settings that the registers hold now."""
+        """Take over the settings from the registers."""
 
     def _words(self, span: range) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, span.start, len(span))
@@ -86,7 +85,7 @@ class _Fa3Analog(Fa3):
         return [_signed(word) for word in self._words(span)]
 
     def _enabled(self, address: int) -> list[bool]:
-        """A setting with a bit for each channel, 0 for enabled."""
+        """A setting with a bit for each channel; 0 is enabled."""
         (word,) = self.image.get(Table.HOLDING_REGISTERS, address)
         return [not word >> channel & 1 for channel in CHANNELS]
 
@@ -101,14 +100,14 @@ class _InputSetting:
 
     process: int
     average: int
-    """A time in ms, or a count."""
+    """A time in ms, or a number of conversions; 0 for sampling."""
     limits: tuple[int, int]
-    """The scale; two equal numbers are none."""
+    """Lower and upper end of the scale; equal numbers mean no scaling."""
 
 
 @dataclass(slots=True)
 class _InputChannel:
-    """One input, and what a master sees of it."""
+    """One input and the value that a master reads."""
 
     processing: Processing
     limits: tuple[int, int]
@@ -123,7 +122,7 @@ class Fa3AnalogInput(_Fa3Analog):
         super().__init__(profile, image)
         self._settings = self._read_settings()
         self._channels: list[_InputChannel | None] | None = None
-        """None for a channel that is disabled; all None before the module is first asked."""
+        """None in the list is a disabled channel. None until the first request or setting."""
 
     def restarted(self) -> None:
         super().restarted()
@@ -148,7 +147,7 @@ class Fa3AnalogInput(_Fa3Analog):
         self.convert(now_ns)
 
     def convert(self, now_ns: int) -> list[_InputChannel | None]:
-        """Take what is at the inputs now; a mean knows of a change from when this is called."""
+        """Read the inputs; returns what masters see. A mean counts changes from this call on."""
         if self._channels is None:
             self._channels = self._begin([None] * len(CHANNELS), now_ns)
         for one, value in zip(self._channels, self._inputs(), strict=True):
@@ -184,7 +183,7 @@ class Fa3AnalogInput(_Fa3Analog):
         ]
 
     def _begin(self, before: list[_InputChannel | None], now_ns: int) -> list[_InputChannel | None]:
-        """Begin to convert by the settings; a channel shows what it showed until it has more."""
+        """Start converting; a channel keeps its value until a new one is complete."""
         channels: list[_InputChannel | None] = []
         for setting, value, last in zip(self._settings, self._inputs(), before, strict=True):
             if setting is None:
@@ -201,7 +200,7 @@ class Fa3AnalogOutput(_Fa3Analog):
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
         self._standing = [0] * len(CHANNELS)
-        """What stands at the outputs while no master is connected."""
+        """The outputs while no master is connected."""
         self._take()
 
     def take_settings(self, now_ns: int) -> None:

@@ -1,19 +1,18 @@
-"""The rules that an FA3 module has for its connections (manual, chapters 10.2 and 10.3)."""
+"""The connection rules of an FA3 module (manual, chapters 10.2 and 10.3)."""
 
-# Connections: two. A third is taken, and the one that has said nothing for longest is closed.
+# Connections: two. A third one is accepted, and the one that was silent longest is closed.
 #
-# Alive check: TCP's keep-alive. Its timers stand in holding registers 00F2H to 00F4H; a value
-# outside its range counts as the nearest limit and is left as it was written (whether it reads
-# back so is not stated). A master that does not answer is disconnected, with alarm 0E30H. To
-# disconnect may take the module ten seconds, during which it rejects that master; here it always
-# takes them. By master is meant the address it comes from.
+# Alive check: TCP keep-alive, with its timers in holding registers 00F2H to 00F4H. A value outside
+# its range acts as the nearest limit and reads back as written (assumed). A master that does not
+# answer is disconnected with alarm 0E30H. The manual allows the module up to ten seconds for that,
+# during which it rejects this master's IP address; here it always takes ten seconds.
 #
-# Split reception: 00F5H is how long a request may take from its first part to its last; later it
-# is disconnected, with alarm 0E40H.
+# Split reception: 00F5H is the longest time from the first part of a request to its last. A slower
+# master is disconnected with alarm 0E40H.
 #
-# Remote reset (41H) closes all connections, and none is taken for two seconds.
+# Remote reset (41H) closes all connections; for two seconds none is accepted.
 #
-# Holds two peers, and an address for each alive check error of the last ten seconds.
+# Memory: two peers, and an IP address for each alive check error of the last ten seconds.
 
 from __future__ import annotations
 
@@ -55,7 +54,7 @@ class Fa3Connections(ConnectionPolicy):
         alarm: Callable[[int], None],
         linked: Callable[[bool], None],
     ) -> None:
-        """`alarm` gets an alarm's code; `linked` whether any master is connected, as it changes."""
+        """`alarm` gets an alarm's code; `linked` gets True if a master is connected, else False."""
         super().__init__(PLACES, math.inf)
         self._image = image
         self._alarm = alarm
@@ -73,7 +72,7 @@ class Fa3Connections(ConnectionPolicy):
         }
         self._closed_until_ns: int | None = None
         self._rejected: dict[str, int] = {}
-        """Until when, by address."""
+        """IP addresses, and the time until which each is rejected."""
 
     @property
     def keep_alive(self) -> KeepAlive:
@@ -123,11 +122,11 @@ class Fa3Connections(ConnectionPolicy):
             self._linked(False)
 
     def set_timers(self) -> None:
-        """Learn that a timer may have been written."""
+        """Called when a timer may have been written."""
         self.changed = True
 
     def reset(self, now_ns: int) -> None:
-        """Close all connections, and take none for a while."""
+        """Close all connections, and accept none for RESETTING_NS."""
         self._closed_until_ns = now_ns + RESETTING_NS
         self._rejected.clear()
         self.notes.append(

@@ -1,18 +1,19 @@
-"""What CHINO's LT830 does beyond its registers: its rules for several items, values and access."""
+"""What CHINO's LT830 does beyond its profile: several items, value ranges, access, diagnosis."""
 
 # Source: INST. No. INE-350, 6.3.1, 6.4 and 6.5.7, and the error codes of a sister model, as
 # mbtool/devices/profiles/chino-lt830.toml quotes them.
 #
-#     reads     only the start number must exist; of those behind it one that does not reads as 0
-#     writes    an error in one value discards all of them, and each number must exist
-#     08        diagnosis code 0000H, whose two bytes of data come back
-#     11H       a value outside the range that its point has in the profile
-#     12H       a point that the profile lets nobody write, in an area that one may write (assumed:
-#               the sister model says it while programming is disabled)
+#     reads     only the first address must exist; a missing one behind it reads as 0
+#     writes    every address must exist, and one wrong value discards all values
+#     08        diagnosis code 0000H returns its two bytes of data
+#     11H       the exception for a value outside the range of its point in the profile
+#     12H       the exception for a write to a read-only point in a writable area (assumed: the
+#               sister model gives it while programming is disabled)
 #
-# The built-in profile states no ranges and no such points, as the table of references was not at
-# hand; one of the user's own that extends it can. Another diagnosis code gets 01, which is the
-# standard's (V1.1b3, 6.8), other than two bytes of data 03; both are assumed.
+# The built-in profile has no ranges and no read-only points, as the manual's table of references
+# was not available; a user's own profile that extends it can have them. Another diagnosis code gets
+# 01, as in the standard (V1.1b3, 6.8), and more or less than two bytes of data get 03; both are
+# assumed.
 
 from __future__ import annotations
 
@@ -63,9 +64,9 @@ class Lt830(Behaviour):
         return span.stop <= ADDRESSES and super().allows(table, span[:1])
 
     def refusal(
-        self, function: int, reach: RegisterAccess, values: Sequence[int], now_ns: int
+        self, function: int, access: RegisterAccess, values: Sequence[int], now_ns: int
     ) -> int | None:
-        table, writes = reach.table, reach.writes
+        table, writes = access.table, access.writes
         if holds_read_only_point(self.profile, table, writes):
             return PROGRAMMING_DISABLED
         touched = [
@@ -78,7 +79,7 @@ class Lt830(Behaviour):
     def _after(
         self, place: PointInstance, table: Table, writes: range, values: Sequence[int]
     ) -> PointValue:
-        """What a place would hold after a write, of which some of its registers may be no part."""
+        """The value of a point after a write that may cover only some of its registers."""
         raw = self.image.get(table, place.address, place.words)
         for at in range(place.words):
             if place.address + at in writes:

@@ -1,20 +1,20 @@
-"""What a WAGO 750 coupler does beyond its registers: process image, counters, commands."""
+"""What a WAGO 750 coupler does beyond its profile: process image, counters, commands."""
 
 # Sources: the two manuals that mbtool/devices/profiles/wago-750.toml joins. The process image is in
 # wago_image.py, the watchdog in wago_watchdog.py.
 #
-#     07         the first eight inputs
-#     0B         status 0000 and how many requests went well, those of 0B apart (V1.1b3, 6.9)
-#     1029H      a block of nine counters (Counter); 55AAH or AA55H written there clears them
-#     102AH      the connections that are open
-#     1030H      a connection without a request for so many milliseconds is closed; 0: never
-#     100BH      1 saves time and mask of the watchdog; they outlast a restart then
-#     2040H      55AAH or AA55H is a restart: outputs 0, settings as at the start or as saved,
+#     07         returns the first eight inputs
+#     0B         returns status 0000 and the number of successful requests except 0B (V1.1b3, 6.9)
+#     1029H      a block of nine counters (Counter); writing 55AAH or AA55H clears them
+#     102AH      the number of open connections
+#     1030H      a connection is closed after so many milliseconds without a request; 0 is never
+#     100BH      writing 1 saves time and mask of the watchdog, which then survive a restart
+#     2040H      writing 55AAH or AA55H restarts: outputs 0, settings as at the start or as saved,
 #                counters 0, watchdog off
 #
-# Assumed: a restart by 2040H is acknowledged, and connections stay. The time of 1030H holds for
-# connections that are made later. The header errors that the second counter counts get silence
-# before they come here. 2041H to 2043H and 1028H are acknowledged and do nothing more.
+# Assumed: a restart by 2040H is acknowledged, and connections stay open. The time of 1030H holds
+# for later connections. Requests with the header errors of the second counter get silence and are
+# not counted. 2041H to 2043H and 1028H are acknowledged without effect.
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _FAILURE = 4
 
 
 class Counter(IntEnum):
-    """What is counted from 1029H on, by its place there."""
+    """The counters from 1029H on, numbered by their offset."""
 
     DEVICE_FAILURE = 0
     BAD_PROTOCOL = 1
@@ -81,7 +81,7 @@ class Wago(Behaviour):
         self._counters = self._first_counters()
         self._went_well = 0
         self._at_first: list[int] | None = None
-        """The settings when the first request came, and the saved parameters since then."""
+        """The settings at the first request, with the parameters saved since then."""
         self._set_idle_time()
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
@@ -98,14 +98,14 @@ class Wago(Behaviour):
             )
         if not self._watchdog.has_expired:
             return None
-        reach = register_access(parse_pdu(pdu, Direction.REQUEST))
-        ends = reach is not None and self._watchdog.takes(reach.writes)
+        access = register_access(parse_pdu(pdu, Direction.REQUEST))
+        ends = access is not None and self._watchdog.takes(access.writes)
         return None if ends else _FAILURE
 
     def refusal(
-        self, function: int, reach: RegisterAccess, values: Sequence[int], now_ns: int
+        self, function: int, access: RegisterAccess, values: Sequence[int], now_ns: int
     ) -> int | None:
-        touches_mask = reach.table is HOLDING and not set(MASKS).isdisjoint(reach.writes)
+        touches_mask = access.table is HOLDING and not set(MASKS).isdisjoint(access.writes)
         return _FAILURE if touches_mask and self._watchdog.is_active else None
 
     def is_live(self, table: Table, span: range) -> bool:
@@ -147,7 +147,7 @@ class Wago(Behaviour):
             self._went_well = self._went_well + 1 & 0xFFFF
 
     def _alone(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
-        """A function whose request is its code and nothing else."""
+        """A function whose request has no data; one with data gets the exception for a value."""
 
         def own(pdu: bytes, now_ns: int) -> bytes:
             if len(pdu) > 1:
@@ -167,7 +167,7 @@ class Wago(Behaviour):
         return address in span and self.image.get(HOLDING, address)[0] in values
 
     def _first_counters(self) -> list[int]:
-        """Those that the image began with, where the profile has a block for them."""
+        """The counters at the start: those of the image, if the profile has a block for them."""
         span = range(COUNTERS, COUNTERS + len(Counter))
         begun = self.image.blocks.get(HOLDING, span) or []
         return [*begun, *[0] * len(Counter)][: len(Counter)]

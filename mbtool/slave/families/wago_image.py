@@ -1,15 +1,14 @@
-"""The process image of a WAGO 750 coupler: inputs, outputs, and how bits stand in registers."""
+"""The process image of a WAGO 750 coupler: inputs, outputs, and digital data in registers."""
 
-# Sources: as wago.py. Functions 03 and 04 read the same registers, 01 and 02 the same bits. Reading
-# from 0000 on gives inputs, writing there sets outputs, which are read back 0200H higher; the
-# second part likewise, registers from 6000H at 7000H and bits from 3000H at 4000H.
+# Sources: as wago.py. Functions 03 and 04 read the same registers, 01 and 02 the same bits. Reads
+# from 0000 on give inputs; writes there set outputs, which are read back 0200H higher. The second
+# part works likewise: registers from 6000H are read back at 7000H, bits from 3000H at 4000H.
 #
-# Digital data are in registers too, behind all analog data. How much there is of each the registers
-# 1022H to 1025H say, in bits; they are 0, and so bits and registers apart, unless the user
-# describes a node there, which is looked at once. Then the bits are what counts: such a register is
-# made of them, and a write to it sets them. Assumed: the lowest bit of a register is the first one,
-# and digital data begin with a register of their own. Only the first part, 256 registers and 512
-# bits, is looked at.
+# Digital data also stand in registers, behind all analog data. Registers 1022H to 1025H give the
+# size of each kind in bits. They are 0 unless the user's values file describes a node; they are
+# read once. With a node, registers of digital data are made from the bits, and a write to such a
+# register sets the bits. Assumed: the lowest bit of a register is the first one, and digital data
+# begin with a register of their own. Only the first part, 256 registers and 512 bits, is mapped.
 
 from __future__ import annotations
 
@@ -30,9 +29,9 @@ _OUTPUTS = (
     (COILS, range(0x0200), range(0x0200, 0x0400)),
     (COILS, range(0x3000, 0x35F8), range(0x4000, 0x45F8)),
 )
-"""Where outputs are written, and where they stand."""
+"""Table, addresses where outputs are written, addresses where they are stored and read back."""
 _SIZES = range(0x1022, 0x1026)
-"""Analog outputs and inputs, digital outputs and inputs, in bits."""
+"""Sizes in bits of analog outputs, analog inputs, digital outputs, digital inputs."""
 _OUTPUT_BASE = 0x0200
 _WORDS, _BITS = 0x0100, 0x0200
 _WORD_BITS = 16
@@ -48,13 +47,13 @@ class ProcessImage:
         self._parts = _digital_parts(image.get(HOLDING, _SIZES.start, len(_SIZES)))
 
     def is_made_of_bits(self, span: range) -> bool:
-        """Whether some of these registers are."""
+        """True if some of these registers hold digital data."""
         return any(
             words.start < span.stop and span.start < words.stop for _, words, _ in self._parts
         )
 
     def read(self, span: range, values: list[int]) -> list[int]:
-        """The registers of a range, where `values` are those that stand there."""
+        """The registers of a range: `values` of the image, with digital data put in."""
         for base, words, bits in self._parts:
             for at in range(max(words.start, span.start), min(words.stop, span.stop)):
                 first = base + (at - words.start) * _WORD_BITS
@@ -63,14 +62,14 @@ class ProcessImage:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """The outputs that a write to a range would replace, or what else stands there."""
-        span = where_it_stands(table, span)
+        """The values that a write to a range would replace."""
+        span = stored_range(table, span)
         values = self._image.get(table, span.start, len(span))
         return values if table.is_bits else self.read(span, values)
 
     def write(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Write outputs, or what else can be written."""
-        span = where_it_stands(table, span)
+        """Write outputs or other registers and bits."""
+        span = stored_range(table, span)
         self._image.set(table, span.start, values)
         if table.is_bits:
             return
@@ -87,7 +86,7 @@ class ProcessImage:
 
 
 def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
-    """Of inputs and outputs: the first bit, the registers that bits make, and these bits."""
+    """For outputs and inputs: the first bit, the registers of digital data, and their bits."""
     parts = []
     for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):
         if digital:
@@ -98,8 +97,8 @@ def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
     return parts
 
 
-def where_it_stands(table: Table, span: range) -> range:
-    """Where what is written to a range stands, and is read back."""
+def stored_range(table: Table, span: range) -> range:
+    """The addresses where a written range is stored and read back."""
     for each, first, stands in _OUTPUTS:
         if table is each and span.start in first:
             by = stands.start - first.start

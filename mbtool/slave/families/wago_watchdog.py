@@ -2,26 +2,27 @@
 
 # Source: the later manual, 6.5.1, as mbtool/devices/profiles/wago-750.toml quotes it.
 #
-#     starts    when 1003H becomes a value other than 0 and than the last one, with a time in 1000H
-#     runs      anew with each further such value, and with each request whose function is in the
-#               mask of 1001H and 1002H
-#     trips     when neither comes for the time: 1006H is 2, 1004H is 0, and every request gets
-#               exception 04
-#     ends      AAAAH and then 5555H in 1005H, or 55AAH or AA55H in 1008H; 1 in 1007H restarts it
+#     starts     when a value other than 0 and other than the last one is written to 1003H, and
+#                1000H holds a time
+#     restarts   with each further such value, and with each request whose function is in the mask
+#                of 1001H and 1002H
+#     expires    when neither comes in time: 1006H is 2, 1004H is 0, every request gets exception 04
+#     stops      with AAAAH and then 5555H in 1005H, or with 55AAH or AA55H in 1008H; 1 in 1007H
+#                starts it again
 #
-# The alternative watchdog (100AH = 1) runs anew with every request; when it trips all outputs
-# become 0, and requests are answered on.
+# The alternative watchdog (100AH = 1) restarts with every request. When it expires, all outputs
+# become 0, and requests are still answered.
 #
 # Assumed:
 #
-#     after a trip the writes that end it, of 1005H, 1007H and 1008H alone, are taken
+#     after it has expired, single writes of 1005H, 1007H and 1008H are accepted
 #     a write of the mask while the watchdog runs gets exception 04
-#     1004H is the least time that was left when it ran anew
-#     1 in 1007H while the watchdog is off does not start it
-#     outputs stay as they are when the watchdog trips that is not the alternative one
-#     1009H, whether sockets are closed at a trip, is kept and does nothing
+#     1004H is the shortest time that was left at a restart
+#     1 in 1007H does not start a watchdog that is off
+#     outputs stay as they are when the ordinary watchdog expires
+#     1009H (close sockets when it expires) is stored without effect
 #
-# No clock runs here: whether the time is over is found out at each request.
+# There is no timer: each request checks if the time is over.
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ RESTART = 0x1007
 SIMPLE_STOP = 0x1008
 ALTERNATIVE = 0x100A
 PARAMETERS = range(TIME, MASKS.stop)
-"""What is kept when they are saved."""
+"""The registers that survive a restart once they are saved."""
 SETTINGS = range(TIME, ALTERNATIVE + 1)
 
 _ENDING = (STOP, RESTART, SIMPLE_STOP)
@@ -54,7 +55,7 @@ _UNIT_NS = 100_000_000
 
 
 class Status(IntEnum):
-    """What 1006H says."""
+    """The values of 1006H."""
 
     OFF = 0
     ACTIVE = 1
@@ -62,7 +63,7 @@ class Status(IntEnum):
 
 
 class Watchdog:
-    """Watches by the registers of an image."""
+    """The watchdog over the registers of an image."""
 
     def __init__(self, image: RegisterImage) -> None:
         self._image = image
@@ -71,7 +72,7 @@ class Watchdog:
         self._time_ns = 0
         self._last_trigger = 0
         self._stop_place = 0
-        """How much of the stop sequence has been written."""
+        """How many values of the stop sequence have been written."""
 
     @property
     def is_active(self) -> bool:
@@ -82,7 +83,7 @@ class Watchdog:
         return self._status is Status.EXPIRED
 
     def heard(self, function: int, now_ns: int) -> bool:
-        """Learn of a request, and say whether the outputs have become 0."""
+        """Called with each request. True if all outputs must become 0."""
         is_alternative = bool(self._register(ALTERNATIVE))
         is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
         if is_alternative:
@@ -93,16 +94,16 @@ class Watchdog:
             self._set_status(Status.EXPIRED)
             self._set(LEAST_LEFT, 0)
         elif self.is_active and self._is_masked(function):
-            self._run_anew(now_ns)
+            self._restart_time(now_ns)
         return False
 
     @staticmethod
     def takes(writes: range) -> bool:
-        """Whether a write is taken although the watchdog has tripped."""
+        """True if a write is accepted after the watchdog has expired."""
         return len(writes) == 1 and writes.start in _ENDING
 
     def written(self, span: range, now_ns: int) -> None:
-        """Learn what has been written, in the order of the registers."""
+        """Called after a write; acts on the registers in their order."""
         for address in span:
             value = self._register(address)
             if address == TRIGGER:
@@ -115,7 +116,7 @@ class Watchdog:
                 self._set_status(Status.OFF)
 
     def reset(self) -> None:
-        """Be as after a start of the device."""
+        """Return to the state after a start of the device."""
         self._set_status(Status.OFF)
         self._set(LEAST_LEFT, _NEVER_TRIGGERED)
         self._last_trigger = self._stop_place = 0
@@ -126,7 +127,7 @@ class Watchdog:
         if not is_new:
             return
         if self.is_active:
-            self._run_anew(now_ns)
+            self._restart_time(now_ns)
         elif self._status is Status.OFF and self._time():
             self._begin(now_ns)
 
@@ -142,7 +143,7 @@ class Watchdog:
         self._since_ns = now_ns
         self._set_status(Status.ACTIVE)
 
-    def _run_anew(self, now_ns: int) -> None:
+    def _restart_time(self, now_ns: int) -> None:
         left = (self._time_ns - (now_ns - self._since_ns)) // _UNIT_NS
         self._set(LEAST_LEFT, min(self._register(LEAST_LEFT), left))
         self._since_ns = now_ns

@@ -1,17 +1,19 @@
 """Reads faults from a TOML file."""
 
+# The file has a seed and a [[faults]] table for each fault:
+#
 #     seed = 7
 #
 #     [[faults]]
-#     kind = "exception"                     # FaultKind; the keys below that it takes are in _TAKES
+#     kind = "exception"                     # a FaultKind; _TAKES lists the keys of each kind
 #     code = 6
-#     functions = [3, 0x10]                  # which requests: all of these must hold
+#     functions = [3, 0x10]                  # from here on: which requests; all must hold
 #     units = [1]
 #     registers = "HR400001..400010"         # or 'holding 0..9'
-#     seconds = [10, 20]                     # since the slave began
-#     nth = 3                                # the third of those that fit
-#     every = 5                              # and from there on each fifth
-#     times = 2                              # and no more than two
+#     seconds = [10, 20]                     # from and until, counted from the first request
+#     nth = 3                                # the third request that fits
+#     every = 5                              # and every fifth from there on
+#     times = 2                              # at most twice
 #     probability = 0.5
 #
 # Limits: a file of at most 1 MiB.
@@ -49,14 +51,14 @@ _TAKES = {
     FaultKind.OFFSET: ("by",),
 }
 _ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
-"""How much can be added so that another unit or id comes of it."""
+"""Least and greatest `by` that give another unit or id."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
 _S = 1_000_000_000
 
 
 class FaultFile:
-    """What a file says."""
+    """The faults and the seed of one file."""
 
     def __init__(self, path: Path, profiles: Iterable[Profile] = ()) -> None:
         """Raises InputError for a file that is no TOML, UsageError for what it says."""
@@ -116,7 +118,7 @@ def _match(table: _Table, profiles: list[Profile]) -> FaultCondition:
 
 
 class _Table:
-    """One table of the file, and where it stands, for errors."""
+    """One table of the file, and its place for errors."""
 
     def __init__(self, where: str, keys: object) -> None:
         if not isinstance(keys, dict):

@@ -1,17 +1,16 @@
-"""Faults that a slave shows on purpose: what is asked for, and how often, decides which."""
+"""Faults that a slave shows on purpose, chosen by what is requested and how often."""
 
-# FaultySlave stands before any Responder, a device or a recording, and changes what it answers. A
-# fault says in `FaultCondition` which requests it is for and in `Fault` what happens to them.
-# Faults are looked at in their order, and all that fit apply, each to what the one before it
-# left.
+# FaultySlave stands before any responder, a device or a recording, and changes its responses. A
+# fault's `FaultCondition` says which requests it is for, and `Fault` what happens to their
+# responses. All faults that fit apply in their order, each to the result of the one before.
 #
-# Repeatable: a fault's chances come from a generator of its own, seeded by the file's seed and the
-# fault's place, and a number is drawn for each request that fits otherwise. The same requests at
-# the same times meet the same faults.
+# Repeatable: each fault draws its random numbers from a generator of its own, seeded with the
+# file's seed and the fault's position, one number for each request that fits otherwise. The same
+# requests at the same times meet the same faults.
 #
-# A request that an exception is given for, or no answer, was nevertheless executed: it is the
-# answer that is faulty. Values that are stuck are those that the slave gave first since the fault
-# began; at most MAX_STUCK addresses of a fault are kept, later ones pass as they are.
+# A request is executed even if its response becomes an exception or is left out. A stuck value is
+# the first one that the slave gave after the fault began; at most MAX_STUCK addresses are stuck
+# for each fault, further ones pass unchanged.
 
 from __future__ import annotations
 
@@ -58,42 +57,42 @@ class FaultKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultCondition:
-    """Which requests a fault is for; what is not said fits any."""
+    """Which requests a fault is for. None fits any."""
 
     units: frozenset[int] | None = None
     functions: frozenset[int] | None = None
     span: Span | None = None
-    """The request reads or writes at least one of these."""
+    """The request reads or writes at least one of these addresses."""
     from_ns: int = 0
     until_ns: int | None = None
-    """When, since the slave began."""
+    """Time in ns since the first request."""
     nth: int = 1
-    """The first that is meant, of those that fit."""
+    """The number of the first request meant, among those that fit."""
     every: int = 1
-    """From there on each so many-th."""
+    """From the first one on, every such request."""
     times: int | None = None
-    """No more than so many."""
+    """At most so many requests; None for no limit."""
     probability: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """What happens to the answers of some requests."""
+    """What happens to the responses of some requests."""
 
     kind: FaultKind
     match: FaultCondition = field(default_factory=FaultCondition)
     delay_ns: int = 0
     code: int = 4
-    """Of an exception."""
+    """The exception code, for EXCEPTION."""
     by: int = 1
-    """What is added: to the unit, the transaction id, or values."""
+    """Added to the unit, the transaction id or the values, by kind."""
     count: int = 1
-    """Of bytes that are missing, or pieces."""
+    """Missing bytes, for TRUNCATED; pieces, for SPLIT."""
     extra: bytes = b""
 
 
 class FaultySlave:
-    """A Responder that answers as another one does, with faults."""
+    """A responder that passes requests to another one and applies faults to its responses."""
 
     def __init__(self, slave: Responder, faults: Sequence[Fault], *, seed: int = 0) -> None:
         self._slave = slave
@@ -103,27 +102,27 @@ class FaultySlave:
         self._begin_ns: int | None = None
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        """Answer as the slave does, and then let each fault that fits have its way."""
+        """The slave's response after all faults that fit."""
         if self._begin_ns is None:
             self._begin_ns = now_ns
         answer = self._slave.respond(unit, pdu, now_ns)
         if not pdu:
             return answer
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = register_access(request)
+        access = register_access(request)
         for fault in self._faults:
-            if not fault.is_due(unit, request, reach, now_ns - self._begin_ns):
+            if not fault.is_due(unit, request, access, now_ns - self._begin_ns):
                 continue
             if answer is not None:
-                answer = fault.applied(unit, pdu, request, reach, answer)
+                answer = fault.applied(unit, pdu, request, access, answer)
             elif fault.ends_connections:
                 silence = Response(b"", spoiling=Distortion(silent=True))
-                answer = fault.applied(unit, pdu, request, reach, silence)
+                answer = fault.applied(unit, pdu, request, access, silence)
         return answer
 
 
 class _Active:
-    """One fault, and what it has seen."""
+    """One fault and its counters."""
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault
@@ -134,13 +133,13 @@ class _Active:
 
     @property
     def ends_connections(self) -> bool:
-        """Whether it does something also where there is no answer."""
+        """True if the fault acts even without a response."""
         return self._fault.kind in (FaultKind.CLOSE, FaultKind.RESET)
 
-    def is_due(self, unit: int, request: Pdu, reach: RegisterAccess | None, at_ns: int) -> bool:
-        """Whether this request is one of those that are meant; counts it."""
+    def is_due(self, unit: int, request: Pdu, access: RegisterAccess | None, at_ns: int) -> bool:
+        """True if the fault applies to this request; counts the request."""
         match = self._fault.match
-        if not _fits(match, unit, request, reach, at_ns):
+        if not _fits(match, unit, request, access, at_ns):
             return False
         self._seen += 1
         place = self._seen - match.nth
@@ -156,7 +155,7 @@ class _Active:
         return True
 
     def applied(
-        self, unit: int, pdu: bytes, request: Pdu, reach: RegisterAccess | None, answer: Response
+        self, unit: int, pdu: bytes, request: Pdu, access: RegisterAccess | None, answer: Response
     ) -> Response:
         fault = self._fault
         match fault.kind:
@@ -165,16 +164,16 @@ class _Active:
             case FaultKind.EXCEPTION:
                 return replace(answer, pdu=exception_pdu(pdu[0], fault.code))
             case FaultKind.STUCK | FaultKind.OFFSET:
-                return self._with_other_values(unit, pdu, request, reach, answer)
+                return self._with_other_values(unit, pdu, request, access, answer)
             case _:
-                spoiling = _spoilt(fault, answer.spoiling or Distortion())
-                return replace(answer, spoiling=spoiling)
+                distortion = _distorted(fault, answer.spoiling or Distortion())
+                return replace(answer, spoiling=distortion)
 
     def _with_other_values(
-        self, unit: int, pdu: bytes, request: Pdu, reach: RegisterAccess | None, answer: Response
+        self, unit: int, pdu: bytes, request: Pdu, access: RegisterAccess | None, answer: Response
     ) -> Response:
-        """The same answer to a read, with the values of the span replaced."""
-        if reach is None or not reach.reads or answer.pdu[:1] != pdu[:1]:
+        """The same response to a read, with the values of the fault's registers replaced."""
+        if access is None or not access.reads or answer.pdu[:1] != pdu[:1]:
             return answer
         response = parse_pdu(answer.pdu, Direction.RESPONSE)
         values = response.numbers()
@@ -184,8 +183,8 @@ class _Active:
         given = [
             value
             if span is not None and address not in span
-            else self._other(unit, reach.table, address, value)
-            for address, value in zip(reach.reads, values, strict=False)
+            else self._other(unit, access.table, address, value)
+            for address, value in zip(access.reads, values, strict=False)
         ]
         return replace(answer, pdu=response_to(request, pdu, given))
 
@@ -198,7 +197,7 @@ class _Active:
 
 
 def _fits(
-    match: FaultCondition, unit: int, request: Pdu, reach: RegisterAccess | None, at_ns: int
+    match: FaultCondition, unit: int, request: Pdu, access: RegisterAccess | None, at_ns: int
 ) -> bool:
     if match.units is not None and unit not in match.units:
         return False
@@ -206,17 +205,17 @@ def _fits(
         return False
     if at_ns < match.from_ns or (match.until_ns is not None and at_ns >= match.until_ns):
         return False
-    return match.span is None or (reach is not None and _reaches(reach, match.span))
+    return match.span is None or (access is not None and _touches(access, match.span))
 
 
-def _reaches(reach: RegisterAccess, span: Span) -> bool:
-    return reach.table is span.table and any(
+def _touches(access: RegisterAccess, span: Span) -> bool:
+    return access.table is span.table and any(
         part and part.start <= span.last and span.first < part.stop
-        for part in (reach.reads, reach.writes)
+        for part in (access.reads, access.writes)
     )
 
 
-def _spoilt(fault: Fault, before: Distortion) -> Distortion:
+def _distorted(fault: Fault, before: Distortion) -> Distortion:
     match fault.kind:
         case FaultKind.NO_ANSWER:
             return replace(before, silent=True)

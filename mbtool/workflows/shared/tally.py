@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import counted
 from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class Tally:
 
     def sentence(self) -> str:
         """`12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
-        text = f"{self.transactions} transaction{'' if self.transactions == 1 else 's'}"
+        text = counted(self.transactions, "transaction")
         parts = [
             f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
         ]
@@ -59,6 +60,6 @@ class Tally:
         }
         if troubles:
             total = sum(troubles.values())
-            text += f"; {total} event{'' if total == 1 else 's'}: "
+            text += f"; {counted(total, 'event')}: "
             text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
         return text

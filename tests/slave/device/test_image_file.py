@@ -75,7 +75,9 @@ def test_a_later_line_counts_where_ranges_overlap(tmp_path: Path) -> None:
         ("HR400001 = { ramp = [0, 1], seconds = 0 }", "seconds: 0: write a number from 0.001"),
         ("HR400001 = { ramp = [0, 1], second = 1 }", "second: does not go with ramp; did you mean"),
         ("HR400001 = { ramp = [0, 70000], seconds = 1 }", "70000: write a number from -32768"),
-        ("HR400001 = { ramp = [0, 1], sine = [0, 1] }", "one of ramp, sine, walk, from"),
+        ("HR400001 = { ramp = [0, 1], sine = [0, 1] }", "one of ramp, sine, steps, walk, from"),
+        ("HR400001 = { steps = [], seconds = 1 }", r"HR400001: steps: \[\]: write numbers, such"),
+        ("HR400001 = { steps = [0, 70000], seconds = 1 }", "70000: write a number from -32768"),
         ("C1 = { sine = [0, 2], seconds = 1 }", "C1: 2: write a number from 0 to 1"),
         ("HR400001 = { from = 1 }", "from: 1: write a text"),
         ('HR400001 = { from = "a", unit = 256 }', "unit: 256: write a number from 0 to 255"),
@@ -126,16 +128,18 @@ def test_what_moves_is_given_back_and_leaves_the_image_alone(tmp_path: Path) -> 
         HR400002 = { sine = [0, 100], seconds = 10 }
         HR400003 = { walk = [0, 100], seconds = 0.5 }
         HR400004 = { walk = [0, 100], seconds = 0.5 }
+        HR400005 = { steps = [7, 8, 9], seconds = 1 }
         """
     )
     image = RegisterImage()
     driven = load_image(file, load_profile("idec-ft1a-touch"), image)
-    assert [one.spot.address for one in driven] == [0, 1, 2, 3]
-    assert [one.course(0) for one in driven] == [[0], [50], [50], [50]]
+    assert [one.target.address for one in driven] == [0, 1, 2, 3, 4]
+    assert [one.course(0) for one in driven] == [[0], [50], [50], [50], [7]]
     assert [one.course(2_500_000_000) for one in driven[:2]] == [[25], [100]]
-    later = [[one.course(step * 500_000_000) for step in range(20)] for one in driven[2:]]
+    assert driven[4].course(2_500_000_000) == [9]
+    later = [[one.course(step * 500_000_000) for step in range(20)] for one in driven[2:4]]
     assert later[0] != later[1]
-    assert image.get(Table.HOLDING_REGISTERS, 0, 4) == [0, 0, 0, 0]
+    assert image.get(Table.HOLDING_REGISTERS, 0, 5) == [0, 0, 0, 0, 0]
 
 
 def test_a_capture_is_asked_for_by_what_it_holds(tmp_path: Path) -> None:

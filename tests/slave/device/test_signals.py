@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import random
 import statistics
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.slave.device.signals import Ramp, Signal, Sine, Walk
+from mbtool.slave.device.signals import MAX_STEPS, Ramp, Signal, Sine, Steps, Walk
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 S = 1_000_000_000
 MOMENTS = st.integers(0, 10**18)
@@ -49,13 +52,22 @@ def test_the_steps_of_a_walk_are_random_and_as_large_as_they_should_be() -> None
     assert abs(statistics.mean(products)) < 0.4
 
 
-def test_a_walk_is_the_same_in_whatever_order_it_is_asked() -> None:
-    places = list(range(600))
-    forward = Walk(0, 10, 1, 1, "3/a")
-    known = {place: forward.at(place) for place in places}
-    random.Random(5).shuffle(places)
-    other = Walk(0, 10, 1, 1, "3/a")
-    assert {place: other.at(place) for place in places} == known
+def test_a_walk_of_the_same_seed_is_the_same_however_often_it_is_asked() -> None:
+    often, seldom = (Walk(0, 10, 1, 1, "3/a") for _ in range(2))
+    known = [often.at(place) for place in range(600)]
+    assert [seldom.at(place) for place in range(0, 600, 7)] == known[::7]
+
+
+def test_after_a_long_pause_a_walk_makes_a_bounded_number_of_steps() -> None:
+    paused, all_steps = (Walk(0, 10, 1, 1, "3/a") for _ in range(2))
+    assert paused.at(1 << 60) == all_steps.at(MAX_STEPS)
+    assert paused.at((1 << 60) + 1) == all_steps.at(MAX_STEPS + 1)
+
+
+def test_steps_show_each_value_for_the_same_time_and_begin_again() -> None:
+    steps = Steps([5, -1, 3], 2 * S)
+    assert [steps.at(second * S) for second in range(8)] == [5, 5, -1, -1, 3, 3, 5, 5]
+    assert (steps.lowest, steps.highest) == (-1, 5)
 
 
 def test_walks_of_other_seeds_are_others() -> None:
@@ -64,10 +76,19 @@ def test_walks_of_other_seeds_are_others() -> None:
 
 
 @pytest.mark.parametrize(
-    "signal",
-    [Ramp(-3, 7, 7), Ramp(7, -3, 7), Sine(-3, 7, 7), Walk(-3, 7, 4, 3, "x"), Walk(5, 5, 1, 1, "x")],
+    "make",
+    [
+        lambda: Ramp(-3, 7, 7),
+        lambda: Ramp(7, -3, 7),
+        lambda: Sine(-3, 7, 7),
+        lambda: Steps([2, -3, 7], 7),
+        lambda: Walk(-3, 7, 4, 10**14, "x"),
+        lambda: Walk(5, 5, 1, 10**14, "x"),
+        lambda: Walk(-3, 7, 50, 10**14, "x"),
+    ],
 )
 @given(moment_ns=MOMENTS)
-def test_a_signal_stays_within_its_ends(signal: Signal, moment_ns: int) -> None:
+def test_a_signal_stays_within_its_ends(make: Callable[[], Signal], moment_ns: int) -> None:
+    signal = make()
     assert signal.lowest <= signal.at(moment_ns) <= signal.highest
     assert signal.at(moment_ns) == signal.at(moment_ns)

@@ -10,7 +10,7 @@ from mbtool.devices import load_profile
 from mbtool.modbus import Table
 from mbtool.slave.device.image import RegisterImage
 from mbtool.slave.families import make_device
-from mbtool.slave.families.wago_image import where_it_stands
+from mbtool.slave.families.wago_image import stored_range
 
 if TYPE_CHECKING:
     from mbtool.slave.device.responder import DeviceResponder
@@ -46,7 +46,7 @@ def _ask(device: DeviceResponder, request: str) -> str:
     ],
 )
 def test_outputs_stand_higher_than_they_are_written(table: Table, first: int, stands: int) -> None:
-    assert where_it_stands(table, range(first, first + 1)).start == stands
+    assert stored_range(table, range(first, first + 1)).start == stands
 
 
 def test_digital_inputs_are_in_registers_behind_the_analog_ones() -> None:
