@@ -12,7 +12,7 @@ from mbtool.core.link_spec import SerialLink
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.modbus import Verdict, rtu_adu
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.workflows.evidence import LINE, WRITE, heard
@@ -134,7 +134,7 @@ def test_a_line_is_decoded_by_the_silences_that_hold_on_it() -> None:
 def test_a_log_is_decoded_by_other_silences_only_afresh(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     link = _line("rtu:/dev/rs485@19200-8E1,t3.5=9ms")
-    log = begin_log(str(path), [link], Assignments())
+    log = create_log(str(path), [link], Assignments())
     frame = rtu_adu(1, WRITE)
     log.write(replace(heard(0, WRITE), data=frame[:4]))
     log.write(replace(heard(5, WRITE), data=frame[4:]))
