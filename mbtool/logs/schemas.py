@@ -70,7 +70,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "function": "The function code, without the bit that marks an exception response",
         "function_name": "The function in words",
         "sub_function": "The sub-function of diagnostics (08), or the MEI type of 2B",
-        "address": "The first address on the wire, counted from 0; for function 17H that of the read",
+        "address": "The first address on the wire, counted from 0; function 17H reads there",
         "quantity": "How many registers or bits",
         "write_address": "The first address that function 17H writes, counted from 0",
         "request_values": "What the request writes: registers as 0..65535, bits as 0 or 1",
