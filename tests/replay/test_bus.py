@@ -20,7 +20,7 @@ class Played:
     def __init__(
         self, *pieces: ByteRun, rate: Fraction | None = Fraction(1), is_loop: bool = False
     ) -> None:
-        length_ns = pieces[-1].place_ns if pieces else 0
+        length_ns = pieces[-1].position_ns if pieces else 0
         self.clock = PlayClock(length_ns, rate=rate, gap_ns=100 * MS, is_loop=is_loop)
         self.clock.run(BEGIN)
         self.player = BusPlayer(
@@ -30,7 +30,7 @@ class Played:
     def sent(self, at_ms: float) -> list[bytes]:
         """What is sent at a moment."""
         sent = []
-        while (piece := self.player.next_piece(BEGIN + round(at_ms * MS))) is not None:
+        while (piece := self.player.next_run(BEGIN + round(at_ms * MS))) is not None:
             sent.append(piece.data)
         return sent
 
@@ -46,14 +46,14 @@ def test_pieces_leave_at_their_times() -> None:
     assert (played.player.has_ended, played.sent(25)) == (False, [b"c"])
     assert played.player.has_ended
     assert list(played.player.lateness.values) == [0, 0, 5 * MS]
-    assert (played.player.sent, played.player.bytes, played.player.held) == (3, 3, 0)
+    assert (played.player.sent, played.player.bytes, played.player.delayed) == (3, 3, 0)
 
 
 def test_a_frame_waits_for_the_line_and_its_silence() -> None:
     played = Played(ByteRun(0, b"1234", after_silence=True), ByteRun(MS, b"5", after_silence=True))
     assert played.sent(0) == [b"1234"]
     assert (played.sent(3.9), played.wake(1), played.sent(4)) == ([], 4, [b"5"])
-    assert (played.player.held, list(played.player.lateness.values)) == (1, [0])
+    assert (played.player.delayed, list(played.player.lateness.values)) == (1, [0])
     assert played.player.passed_ns == BEGIN + 4 * MS + CHARACTER_NS
 
 
@@ -69,7 +69,7 @@ def test_a_line_that_is_too_slow_is_not_flooded() -> None:
     played.sent(0)
     assert (played.sent(1), played.wake(1)) == ([], AHEAD_NS / MS)
     assert played.sent(AHEAD_NS / MS) == [b"b"]
-    assert played.player.held == 1
+    assert played.player.delayed == 1
 
 
 def test_as_fast_as_can_be_leaves_the_silences_of_frames() -> None:
@@ -87,7 +87,7 @@ def test_a_pause_holds_back_and_a_step_lets_one_go() -> None:
     played.sent(0)
     played.clock.pause(BEGIN + MS)
     assert (played.sent(50), played.wake(50)) == ([], None)
-    played.player.let_go(BEGIN)
+    played.player.allow_step(BEGIN)
     assert played.wake(60) == 60
     assert (played.sent(60), played.sent(61)) == ([b"b"], [])
     played.clock.run(BEGIN + 70 * MS)
@@ -128,7 +128,7 @@ def test_every_byte_is_sent_once_in_order_and_none_early(
     played = Played(*pieces, rate=rate)
     now_ns, sent = BEGIN, []
     while not played.player.has_ended:
-        piece = played.player.next_piece(now_ns)
+        piece = played.player.next_run(now_ns)
         if piece is None:
             wake_ns = played.player.wake_ns(now_ns)
             assert wake_ns is not None
@@ -137,7 +137,7 @@ def test_every_byte_is_sent_once_in_order_and_none_early(
         else:
             sent.append(piece)
             if rate is not None:
-                assert now_ns - BEGIN >= piece.place_ns / rate - 1
+                assert now_ns - BEGIN >= piece.position_ns / rate - 1
     assert sent == pieces
     assert played.player.bytes == sum(len(piece.data) for piece in pieces)
 
@@ -148,7 +148,7 @@ def test_an_hour_is_played_without_a_drift() -> None:
     played = Played(*pieces, rate=Fraction(1, 3))
     now_ns = BEGIN
     while not played.player.has_ended:
-        if played.player.next_piece(now_ns) is None:
+        if played.player.next_run(now_ns) is None:
             # What wakes it is always a little late, each time by another amount.
             now_ns = (played.player.wake_ns(now_ns) or 0) + 50_000 + now_ns % 40_000
     ideal_ns = BEGIN + 3 * 3610 * every

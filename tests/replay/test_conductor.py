@@ -153,12 +153,12 @@ def test_latencies_and_pauses_count_from_the_last_byte() -> None:
     played = Played(to_all(0, "06 0001 0007"), answered(1, READ, VALUE, latency_ns=8 * MS))
     first = played.conductor.next_step(BEGIN)
     assert first is not None
-    played.conductor.has_left(first, BEGIN + 10 * MS)
+    played.conductor.note_sent(first, BEGIN + 10 * MS)
     free_ms = TURNAROUND_NS // MS + 10
     assert (played.sent(free_ms - 1), played.wake(free_ms - 1)) == ([], free_ms)
     second = played.conductor.next_step(BEGIN + free_ms * MS)
     assert second is not None
-    played.conductor.has_left(second, BEGIN + (free_ms + 20) * MS)
+    played.conductor.note_sent(second, BEGIN + (free_ms + 20) * MS)
     tolerant = Judge(tolerance=Tolerance(share=0.0))
     tolerant.judge(second, RIGHT, 9 * MS)
     assert played.answer(1, free_ms + 29) is True
@@ -171,7 +171,7 @@ def test_answers_of_nobody_are_counted() -> None:
     played.sent(0)
     played.answer(0, 1)
     assert played.answer(0, 2) is None
-    assert (played.conductor.strays, played.judge.count) == (2, 1)
+    assert (played.conductor.unsolicited, played.judge.count) == (2, 1)
 
 
 def test_a_loop_begins_again() -> None:
@@ -234,7 +234,7 @@ def test_while_the_clock_stands_only_what_is_let_go_is_sent() -> None:
     played.answer(0, 5)
     played.clock.pause(BEGIN + 10 * MS)
     assert (played.sent(500), played.wake(500)) == ([], None)
-    played.conductor.let_go(BEGIN)
+    played.conductor.allow_step(BEGIN)
     assert played.wake(500) == 500
     assert (played.sent(500), played.sent(501)) == ([1], [])
     played.answer(1, 505)

@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Transport, ascii_adu, rtu_adu
 from mbtool.modbus.distortion import wire_pieces
-from mbtool.replay.damaged import ANSWER_NS, DamagedAnswer, damaged_answers
+from mbtool.replay.damaged import RESPONSE_NS, DamagedAnswer, damaged_answers
 from tests.replay.recorded import MS, answered, unanswered
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def test_what_does_not_begin_as_the_answer_would_is_none(raw: bytes) -> None:
 
 
 def test_what_comes_too_late_before_it_or_from_elsewhere_is_none() -> None:
-    late = _event(ANSWER_NS // MS + 1, WRONG)
+    late = _event(RESPONSE_NS // MS + 1, WRONG)
     elsewhere = WireEvent(ts_ns=5, link="b", kind=EventKind.BAD_CHECK, message="", raw=WRONG)
     told = _event(5, WRONG, EventKind.LINE_ERROR)
     assert _raw([unanswered(1, READ)], _event(0, WRONG), late, elsewhere, told) == {}

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
 from mbtool.modbus import Table, Transaction
-from mbtool.replay.judging import MAX_WRONG, Judge, Tolerance
+from mbtool.replay.judging import MAX_OUTCOMES, Judge, Tolerance
 from mbtool.replay.script import Script, Step
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
@@ -110,7 +110,7 @@ def test_outcomes_that_are_always_others_are_kept_up_to_a_bound() -> None:
     for count in range(1, 1001):
         judge.judge(step, bytes.fromhex(f"0B 0000 {count:04X}"), None)
     told = judge.differences()
-    assert (judge.wrong, len(told)) == (1000, MAX_WRONG + 1)
+    assert (judge.wrong, len(told)) == (1000, MAX_OUTCOMES + 1)
     assert (told[-1].a.text, told[-1].b.text) == ("others", "others (984 of 1,000)")
     assert sum(one.b.count or 0 for one in told) == 1000
 

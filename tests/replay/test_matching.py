@@ -21,7 +21,7 @@ from tests.replay.recorded import MS, answered, unanswered
 
 READ, OTHER = "03 0000 0001", "03 0005 0001"
 NOW = Moment(0)
-HELD = Moment(0, holds=True)
+PAUSED = Moment(0, is_paused=True)
 
 
 def _recording() -> Recording:
@@ -130,7 +130,7 @@ def test_while_it_stands_still_the_last_answer_stays(
 ) -> None:
     played = matcher(_recording(), OnEnd.LAST)
     assert _find(played, READ) == 1
-    assert [_find(played, READ, HELD) for _ in range(3)] == [1, 1, 1]
+    assert [_find(played, READ, PAUSED) for _ in range(3)] == [1, 1, 1]
     assert _find(played, OTHER) == 9
     assert _find(played, READ) == 2
 

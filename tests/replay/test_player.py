@@ -27,7 +27,7 @@ from mbtool.replay.matching import MatchStrategy, OnEnd
 from mbtool.replay.player import OnMiss, RecordedSlave
 from mbtool.replay.recording import Recording
 from mbtool.replay.steering import Control
-from mbtool.replay.window import TimeRange
+from mbtool.replay.time_range import TimeRange
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:
@@ -362,7 +362,7 @@ def test_a_pause_stops_the_clock_and_a_step_goes_to_the_next_request() -> None:
         slave.control(Control.STEP, BEGIN + 9999 * MS)
         assert _at(slave, 9999, READ) == f"03 02 00 0{value}"
     progress = slave.progress(BEGIN + 9999 * MS)
-    assert (progress.place_ns, progress.is_paused) == (500 * MS, True)
+    assert (progress.position_ns, progress.is_paused) == (500 * MS, True)
 
 
 def test_a_step_behind_the_last_request_begins_the_next_round() -> None:

@@ -26,20 +26,20 @@ def test_a_step_has_what_was_asked_and_what_came_back() -> None:
     first, second = _steps(
         answered(100, READ, VALUE), answered(250, "04 0005 0001", "84 02", unit=9)
     )
-    assert (first.number, first.place_ns, first.unit, first.pdu.hex(" ")) == (
+    assert (first.number, first.position_ns, first.unit, first.pdu.hex(" ")) == (
         0,
         0,
         1,
         "03 00 00 00 01",
     )
     assert (first.expected, first.latency_ns) == (bytes.fromhex(VALUE), 5 * MS)
-    assert (second.place_ns, second.unit, second.reference) == (150 * MS, 9, "input 5")
+    assert (second.position_ns, second.unit, second.reference) == (150 * MS, 9, "input 5")
     assert second.expected == bytes.fromhex("84 02")
 
 
 def test_steps_come_in_the_order_of_their_requests() -> None:
     steps = _steps(answered(30, READ, VALUE), answered(10, READ, VALUE), unanswered(20, READ))
-    assert [step.place_ns // MS for step in steps] == [0, 10, 20]
+    assert [step.position_ns // MS for step in steps] == [0, 10, 20]
     assert [step.expected is None for step in steps] == [False, True, False]
 
 
@@ -80,4 +80,4 @@ def test_a_step_never_waits_for_a_later_one(times: list[tuple[int, int]]) -> Non
     steps = _steps(*(answered(at, READ, VALUE, latency_ns=took * MS) for at, took in times))
     for step in steps:
         assert all(number < step.number for number in step.open_before)
-    assert Script(steps).length_ns == (steps[-1].place_ns if steps else 0)
+    assert Script(steps).length_ns == (steps[-1].position_ns if steps else 0)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.replay.significance import SMALLEST, rank_sum, same_share
+from mbtool.replay.significance import MIN_VALUES, rank_sum, same_share
 
-LATENCIES = st.lists(st.integers(0, 10**6), min_size=SMALLEST, max_size=60)
+LATENCIES = st.lists(st.integers(0, 10**6), min_size=MIN_VALUES, max_size=60)
 
 
 @given(LATENCIES)
@@ -42,7 +42,7 @@ def test_the_normal_approximation_agrees_with_all_permutations() -> None:
 
 
 def test_few_values_prove_nothing() -> None:
-    assert rank_sum([1] * (SMALLEST - 1), [9] * 100).p == 1.0
+    assert rank_sum([1] * (MIN_VALUES - 1), [9] * 100).p == 1.0
 
 
 def test_equal_values_prove_nothing() -> None:

@@ -19,10 +19,10 @@ class Steered:
 
 def test_the_clock_starts_with_the_first_sign_of_life() -> None:
     steered = Steered()
-    assert steered.clock.place(5 * S) == 0
+    assert steered.clock.position(5 * S) == 0
     steered.steering.begin(5 * S)
     steered.steering.begin(6 * S)
-    assert steered.clock.place(7 * S) == 2 * S
+    assert steered.clock.position(7 * S) == 2 * S
 
 
 def test_a_pause_ends_with_the_same_key() -> None:
@@ -31,16 +31,16 @@ def test_a_pause_ends_with_the_same_key() -> None:
     steered.steering.apply(Control.PAUSE, 2 * S)
     assert steered.steering.is_paused
     steered.steering.apply(Control.PAUSE, 5 * S)
-    assert steered.clock.place(6 * S) == 3 * S
+    assert steered.clock.position(6 * S) == 3 * S
 
 
 def test_what_is_paused_before_it_begins_stands_until_it_is_let_go() -> None:
     steered = Steered()
     steered.steering.apply(Control.PAUSE, 0)
     steered.steering.begin(1 * S)
-    assert steered.clock.place(2 * S) == 0
+    assert steered.clock.position(2 * S) == 0
     steered.steering.apply(Control.PAUSE, 2 * S)
-    assert steered.clock.place(3 * S) == 1 * S
+    assert steered.clock.position(3 * S) == 1 * S
 
 
 def test_a_pause_that_ends_before_the_beginning_starts_nothing() -> None:
@@ -55,7 +55,7 @@ def test_a_step_stands_still_and_is_the_players_matter() -> None:
     steered.steering.begin(0)
     steered.steering.apply(Control.STEP, 2 * S)
     steered.steering.apply(Control.STEP, 3 * S)
-    assert (steered.steps, steered.clock.place(9 * S)) == ([2 * S, 3 * S], 2 * S)
+    assert (steered.steps, steered.clock.position(9 * S)) == ([2 * S, 3 * S], 2 * S)
 
 
 def test_faster_and_slower_turn_the_clock() -> None:
@@ -74,7 +74,7 @@ def test_progress_says_where_it_is() -> None:
     assert (before.is_waiting, before.is_paused, before.done) == (True, False, "nothing")
     steered.steering.begin(0)
     after = steered.steering.progress(3 * S, "")
-    assert (after.place_ns, after.length_ns, after.lap) == (3 * S, 10 * S, 0)
+    assert (after.position_ns, after.length_ns, after.lap) == (3 * S, 10 * S, 0)
     assert after.rate == 1
     assert not after.is_waiting
 
@@ -82,13 +82,13 @@ def test_progress_says_where_it_is() -> None:
 def test_a_gate_lets_pass_by_the_clock_and_while_it_stands_step_by_step() -> None:
     clock = PlayClock(10 * S)
     gate = Gate(clock)
-    assert gate.opens_ns(2 * S, 0) is None
-    gate.let_go()
-    assert gate.opens_ns(2 * S, 1 * S) == 1 * S
+    assert gate.due_ns(2 * S, 0) is None
+    gate.allow_step()
+    assert gate.due_ns(2 * S, 1 * S) == 1 * S
     assert not gate.passes(2 * S, 1 * S)
-    assert (clock.place(9 * S), gate.opens_ns(3 * S, 2 * S)) == (2 * S, None)
+    assert (clock.position(9 * S), gate.due_ns(3 * S, 2 * S)) == (2 * S, None)
     clock.run(4 * S)
-    assert gate.opens_ns(3 * S, 4 * S) == 5 * S
+    assert gate.due_ns(3 * S, 4 * S) == 5 * S
     assert gate.passes(3 * S, 5 * S)
 
 
@@ -96,11 +96,11 @@ def test_steps_that_nothing_was_there_for_are_forgotten_when_the_clock_goes_on()
     clock = PlayClock(10 * S)
     gate = Gate(clock)
     for _ in range(3):
-        gate.let_go()
+        gate.allow_step()
     clock.run(0)
-    assert gate.opens_ns(2 * S, 1 * S) == 2 * S
+    assert gate.due_ns(2 * S, 1 * S) == 2 * S
     clock.pause(1 * S)
-    assert gate.opens_ns(2 * S, 3 * S) is None
+    assert gate.due_ns(2 * S, 3 * S) is None
 
 
 class _Desk:
@@ -119,9 +119,9 @@ def test_a_desk_is_obeyed_and_then_shown_where_it_is() -> None:
     steered = Steered()
     steered.steering.begin(0)
     desk = _Desk(Control.FASTER, Control.PAUSE)
-    steered.steering.attend(desk, 2 * S, "2 bytes")
+    steered.steering.update(desk, 2 * S, "2 bytes")
     (shown,) = desk.shown
-    assert (shown.place_ns, shown.rate, shown.is_paused, shown.done) == (
+    assert (shown.position_ns, shown.rate, shown.is_paused, shown.done) == (
         2 * S,
         Fraction(2),
         True,
