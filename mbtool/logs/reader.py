@@ -27,6 +27,7 @@ import msgspec
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from mbtool.core import Chunk, DamageError, InputError, Packet, WireEvent
+from mbtool.core.closing import ClosesOnExit
 from mbtool.core.errors import reason_of
 from mbtool.devices import NamedTransaction
 from mbtool.logs import layout, schemas
@@ -44,7 +45,7 @@ _ITEM_OPCODES = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.M
 """Records that hold items, or define their types."""
 
 
-class LogReader:
+class LogReader(ClosesOnExit):
     """Reads a log once. A context manager whose exit closes the stream."""
 
     capture: dict[str, str]
@@ -119,12 +120,6 @@ class LogReader:
 
     def close(self) -> None:
         self._stream.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _read_header(self, name: str) -> None:
         record = self._records.read()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import UsageError
+from mbtool.core.closing import ClosesOnExit
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class Rotation:
         )
 
 
-class RotatingLog:
+class RotatingLog(ClosesOnExit):
     """A LogWriter that starts the next file when one has reached its limit."""
 
     def __init__(
@@ -110,12 +111,6 @@ class RotatingLog:
             self._writer.close(final)
         finally:
             self._first.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _add_to_each(self, add: Callable[[LogWriter], None]) -> None:
         """Add metadata to this file and to each later one."""

@@ -43,6 +43,15 @@ _TITLES = {
     LOG: "A broken rule",
 }
 
+_POINT = {
+    "name": "The point's name in its manual",
+    "reference": "Its address in the vendor's notation",
+    "value": "The value as a number; absent if it is infinite or not a number",
+    "text": "The value as the manual writes it",
+    "unit": "The unit of measure",
+}
+"""The fields that a point has in a transaction and as a message of its own."""
+
 _DESCRIPTIONS: dict[type, dict[str, str]] = {
     ChunkMessage: {
         "ts_ns": "When it was captured, UTC nanoseconds",
@@ -93,11 +102,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "findings": "Codes of broken rules",
     },
     PointValue: {
-        "name": "The point's name in its manual",
-        "reference": "Where it stands, in the vendor's notation",
-        "value": "The value as a number; absent where it is infinite or not a number",
-        "text": "The value as the manual would put it",
-        "unit": "The unit of measure",
+        **_POINT,
         "written": "True for what function 17H writes, beside what it reads; absent otherwise",
     },
     EventMessage: {
@@ -116,11 +121,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "link": "The bus or the slave's address",
         "unit_id": "The slave's number",
         "device": "The name of the device's profile",
-        "name": "The point's name in its manual",
-        "reference": "Where it stands, in the vendor's notation",
-        "value": "The value as a number; absent where it is infinite or not a number",
-        "text": "The value as the manual would put it",
-        "unit": "The unit of measure",
+        **_POINT,
     },
     LogMessage: {
         "timestamp": "When the transaction that broke the rule was complete",

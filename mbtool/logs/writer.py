@@ -16,13 +16,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 from mcap.records import Header
 
 from mbtool import __version__
 from mbtool.core import Chunk, OutputError, Packet
+from mbtool.core.closing import ClosesOnExit
 from mbtool.devices import NamedTransaction, finding_text
 from mbtool.devices.checking.rules import Severity, severity_of
 from mbtool.logs import schemas
@@ -50,7 +51,7 @@ MAX_LINKS = 10_000
 OTHER_LINKS = "others"
 
 
-class LogWriter:
+class LogWriter(ClosesOnExit):
     """A log that is complete on disk at every moment; a context manager whose exit closes it."""
 
     def __init__(
@@ -142,12 +143,6 @@ class LogWriter:
             self._container.finish()
         finally:
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _write_transaction(self, item: NamedTransaction) -> None:
         # The log time is that of the last byte, so that no viewer shows it before its evidence.

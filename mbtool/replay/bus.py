@@ -20,7 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.replay.steering import Gate
+from mbtool.replay.play_queue import PlayQueue
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
@@ -55,13 +55,9 @@ class BusPlayer:
         `character_ns` and `silence_ns` are a character's time and the silence between frames on the
         line that is played on.
         """
-        self._runs = runs
-        self._clock = clock
-        self._gate = Gate(clock)
+        self._queue = PlayQueue(runs, clock)
         self._character_ns = character_ns
         self._silence_ns = silence_ns
-        self._next = 0
-        self._lap = 0
         self._passed_ns: int | None = None
         """When the last byte given out leaves the line; None before the first."""
         self.bytes = 0
@@ -73,12 +69,12 @@ class BusPlayer:
     @property
     def has_ended(self) -> bool:
         """True if the last run was sent."""
-        return self._upcoming() is None
+        return self._queue.upcoming() is None
 
     @property
     def sent(self) -> int:
         """How many runs were sent, over all laps."""
-        return self._lap * len(self._runs) + self._next
+        return self._queue.taken
 
     @property
     def passed_ns(self) -> int | None:
@@ -87,21 +83,17 @@ class BusPlayer:
 
     def next_run(self, now_ns: int) -> ByteRun | None:
         """The run to send at once, which then counts as sent; None if none is due."""
-        run = self._upcoming()
-        if run is None:
+        run = self._queue.upcoming()
+        if run is None or self._free_ns(run) > now_ns:
             return None
-        position_ns = self._position(run)
-        if self._free_ns(run) > now_ns:
-            return None
-        due_ns = self._gate.due_ns(position_ns, now_ns)
+        due_ns = self._queue.due_ns(run, now_ns)
         if due_ns is None or due_ns > now_ns:
             return None
-        if self._gate.passes(position_ns, now_ns):
+        if self._queue.take(run, now_ns):
             if self._busy_ns(run) > due_ns + BEHIND_NS:
                 self.delayed += 1
             else:
                 self.lateness.add(now_ns - due_ns)
-        self._next += 1
         self.bytes += len(run.data)
         begin_ns = now_ns if self._passed_ns is None else max(now_ns, self._passed_ns)
         self._passed_ns = begin_ns + len(run.data) * self._character_ns
@@ -109,15 +101,15 @@ class BusPlayer:
 
     def wake_ns(self, now_ns: int) -> int | None:
         """When the next run is due; None while the clock stands still and after the last run."""
-        run = self._upcoming()
+        run = self._queue.upcoming()
         if run is None:
             return None
-        due_ns = self._gate.due_ns(self._position(run), now_ns)
+        due_ns = self._queue.due_ns(run, now_ns)
         return None if due_ns is None else max(due_ns, self._free_ns(run))
 
     def allow_step(self, _now_ns: int) -> None:
         """Let one more run be sent while the clock stands still."""
-        self._gate.allow_step()
+        self._queue.allow_step()
 
     def _free_ns(self, run: ByteRun) -> int:
         """The earliest time at which a run can be given to the port."""
@@ -129,13 +121,3 @@ class BusPlayer:
         if self._passed_ns is None:
             return 0
         return self._passed_ns + (self._silence_ns if run.after_silence else 0)
-
-    def _upcoming(self) -> ByteRun | None:
-        if self._next >= len(self._runs):
-            if not self._clock.is_loop or not self._runs:
-                return None
-            self._next, self._lap = 0, self._lap + 1
-        return self._runs[self._next]
-
-    def _position(self, run: ByteRun) -> int:
-        return run.position_ns + self._clock.lap_begin(self._lap)

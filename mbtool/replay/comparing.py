@@ -207,23 +207,17 @@ class _SlaveComparison:
         return rank_sum(one.latencies.values, other.latencies.values)
 
     def _difference(
-        self,
-        request: RequestKey,
-        kind: Kind,
-        a: Side,
-        b: Side,
-        p: float | None = None,
-        alike: int = 0,
+        self, key: RequestKey, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
     ) -> Difference:
         """A difference of a request; `alike` is how many others differ in the same way."""
-        traffic = self._a.requests.get(request) or self._b.requests[request]
+        request = self._a.requests.get(key) or self._b.requests[key]
         return Difference(
             kind=kind,
             unit=self._key.unit,
             link=self._key.link,
-            function=request.function,
-            reference=traffic.reference or None,
-            what=function_text(request.function, traffic.function_name, request.sub_function),
+            function=key.function,
+            reference=request.reference or None,
+            what=function_text(key.function, request.function_name, key.sub_function),
             a=a,
             b=b,
             p=p,

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core.limits import MAX_OPEN_REQUESTS
+from mbtool.replay.play_queue import PlayQueue
 from mbtool.replay.script import Step
-from mbtool.replay.steering import Gate
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
@@ -49,13 +49,9 @@ class Conductor:
     """Plays a script once, or in a loop until it is told to end."""
 
     def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
-        self._steps = script.steps
-        self._clock = clock
-        self._gate = Gate(clock)
+        self._queue = PlayQueue(script.steps, clock)
         self._judge = judge
         self._limits = limits
-        self._next = 0
-        self._lap = 0
         self._open: dict[int, _SentRequest] = {}
         """By the step's number."""
         self._free_ns: int | None = None
@@ -72,21 +68,19 @@ class Conductor:
     @property
     def sent(self) -> int:
         """How many steps were sent, over all laps."""
-        return self._lap * len(self._steps) + self._next
+        return self._queue.taken
 
     def next_step(self, now_ns: int) -> Step | None:
         """The step to send at once, which then counts as sent; None if none is due."""
         step = self._upcoming()
         if step is None or not self._is_free(step, now_ns):
             return None
-        position_ns = self._position(step)
-        due_ns = self._gate.due_ns(position_ns, now_ns)
+        due_ns = self._queue.due_ns(step, now_ns)
         if due_ns is None or due_ns > now_ns:
             return None
         waited_for_clock = self._free_ns is None or self._free_ns <= due_ns
-        if self._gate.passes(position_ns, now_ns) and waited_for_clock:
+        if self._queue.take(step, now_ns) and waited_for_clock:
             self.lateness.add(now_ns - due_ns)
-        self._next += 1
         if step.is_broadcast:
             self._judge.judge(step, None, None)
             self._free_ns = now_ns + self._limits.turnaround_ns
@@ -96,7 +90,7 @@ class Conductor:
 
     def allow_step(self, _now_ns: int) -> None:
         """Let one more step be sent while the clock stands still."""
-        self._gate.allow_step()
+        self._queue.allow_step()
 
     def note_sent(self, step: Step, now_ns: int) -> None:
         """Note that the last byte of a step was sent."""
@@ -111,7 +105,7 @@ class Conductor:
         times = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
         if step is not None and not self._must_wait(step):
-            due_ns = self._gate.due_ns(self._position(step), now_ns)
+            due_ns = self._queue.due_ns(step, now_ns)
             if due_ns is not None:
                 free_ns = due_ns if self._free_ns is None else self._free_ns
                 times.append(max(due_ns, free_ns))
@@ -156,14 +150,7 @@ class Conductor:
         self._free_ns = now_ns + self._limits.pause_ns
 
     def _upcoming(self) -> Step | None:
-        if self._next >= len(self._steps):
-            if not self._clock.is_loop or not self._steps or self._open:
-                return None
-            self._next, self._lap = 0, self._lap + 1
-        return self._steps[self._next]
-
-    def _position(self, step: Step) -> int:
-        return step.position_ns + self._clock.lap_begin(self._lap)
+        return self._queue.upcoming(may_restart=not self._open)
 
     def _must_wait(self, step: Step) -> bool:
         """True if a step must wait until other requests are over."""

@@ -55,41 +55,6 @@ class PlayerControls(Protocol):
     def show(self, progress: Progress) -> None: ...
 
 
-class Gate:
-    """Tells when the next item may be played: at its time or, while the clock stands, by steps."""
-
-    def __init__(self, clock: PlayClock) -> None:
-        self._clock = clock
-        self._steps = 0
-
-    def allow_step(self) -> None:
-        """Let one more item pass while the clock stands still."""
-        self._steps += 1
-
-    def due_ns(self, position_ns: int, now_ns: int) -> int | None:
-        """When the item at a position may be played; None if the clock stands and no step is left.
-
-        Once the clock runs again, unused steps are dropped.
-        """
-        due_ns = self._clock.time_of(position_ns)
-        if due_ns is not None:
-            self._steps = 0
-        elif self._steps:
-            due_ns = now_ns
-        return due_ns
-
-    def passes(self, position_ns: int, now_ns: int) -> bool:
-        """Note that the item at a position is played. True if by the clock, False if by a step.
-
-        A step moves the clock to the item's position.
-        """
-        if not self._steps:
-            return True
-        self._steps -= 1
-        self._clock.jump(max(position_ns, self._clock.position(now_ns)), now_ns)
-        return False
-
-
 class Steering:
     """Applies controls to the clock of a player."""
 

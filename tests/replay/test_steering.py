@@ -3,7 +3,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from mbtool.replay.clock import PlayClock
-from mbtool.replay.steering import Control, Gate, Progress, Steering
+from mbtool.replay.steering import Control, Progress, Steering
 
 S = 1_000_000_000
 
@@ -77,30 +77,6 @@ def test_progress_says_where_it_is() -> None:
     assert (after.position_ns, after.length_ns, after.lap) == (3 * S, 10 * S, 0)
     assert after.rate == 1
     assert not after.is_waiting
-
-
-def test_a_gate_lets_pass_by_the_clock_and_while_it_stands_step_by_step() -> None:
-    clock = PlayClock(10 * S)
-    gate = Gate(clock)
-    assert gate.due_ns(2 * S, 0) is None
-    gate.allow_step()
-    assert gate.due_ns(2 * S, 1 * S) == 1 * S
-    assert not gate.passes(2 * S, 1 * S)
-    assert (clock.position(9 * S), gate.due_ns(3 * S, 2 * S)) == (2 * S, None)
-    clock.run(4 * S)
-    assert gate.due_ns(3 * S, 4 * S) == 5 * S
-    assert gate.passes(3 * S, 5 * S)
-
-
-def test_steps_that_nothing_was_there_for_are_forgotten_when_the_clock_goes_on() -> None:
-    clock = PlayClock(10 * S)
-    gate = Gate(clock)
-    for _ in range(3):
-        gate.allow_step()
-    clock.run(0)
-    assert gate.due_ns(2 * S, 1 * S) == 2 * S
-    clock.pause(1 * S)
-    assert gate.due_ns(2 * S, 3 * S) is None
 
 
 class _Desk:
