@@ -1,4 +1,4 @@
-"""Modbus told from other protocols by what a connection says."""
+"""Detection of Modbus and of other protocols on TCP connections."""
 
 from __future__ import annotations
 
@@ -93,12 +93,12 @@ def test_an_expected_connection_is_modbus_with_its_first_adu() -> None:
     assert detector.state is ProtocolState.MODBUS
 
 
-def test_an_expected_function_that_no_table_knows_is_modbus() -> None:
+def test_an_unknown_function_at_an_expected_port_is_modbus() -> None:
     assert len(adus(fed(expected(), [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))]))) == 1
 
 
 @pytest.mark.parametrize("pair", [TCP_PAIR, RTU_PAIR], ids=["tcp", "rtu"])
-def test_elsewhere_a_request_waits_for_its_answer_and_nothing_is_lost(pair: list[Piece]) -> None:
+def test_elsewhere_a_request_is_held_until_its_response(pair: list[Piece]) -> None:
     detector = anywhere()
     assert fed(detector, pair[:1]) == []
     decoded = fed(detector, pair[1:])
@@ -115,7 +115,7 @@ def test_elsewhere_enough_requests_in_a_row_are_modbus(kind: bytes) -> None:
     assert len(adus(fed(detector, [(REQUEST, kind)]))) == ENOUGH_ADUS
 
 
-def test_elsewhere_functions_that_no_table_knows_prove_nothing() -> None:
+def test_elsewhere_unknown_functions_prove_nothing() -> None:
     detector = anywhere()
     assert fed(detector, [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))] * 9) == []
     assert detector.close() != []
@@ -144,14 +144,14 @@ def test_another_protocol_is_one_event_that_names_it(
     assert name in wire_events(decoded)[0].message
 
 
-def test_another_protocol_that_was_joined_is_one_event_too() -> None:
+def test_another_protocol_without_its_beginning_is_one_event_too() -> None:
     detector = expected(joined=True)
     decoded = [*fed(detector, [(REQUEST, TLS)] * 200), *detector.close()]
     assert is_one_event(decoded)
 
 
 @pytest.mark.parametrize("size", [1, 3, 500])
-def test_tls_joined_in_the_middle_is_told_with_the_first_record_of_each_side(size: int) -> None:
+def test_tls_without_its_beginning_is_detected_by_the_first_record_of_each_side(size: int) -> None:
     detector = expected(joined=True)
     said = in_pieces([(REQUEST, TLS_DATA)] * 3, size)
     assert fed(detector, said) == []
@@ -170,7 +170,7 @@ def test_tls_that_lost_a_segment_is_still_tls() -> None:
     assert is_one_event([*fed(detector, [(RESPONSE, TLS_DATA)]), *detector.close()])
 
 
-def test_rtu_that_looks_like_records_of_tls_is_rtu() -> None:
+def test_rtu_that_looks_like_tls_records_is_rtu() -> None:
     request = rtu_adu(0x17, bytes.fromhex("03 0100 0001"))
     answer = rtu_adu(0x17, bytes.fromhex("03 02 1234"))
     detector = ProtocolDetector(CONNECTION, joined=True, tcp=False, rtu=True)
@@ -179,19 +179,19 @@ def test_rtu_that_looks_like_records_of_tls_is_rtu() -> None:
     assert [one.unit for one in adus(decoded)] == [0x17, 0x17]
 
 
-def test_a_client_that_nobody_answers_is_one_event_when_it_ends() -> None:
+def test_a_connection_with_one_silent_side_is_one_event_at_its_end() -> None:
     detector = expected()
     assert fed(detector, [(REQUEST, TLS)]) == []
     assert is_one_event(detector.close())
 
 
-def test_where_it_is_expected_one_side_alone_may_speak_modbus() -> None:
+def test_if_modbus_is_expected_one_side_alone_is_enough() -> None:
     noise: Piece = (REQUEST, b"\x00\x01\x00\x00\x88\x04\x05\x07")
     decoded = fed(expected(), [noise, TCP_PAIR[1]])
     assert [one.pdu for one in adus(decoded)] == [VALUES]
 
 
-def test_where_it_is_expected_adus_of_a_wrong_length_are_told_when_it_ends_at_the_latest() -> None:
+def test_if_modbus_is_expected_malformed_adus_are_returned_at_the_end_at_the_latest() -> None:
     long: Piece = (REQUEST, mbap_adu(1, 1, LONG_READ))
     detector = expected()
     assert fed(detector, [long]) == []
@@ -199,14 +199,14 @@ def test_where_it_is_expected_adus_of_a_wrong_length_are_told_when_it_ends_at_th
     assert len(adus(fed(expected(), [long] * 3))) == 3
 
 
-def test_where_it_is_expected_missing_bytes_speak_for_nothing_else() -> None:
+def test_if_modbus_is_expected_a_gap_does_not_speak_against_it() -> None:
     detector = expected()
     (gap,) = detector.gap(REQUEST, 12, 0)
     assert isinstance(gap, WireEvent)
     assert (gap.kind, detector.state) == (EventKind.GAP, ProtocolState.MODBUS)
 
 
-def test_rtu_at_a_port_of_modbus_tcp_is_told_with_the_option_that_reads_it() -> None:
+def test_rtu_at_a_modbus_tcp_port_is_reported_with_the_option_for_it() -> None:
     # Unit 1, function 03, address 300H: no protocol id.
     request, response = bytes.fromhex("03 0300 0001"), bytes.fromhex("03 02 0007")
     decoded = fed(expected(), [(REQUEST, rtu_adu(1, request)), (RESPONSE, rtu_adu(1, response))])
@@ -221,7 +221,7 @@ def test_a_frame_that_is_also_an_adu_is_a_frame_because_of_its_crc() -> None:
     assert [one.pdu for one in adus(decoded)] == [READ, VALUES]
 
 
-def test_an_adu_that_is_also_a_frame_is_an_adu_where_the_answer_is_one() -> None:
+def test_an_adu_that_is_also_a_frame_is_an_adu_if_its_response_is_one() -> None:
     request = RTU_PAIR[0]
     answer = bytes.fromhex("0103 0000 0006 C4 0B 0000 0000")  # Its counter stands at 0.
     (one,) = transactions(
@@ -233,7 +233,7 @@ def test_an_adu_that_is_also_a_frame_is_an_adu_where_the_answer_is_one() -> None
     assert (one.function, one.unit) == (0x0B, 0xC4)
 
 
-def test_one_frame_by_chance_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+def test_one_rtu_frame_by_chance_does_not_outweigh_expected_modbus_tcp() -> None:
     chance = rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
     for joined in (False, True):
         detector = at_its_own_port(joined=joined)
@@ -241,14 +241,14 @@ def test_one_frame_by_chance_is_no_modbus_where_modbus_tcp_is_expected() -> None
         assert is_one_event([*fed(detector, said), *detector.close()])
 
 
-def test_one_frame_before_a_gap_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+def test_one_rtu_frame_before_a_gap_does_not_outweigh_expected_modbus_tcp() -> None:
     detector = at_its_own_port(joined=True)
     chance = b"\xff" * 90 + rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
     decoded = fed(detector, [(REQUEST, chance)]) + detector.gap(REQUEST, 9, 0)
     assert is_one_event([*decoded, *detector.close()])
 
 
-def test_where_modbus_tcp_is_expected_frames_are_shown_as_elsewhere() -> None:
+def test_if_modbus_tcp_is_expected_rtu_needs_the_same_evidence_as_elsewhere() -> None:
     assert len(transactions(fed(at_its_own_port(), RTU_PAIR))) == 1
     detector = at_its_own_port()
     assert len(adus(fed(detector, [(REQUEST, rtu_adu(1, WRITE_ONE))] * ENOUGH_ADUS))) == ENOUGH_ADUS
@@ -263,7 +263,7 @@ def test_bytes_of_another_protocol_are_one_event_when_the_connection_ends(
     assert is_one_event([*fed(detector, [(REQUEST, noise)]), *detector.close()])
 
 
-def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends() -> None:
+def test_an_incomplete_adu_and_a_wrong_crc_are_reported_at_the_end() -> None:
     tcp = expected(joined=True)
     assert fed(tcp, [(REQUEST, mbap_adu(1, 1, READ)[:7])]) == []
     assert [one.kind for one in wire_events(tcp.close())] == [EventKind.SKIPPED]
@@ -276,7 +276,7 @@ def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends
 
 
 @pytest.mark.parametrize(("before", "found"), [(MAX_NOISE - 8, 2), (MAX_NOISE - 7, 0)])
-def test_elsewhere_a_frame_is_looked_for_in_the_first_bytes_only(before: int, found: int) -> None:
+def test_elsewhere_only_the_first_bytes_are_searched_for_a_frame(before: int, found: int) -> None:
     for size in (1, 7, 1000):
         detector = anywhere(joined=True)
         said = [(REQUEST, b"\xff" * before + RTU_PAIR[0][1]), RTU_PAIR[1]]
@@ -284,7 +284,7 @@ def test_elsewhere_a_frame_is_looked_for_in_the_first_bytes_only(before: int, fo
         assert len(adus(decoded)) == found
 
 
-def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
+def test_the_master_of_a_connection_without_beginning_is_detected() -> None:
     detector = anywhere(joined=True)
     detector.hold(
         WireEvent(
@@ -306,7 +306,7 @@ def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from([REQUEST, RESPONSE]), st.binary(max_size=300))))
-def test_what_is_held_is_bounded(pieces: list[Piece]) -> None:
+def test_held_results_are_bounded(pieces: list[Piece]) -> None:
     detector = anywhere(joined=True)
     given_out = fed(detector, pieces)
     size = sum(len(data) for _, data in pieces)
@@ -360,7 +360,7 @@ def test_where_segments_end_does_not_matter(
     assert transactions(found) == transactions(wanted)
 
 
-def test_what_is_told_of_a_connection_is_held_within_bounds() -> None:
+def test_held_events_are_bounded() -> None:
     detector = anywhere()
     for ts_ns in range(2 * MAX_HELD_EVENTS):
         overlap = WireEvent(

@@ -42,12 +42,12 @@ def test_a_file_that_cannot_be_created_is_the_users_mistake(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("replace", [False, True])
-def test_a_folder_is_said_to_be_one(tmp_path: Path, replace: bool) -> None:
+def test_a_folder_is_an_error_that_says_so(tmp_path: Path, replace: bool) -> None:
     with pytest.raises(UsageError, match=r"a directory; name a file in it, for example .*x\.mcap"):
         create_file(tmp_path, replace=replace)
 
 
-def test_a_place_can_be_looked_at_before(tmp_path: Path) -> None:
+def test_a_path_can_be_checked_before(tmp_path: Path) -> None:
     check_path(tmp_path / "a.mcap")
     (tmp_path / "b.mcap").touch()
     check_path(tmp_path / "b.mcap", replace=True)

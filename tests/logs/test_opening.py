@@ -1,4 +1,4 @@
-"""What a log says of its run."""
+"""The settings that a new log records."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ DEVICES = Assignments(
 )
 
 
-def test_a_log_says_all_that_decoding_it_again_needs(tmp_path: Path) -> None:
+def test_a_log_has_all_settings_to_decode_it_again(tmp_path: Path) -> None:
     path = str(tmp_path / "a.mcap")
     create_log(path, LINKS, DEVICES, ports=[502, 1502], rtu_ports=[4001]).close()
     with LogReader.open(path) as log:
@@ -58,7 +58,7 @@ def test_a_log_says_all_that_decoding_it_again_needs(tmp_path: Path) -> None:
         assert {"host", "system", "command", "clock", "version"} <= set(log.capture)
 
 
-def test_all_that_a_log_says_is_documented(tmp_path: Path) -> None:
+def test_all_metadata_of_a_log_is_documented(tmp_path: Path) -> None:
     rows = {
         cells[1].strip(" `"): cells[2]
         for cells in (line.split("|") for line in FORMAT.read_text().splitlines())
@@ -76,7 +76,7 @@ def test_all_that_a_log_says_is_documented(tmp_path: Path) -> None:
         assert {key for key in keys if f"`{key}`" not in rows[record]} == set()
 
 
-def test_evidence_alone_is_decoded_again_by_it(tmp_path: Path) -> None:
+def test_evidence_alone_is_decoded_again_with_the_logs_settings(tmp_path: Path) -> None:
     path = str(tmp_path / "a.mcap")
     links = [parse_link("net:eth0"), parse_link("tap:127.0.0.1:0=10.0.0.9:4001")]
     log = create_log(path, links, DEVICES, ports=[1502, 502], rtu_ports=[4001])
@@ -95,7 +95,7 @@ def test_evidence_alone_is_decoded_again_by_it(tmp_path: Path) -> None:
     ]
 
 
-def test_a_log_rotates_where_it_is_asked_to(tmp_path: Path) -> None:
+def test_a_log_rotates_if_the_user_wants_it(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     log = create_log(str(path), LINKS, DEVICES, rotation=Rotation.parse("1s"))
     for second in range(3):
@@ -112,7 +112,7 @@ def test_a_log_rotates_where_it_is_asked_to(tmp_path: Path) -> None:
             assert len(reader.profiles) == 2
 
 
-def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
+def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_text("mine")
     with pytest.raises(UsageError, match=r"a\.mcap: the file exists"):
@@ -129,9 +129,7 @@ def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
         ("x.csv", "x.mcap"),
     ],
 )
-def test_a_name_that_says_another_kind_of_file_is_refused(
-    tmp_path: Path, name: str, right: str
-) -> None:
+def test_a_suffix_of_another_format_is_an_error(tmp_path: Path, name: str, right: str) -> None:
     with pytest.raises(UsageError) as caught:
         create_log(str(tmp_path / name), LINKS, DEVICES)
     assert str(caught.value) == (

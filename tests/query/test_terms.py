@@ -25,7 +25,7 @@ PYTHON = {ValueKind.NUMBER: int | float, ValueKind.TEXT: str, ValueKind.LIST: li
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_name_is_of_the_kind_that_it_says_or_does_not_apply(name: str) -> None:
+def test_a_value_has_the_kind_of_its_name_or_does_not_apply(name: str) -> None:
     term = NAMES[name]
     for one in (NAMED, EMPTY):
         value = term.value(one)

@@ -39,7 +39,7 @@ class Played:
         return None if wake_ns is None else (wake_ns - BEGIN) / MS
 
 
-def test_pieces_leave_at_their_times() -> None:
+def test_runs_are_sent_at_their_times() -> None:
     played = Played(ByteRun(0, b"a"), ByteRun(10 * MS, b"b"), ByteRun(20 * MS, b"c"))
     assert played.sent(0) == [b"a"]
     assert (played.wake(1), played.sent(9.9), played.sent(10)) == (10, [], [b"b"])
@@ -57,7 +57,7 @@ def test_a_frame_waits_for_the_line_and_its_silence() -> None:
     assert played.player.passed_ns == BEGIN + 4 * MS + CHARACTER_NS
 
 
-def test_bytes_that_follow_without_a_silence_are_not_held_back() -> None:
+def test_bytes_that_follow_without_a_silence_do_not_wait() -> None:
     played = Played(ByteRun(0, b"12"), ByteRun(MS, b"34"))
     assert played.sent(1.2) == [b"12", b"34"]  # Both late: the port sends one behind the other.
     assert played.player.passed_ns == BEGIN + round(1.2 * MS) + 4 * CHARACTER_NS
@@ -72,7 +72,7 @@ def test_a_line_that_is_too_slow_is_not_flooded() -> None:
     assert played.player.delayed == 1
 
 
-def test_as_fast_as_can_be_leaves_the_silences_of_frames() -> None:
+def test_maximum_speed_keeps_the_silences_between_frames() -> None:
     played = Played(
         ByteRun(0, b"ab", after_silence=True),
         ByteRun(900 * MS, b"c", after_silence=True),
@@ -82,7 +82,7 @@ def test_as_fast_as_can_be_leaves_the_silences_of_frames() -> None:
     assert (played.sent(2.9), played.sent(3)) == ([], [b"c"])
 
 
-def test_a_pause_holds_back_and_a_step_lets_one_go() -> None:
+def test_a_pause_stops_sending_and_a_step_sends_one_run() -> None:
     played = Played(ByteRun(0, b"a"), ByteRun(10 * MS, b"b"), ByteRun(20 * MS, b"c"))
     played.sent(0)
     played.clock.pause(BEGIN + MS)
@@ -94,7 +94,7 @@ def test_a_pause_holds_back_and_a_step_lets_one_go() -> None:
     assert (played.sent(79.9), played.sent(80)) == ([], [b"c"])  # 10 ms behind the step.
 
 
-def test_a_loop_begins_again_behind_a_gap() -> None:
+def test_a_loop_begins_again_after_a_gap() -> None:
     played = Played(ByteRun(0, b"a"), ByteRun(10 * MS, b"b"), is_loop=True)
     assert [played.sent(at) for at in (0, 10, 109, 110, 120)] == [
         [b"a"],
@@ -106,7 +106,7 @@ def test_a_loop_begins_again_behind_a_gap() -> None:
     assert (played.player.sent, played.player.has_ended) == (4, False)
 
 
-def test_nothing_ends_at_once() -> None:
+def test_an_empty_recording_ends_at_once() -> None:
     assert Played().player.has_ended
 
 

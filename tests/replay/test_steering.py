@@ -17,7 +17,7 @@ class Steered:
         self.steering = Steering(self.clock, self.steps.append)
 
 
-def test_the_clock_starts_with_the_first_sign_of_life() -> None:
+def test_the_clock_starts_at_the_first_call() -> None:
     steered = Steered()
     assert steered.clock.position(5 * S) == 0
     steered.steering.begin(5 * S)
@@ -34,7 +34,7 @@ def test_a_pause_ends_with_the_same_key() -> None:
     assert steered.clock.position(6 * S) == 3 * S
 
 
-def test_what_is_paused_before_it_begins_stands_until_it_is_let_go() -> None:
+def test_a_pause_before_the_beginning_keeps_the_clock_still() -> None:
     steered = Steered()
     steered.steering.apply(Control.PAUSE, 0)
     steered.steering.begin(1 * S)
@@ -50,7 +50,7 @@ def test_a_pause_that_ends_before_the_beginning_starts_nothing() -> None:
     assert not steered.clock.is_running
 
 
-def test_a_step_stands_still_and_is_the_players_matter() -> None:
+def test_a_step_pauses_the_clock_and_calls_the_player() -> None:
     steered = Steered()
     steered.steering.begin(0)
     steered.steering.apply(Control.STEP, 2 * S)
@@ -58,7 +58,7 @@ def test_a_step_stands_still_and_is_the_players_matter() -> None:
     assert (steered.steps, steered.clock.position(9 * S)) == ([2 * S, 3 * S], 2 * S)
 
 
-def test_faster_and_slower_turn_the_clock() -> None:
+def test_faster_and_slower_change_the_rate() -> None:
     steered = Steered()
     steered.steering.begin(0)
     steered.steering.apply(Control.FASTER, S)
@@ -68,7 +68,7 @@ def test_faster_and_slower_turn_the_clock() -> None:
     assert steered.clock.rate == Fraction(1, 2)
 
 
-def test_progress_says_where_it_is() -> None:
+def test_progress_has_the_position() -> None:
     steered = Steered()
     before = steered.steering.progress(0, "nothing")
     assert (before.is_waiting, before.is_paused, before.done) == (True, False, "nothing")
@@ -79,7 +79,7 @@ def test_progress_says_where_it_is() -> None:
     assert not after.is_waiting
 
 
-class _Desk:
+class _User:
     def __init__(self, *wanted: Control) -> None:
         self._wanted = wanted
         self.shown: list[Progress] = []
@@ -91,12 +91,12 @@ class _Desk:
         self.shown.append(progress)
 
 
-def test_a_desk_is_obeyed_and_then_shown_where_it_is() -> None:
+def test_the_users_controls_are_applied_and_the_progress_is_shown() -> None:
     steered = Steered()
     steered.steering.begin(0)
-    desk = _Desk(Control.FASTER, Control.PAUSE)
-    steered.steering.update(desk, 2 * S, "2 bytes")
-    (shown,) = desk.shown
+    user = _User(Control.FASTER, Control.PAUSE)
+    steered.steering.update(user, 2 * S, "2 bytes")
+    (shown,) = user.shown
     assert (shown.position_ns, shown.rate, shown.is_paused, shown.done) == (
         2 * S,
         Fraction(2),

@@ -38,7 +38,7 @@ def test_equal_requests_are_one_however_they_end() -> None:
     assert len(asked.latencies.values) == 2
 
 
-def test_reads_and_acknowledged_writes_tell_values() -> None:
+def test_values_come_from_reads_and_acknowledged_writes_only() -> None:
     slave = _only_slave(
         answered(0, "03 0001 0002", "03 04 0005 0006"),
         answered(10, "06 0001 0007", "06 0001 0007"),
@@ -52,7 +52,7 @@ def test_reads_and_acknowledged_writes_tell_values() -> None:
     }
 
 
-def test_a_broadcast_tells_what_was_written() -> None:
+def test_a_broadcast_gives_written_values() -> None:
     slave = _only_slave(to_all(0, "06 0001 0007"))
     assert list(slave.registers) == [ValueKey(Table.HOLDING_REGISTERS, 1, is_written=True)]
 
@@ -74,7 +74,7 @@ def test_padding_bits_are_no_values() -> None:
     assert [list(held.values) for held in slave.registers.values()] == [[1], [0], [1]]
 
 
-def test_a_register_keeps_so_many_values_and_the_range_of_all() -> None:
+def test_a_register_keeps_a_limited_number_of_values_and_the_range_of_all() -> None:
     held = ObservedValues()
     for value in range(MAX_VALUES + 10):
         held.add(value)
@@ -94,7 +94,9 @@ def test_latencies_are_thinned_evenly() -> None:
 
 
 @pytest.mark.parametrize("bound", ["MAX_REQUESTS", "MAX_REGISTERS", "MAX_SLAVES"])
-def test_what_is_too_much_is_told(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_traffic_beyond_a_limit_is_not_complete(
+    bound: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(room, bound, 1)
     namer = Namer()
     both = [

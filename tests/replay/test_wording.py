@@ -23,7 +23,7 @@ def test_a_register_has_the_name_and_the_texts_of_its_device() -> None:
     assert values_text(_observed(0x5C), named) == "CH1 CH2 CH6 CH8 enabled"
 
 
-def test_without_a_profile_there_are_numbers() -> None:
+def test_without_a_profile_values_are_numbers() -> None:
     words = DeviceWording(None)
     assert words.of(ValueKey(Table.COILS, 5, is_written=False)) == (None, None)
     assert words.reference(Table.COILS, 5, 3) == "coil 5..7"
@@ -41,7 +41,7 @@ def test_a_function_has_its_short_name_or_the_makers() -> None:
     assert function_text(8, "diagnostics", 4) == "08 diagnostics 04"
 
 
-def test_latencies_are_told_by_their_middle_and_their_tail() -> None:
+def test_latencies_are_shown_by_median_and_95th_percentile() -> None:
     sample = Sample()
     for ms in range(1, 101):
         sample.add(ms * 1_000_000)
