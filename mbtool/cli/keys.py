@@ -149,7 +149,7 @@ def progress_line(progress: Progress) -> str:
         state = "paused" if progress.is_paused else "playing"
         return f"{state}, as fast as can be; {progress.done}   {KEYS}"
     state = "paused " if progress.is_paused else "waiting" if progress.is_waiting else "playing"
-    place = f"{_clock(progress.place_ns)} of {_clock(progress.length_ns)}"
+    place = f"{_clock(progress.position_ns)} of {_clock(progress.length_ns)}"
     lap = f", round {progress.lap + 1}" if progress.lap else ""
     speed = f"x{float(progress.rate):g}"
     return f"{state}  {place}{lap}  {speed}  {progress.done}   {KEYS}"

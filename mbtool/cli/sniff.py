@@ -96,7 +96,7 @@ def sniff(
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Namer
     from mbtool.logs import Rotation
-    from mbtool.logs.opening import begin_log, demand_log
+    from mbtool.logs.opening import check_log_path, create_log
     from mbtool.ports.clock import now_ns
     from mbtool.ports.tls import why_outdated
     from mbtool.workflows.settling import settled
@@ -130,7 +130,7 @@ def sniff(
     # To find settings may take minutes: what cannot be done is said before.
     serial_lines(specs)
     if write is not None:
-        demand_log(write, overwrite=overwrite)
+        check_log_path(write, overwrite=overwrite)
     specs = timing.given(settled(specs, say))
     sniffer = Sniffer(
         specs,
@@ -145,7 +145,7 @@ def sniff(
         begin_log=None
         if write is None
         else partial(
-            begin_log,
+            create_log,
             write,
             specs,
             devices,

@@ -51,3 +51,8 @@ class LinkError(MbtoolError):
 
 class OutputError(MbtoolError):
     """An output could not be written, or accepts no more data."""
+
+
+def reason_of(error: OSError | ValueError) -> str:
+    """The operating system's reason for an error, without its number and file name."""
+    return getattr(error, "strerror", None) or str(error)

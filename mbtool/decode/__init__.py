@@ -1,4 +1,4 @@
-"""From evidence to transactions: framing, pairing, protocol detection. No I/O."""
+"""Decodes evidence into transactions: protocol detection, framing, pairing. No I/O."""
 
 from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
 from mbtool.decode.protocol_detection import ProtocolDetector, ProtocolState

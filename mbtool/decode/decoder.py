@@ -1,23 +1,23 @@
-"""Turns evidence of any kind into named transactions and events, one item at a time."""
+"""Decodes packets and serial reads into named transactions and events, one item at a time."""
 
-# The one place where packets, serial reads and relayed bytes meet. What comes out for a link does
-# not depend on how its bytes were cut, nor on whether they came live or from a file.
+# Packets, serial reads and a tap's bytes all come in here. The result for a link depends neither on
+# how its bytes were cut into items nor on whether they came live or from a file.
 #
-# Holds one Bus for each serial link, or one TwoTaps where its bytes say who speaks, and one
-# Recognition for each open connection, at most MAX_CONVERSATIONS; beyond, the one that was silent
-# longest is closed.
+# State: one Bus for each serial link (a TapPair if its chunks name a direction), and one
+# ProtocolDetector for each open connection. At most MAX_CONNECTIONS detectors are kept; beyond that
+# the one that was silent longest is closed.
 #
-# With `any_port` every TCP connection is followed, and those that are not Modbus stay out of sight:
-# their opening and end are not told, nor what their segments and fragments lack, and that they are
-# foreign once for each slave's endpoint (or each end, where none is known to be the slave), of the
-# first MAX_TOLD. A port that is named, and 502, is Modbus's all the same.
+# With `any_port` every TCP connection is followed. One that turns out not to be Modbus produces no
+# opening, closing or segment events, and one FOREIGN event for each slave endpoint (for both
+# endpoints if the roles are unknown), up to MAX_FOREIGN_REPORTED endpoints. Ports that the user
+# named, and 502, are expected to carry Modbus even then.
 #
-# A connection that two interfaces saw is two, unless flows are followed `across` interfaces.
+# A connection that two interfaces captured is decoded twice, unless `across` is set.
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import (
     CONNECTION_JOINED,
@@ -56,18 +56,16 @@ from mbtool.packets import (
 from mbtool.packets.reassembler import MAX_CONNECTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
-MAX_CONVERSATIONS = 4096
-MAX_TOLD = 4096
+MAX_FOREIGN_REPORTED = 4096
 
-EVERY_PORT = range(1 << 16)
-
-_GIVEN_UP = (
+_EVERY_PORT = frozenset(range(1 << 16))
+_DROPPED = (
     f"connection no longer followed: it was silent longest of more than {MAX_CONNECTIONS} at once"
 )
-_LOST = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
-"""Events behind which bytes of a serial line are missing."""
+_LOSS = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
+"""Events that mean that the following bytes of a serial line may be missing."""
 
 Evidence = (
     Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent
@@ -76,7 +74,7 @@ Record = NamedTransaction | WireEvent
 
 
 class Decoder:
-    """`Evidence` in, `Record` out, each transaction as soon as it is complete."""
+    """Takes `Evidence`, returns `Record`s: each transaction as soon as it is complete."""
 
     def __init__(
         self,
@@ -90,11 +88,13 @@ class Decoder:
         any_port: bool = False,
         across: bool = False,
     ) -> None:
-        """`lines` are the serial links by name, `ports` and `rtu_ports` those of packets.
+        """Set up the links to decode.
 
-        With `any_port` the connections of all other ports are looked into, too; with `across` what
-        several interfaces saw is one network's.
-        `line` is what every other serial link is like, `timing` which silences hold on them.
+        `lines` are the serial links by name; `line` holds the settings of all other serial links;
+        `timing` gives t1.5 and t3.5 of either.
+        `ports` (Modbus/TCP) and `rtu_ports` (RTU over TCP) are the TCP ports to decode in packets;
+        with `any_port` connections on all other ports are examined too. `across` treats packets
+        from several interfaces as one network's.
         """
         self._namer = namer
         self._lines = dict(lines or {})
@@ -104,167 +104,161 @@ class Decoder:
         self._rtu_ports = frozenset(rtu_ports)
         self._any_port = any_port
         self._ports = frozenset((*ports, *self._rtu_ports, *((MODBUS_PORT,) if any_port else ())))
-        followed = frozenset(EVERY_PORT) if any_port else self._ports
-        self._reassembler = TcpReassembler(followed, across=across)
+        self._reassembler = TcpReassembler(_EVERY_PORT if any_port else self._ports, across=across)
         self._buses: dict[str, Bus | TapPair] = {}
         self._untimed: set[str] = set()
-        self._conversations: OrderedDict[Connection, ProtocolDetector] = OrderedDict()
+        """Serial links whose bytes have made-up times."""
+        self._detectors: OrderedDict[Connection, ProtocolDetector] = OrderedDict()
+        """By connection, the one that was silent longest first."""
         self._interfaces: set[str] = set()
         """Links that have brought packets."""
-        self._told_foreign: set[str] = set()
-        """Slaves' endpoints, with `any_port`, that were said not to speak Modbus; both ends' of
-        connections joined in the middle."""
+        self._foreign_endpoints: set[str] = set()
+        """Endpoints already reported as not Modbus, with `any_port`: the slave's, or both if the
+        capture does not show who opened the connection."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
-        """Take the next piece of evidence."""
+        """Take the next item of evidence."""
         self._last_ns = max(self._last_ns, item.ts_ns)
-        if not isinstance(item, Packet):
-            return self._piece(item)
-        pieces: Sequence[StreamItem]
-        if item.link_type in self._serial_types:
-            pieces = serial_pieces(item)
-        else:
-            self._interfaces.add(item.link)
-            pieces = self._reassembler.feed(item)
-        records: list[Record] = []
-        for piece in pieces:
-            records += self._piece(piece)
-        return records
+        return _HANDLERS[type(item)](self, item)
 
     def format_of(self, link: str) -> SerialFormat | None:
-        """A serial link's settings and silences; None where the times of its bytes are unknown."""
+        """A serial link's settings, with its silences; None if the times of its bytes are unknown.
+
+        Raises UsageError if the line's settings contradict each other.
+        """
         if link in self._untimed:
             return None
-        return self._timing.format_of(self._lines.get(link) or self._line.on(link))
+        return self._timing.format_of(self._line_of(link))
 
     def begin_line(self, line: SerialLink) -> None:
-        """Learn what a serial link is like whose bytes come next."""
+        """Set the settings of a serial link before its bytes are fed."""
         self._lines[line.name] = line
 
     def end_line(self, link: str) -> list[Record]:
-        """A serial link's bytes end here; what comes under its name later is another's."""
+        """End a serial link; later bytes under the same name belong to another line."""
         bus = self._buses.pop(link, None)
-        return [] if bus is None else self._named(bus.close())
+        return [] if bus is None else self._to_records(bus.close())
 
     def break_lines(self) -> list[Record]:
-        """Bytes of serial lines may be missing here; of connections, sequence numbers tell."""
+        """End all serial links, as bytes may be missing; connections have sequence numbers."""
         return [record for link in [*self._buses] for record in self.end_line(link)]
 
     def close(self) -> list[Record]:
-        """The evidence ends: what was held comes out."""
+        """End the evidence: return everything that is still held."""
+        return self._dispatch(self._reassembler.close(self._last_ns)) + self._close_all()
+
+    def _close_all(self) -> list[Record]:
+        detectors, self._detectors = self._detectors, OrderedDict()
         records: list[Record] = []
-        for piece in self._reassembler.close(self._last_ns):
-            records += self._piece(piece)
-        for conversation in self._conversations.values():
-            records += self._recognised(conversation, conversation.close())
-        for bus in self._buses.values():
-            records += self._named(bus.close())
-        self._conversations.clear()
-        self._buses.clear()
+        for detector in detectors.values():
+            records += self._end(detector)
+        return records + self.break_lines()
+
+    def _dispatch(self, items: Iterable[StreamItem]) -> list[Record]:
+        records: list[Record] = []
+        for item in items:
+            records += _HANDLERS[type(item)](self, item)
         return records
 
-    def _piece(self, item: StreamItem | Quiet) -> list[Record]:
-        if isinstance(item, Chunk):
-            return self._chunk(item)
-        if isinstance(item, Quiet):
-            return self._quiet(item)
-        if isinstance(item, StreamGap):
-            # A gap that is told behind the connection's end must not open it anew.
-            known = self._conversations.get(item.connection)
-            conversation = known or self._new_conversation(item.connection, joined=True)
-            gap = conversation.gap(item.direction, item.missing, item.ts_ns, item.kind)
-            return self._recognised(conversation, gap)
-        if isinstance(item, StreamOpened):
-            text = CONNECTION_JOINED if item.joined else CONNECTION_OPENED
-            text = f"{text}: {item.note}" if item.note else text
-            told = _told(item, EventKind.OPENED, text)
-            conversation = self._conversation(item.connection, joined=item.joined)
-            if self._is_expected(item.connection):
-                return [conversation.seen_from_here(told)]
-            conversation.hold(told)
-            return []
-        if isinstance(item, StreamClosed):
-            ended = self._conversations.pop(item.connection, None)
-            records = [] if ended is None else self._recognised(ended, ended.close())
-            is_modbus = ended is not None and ended.state is ProtocolState.MODBUS
-            if not is_modbus and not self._is_expected(item.connection):
-                return records
-            discarded = item.reason is CloseReason.DISCARDED
-            # Of a stranger nothing more was wanted, so nothing is lost with it.
-            is_loss = discarded and (ended is None or ended.state is not ProtocolState.FOREIGN)
-            kind = EventKind.DISCARDED if is_loss else EventKind.CLOSED
-            probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
-            text = _GIVEN_UP if discarded else f"connection closed: {item.reason}"
-            told = _told(item, kind, text + probes)
-            return [*records, told if ended is None else ended.seen_from_here(told)]
-        if isinstance(item, StreamEvent):
-            return self._stream_event(item)
-        return [*self._broken_off(item), item]
-
-    def _stream_event(self, item: StreamEvent) -> list[Record]:
-        conversation = self._conversations.get(item.connection)
-        state = None if conversation is None else conversation.state
-        if conversation is not None and state is ProtocolState.MODBUS:
-            return [conversation.seen_from_here(item.event)]
-        if self._is_expected(item.connection):
-            return [item.event]
-        if conversation is not None and state is ProtocolState.UNDECIDED:
-            conversation.hold(item.event)
-            return []
-        # Of a connection that nothing is known of, only what a bound cost is told.
-        is_told = state is None and item.event.kind is EventKind.DISCARDED
-        return [item.event] if is_told else []
-
-    def _broken_off(self, event: WireEvent) -> list[Record]:
-        """What was held when bytes behind it were lost: it cannot be completed."""
-        if event.kind is EventKind.GAP and not event.link:  # A hole in a log, in any link's bytes.
-            conversations = [*self._conversations.values()]
-            buses = [*self._buses.values()]
-            self._conversations.clear()
-            self._buses.clear()
-            records: list[Record] = []
-            for conversation in conversations:
-                records += self._recognised(conversation, conversation.close())
-            for bus in buses:
-                records += self._named(bus.close())
-            return records
-        return self.end_line(event.link) if event.kind in _LOST else []
-
-    def _quiet(self, quiet: Quiet) -> list[Record]:
-        bus = self._buses.get(quiet.link)
-        if bus is not None:
-            return self._named(bus.advance(quiet.ts_ns))
-        records: list[Record] = []
-        if quiet.link in self._interfaces:
-            for piece in self._reassembler.advance(quiet.ts_ns):
-                records += self._piece(piece)
-        for connection, conversation in self._conversations.items():
-            # A tap's quiet is about the connections of its link, an interface's about all others.
-            if (connection.link == quiet.link) is not (quiet.link in self._interfaces):
-                records += self._named(conversation.advance(quiet.ts_ns))
-        return records
+    def _packet(self, packet: Packet) -> list[Record]:
+        if packet.link_type in self._serial_types:
+            return self._dispatch(serial_pieces(packet))
+        self._interfaces.add(packet.link)
+        return self._dispatch(self._reassembler.feed(packet))
 
     def _chunk(self, chunk: Chunk) -> list[Record]:
         if chunk.connection is None:
             bus = self._bus(chunk)
             if isinstance(bus, TapPair):
-                return self._named(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
-            return self._named(bus.feed(chunk.data, chunk.ts_ns))
-        # Where the evidence does not tell of a beginning, it may be one of a log's next file.
-        conversation = self._conversation(chunk.connection, joined=True)
-        decoded = conversation.feed(chunk.direction, chunk.data, chunk.ts_ns)
-        records = self._recognised(conversation, decoded)
-        if len(self._conversations) > MAX_CONVERSATIONS:
-            _, oldest = self._conversations.popitem(last=False)
-            records += self._recognised(oldest, oldest.close())
+                return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
+            return self._to_records(bus.feed(chunk.data, chunk.ts_ns))
+        # Without a StreamOpened before it, the connection may go on from a log's previous file.
+        detector = self._detector(chunk.connection, joined=True)
+        decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns)
+        records = self._reported(detector, decoded)
+        if len(self._detectors) > MAX_CONNECTIONS:
+            _, oldest = self._detectors.popitem(last=False)
+            records += self._end(oldest)
         return records
+
+    def _quiet(self, quiet: Quiet) -> list[Record]:
+        bus = self._buses.get(quiet.link)
+        if bus is not None:
+            return self._to_records(bus.advance(quiet.ts_ns))
+        records: list[Record] = []
+        is_interface = quiet.link in self._interfaces
+        if is_interface:
+            records += self._dispatch(self._reassembler.advance(quiet.ts_ns))
+        for connection, detector in self._detectors.items():
+            # A tap's Quiet concerns the connections of its own link. An interface's concerns those
+            # of all other links: a captured connection's link is named after its slave.
+            if (connection.link == quiet.link) is not is_interface:
+                records += self._to_records(detector.advance(quiet.ts_ns))
+        return records
+
+    def _stream_opened(self, item: StreamOpened) -> list[Record]:
+        text = CONNECTION_JOINED if item.joined else CONNECTION_OPENED
+        text = f"{text}: {item.note}" if item.note else text
+        opened = _connection_event(item, EventKind.OPENED, text)
+        detector = self._detector(item.connection, joined=item.joined)
+        if self._is_expected(item.connection):
+            return [detector.in_detected_roles(opened)]
+        detector.hold(opened)
+        return []
+
+    def _stream_gap(self, item: StreamGap) -> list[Record]:
+        # A gap reported after the connection's end must not open it again: a detector that is made
+        # for the gap alone is not kept.
+        known = self._detectors.get(item.connection)
+        detector = known or self._new_detector(item.connection, joined=True)
+        gap = detector.gap(item.direction, item.missing, item.ts_ns, item.kind)
+        return self._reported(detector, gap)
+
+    def _stream_closed(self, item: StreamClosed) -> list[Record]:
+        detector = self._detectors.pop(item.connection, None)
+        records = [] if detector is None else self._end(detector)
+        state = None if detector is None else detector.state
+        if state is not ProtocolState.MODBUS and not self._is_expected(item.connection):
+            return records
+        discarded = item.reason is CloseReason.DISCARDED
+        # A foreign connection is not decoded any more, so dropping it loses nothing.
+        is_loss = discarded and state is not ProtocolState.FOREIGN
+        kind = EventKind.DISCARDED if is_loss else EventKind.CLOSED
+        probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
+        text = _DROPPED if discarded else f"connection closed: {item.reason}"
+        closed = _connection_event(item, kind, text + probes)
+        return [*records, closed if detector is None else detector.in_detected_roles(closed)]
+
+    def _stream_event(self, item: StreamEvent) -> list[Record]:
+        detector = self._detectors.get(item.connection)
+        state = None if detector is None else detector.state
+        if detector is not None and state is ProtocolState.MODBUS:
+            return [detector.in_detected_roles(item.event)]
+        if self._is_expected(item.connection):
+            return [item.event]
+        if detector is not None and state is ProtocolState.UNDECIDED:
+            detector.hold(item.event)
+            return []
+        # For an unrecognised connection, report only data lost to a limit.
+        is_reported = state is None and item.event.kind is EventKind.DISCARDED
+        return [item.event] if is_reported else []
+
+    def _wire_event(self, event: WireEvent) -> list[Record]:
+        """Pass an event on, after what it leaves incomplete."""
+        if event.kind is EventKind.GAP and not event.link:
+            # A damaged place in a log: bytes of any link may be missing.
+            return [*self._close_all(), event]
+        return [*(self.end_line(event.link) if event.kind in _LOSS else ()), event]
+
+    def _line_of(self, link: str) -> SerialLink:
+        return self._lines.get(link) or self._line.on(link)
 
     def _bus(self, chunk: Chunk) -> Bus | TapPair:
         link = chunk.link
         bus = self._buses.get(link)
         if bus is None:
-            line = self._lines.get(link) or self._line.on(link)
+            line = self._line_of(link)
             format_, is_ascii = self._timing.format_of(line), line.ascii
             if chunk.direction is Direction.UNKNOWN:
                 timed = chunk.stamp is not Stamp.UNKNOWN
@@ -276,50 +270,56 @@ class Decoder:
             self._buses[link] = bus
         return bus
 
-    def _conversation(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
-        conversation = self._conversations.get(connection)
-        if conversation is None:
-            conversation = self._new_conversation(connection, joined=joined)
-            self._conversations[connection] = conversation
+    def _detector(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
+        detector = self._detectors.get(connection)
+        if detector is None:
+            detector = self._new_detector(connection, joined=joined)
+            self._detectors[connection] = detector
         else:
-            self._conversations.move_to_end(connection)
-        return conversation
+            self._detectors.move_to_end(connection)
+        return detector
 
-    def _new_conversation(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
-        # Who began the connection tells master from slave, but for the ports that are named.
+    def _new_detector(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
+        # With `any_port` the reassembler takes the end that opened the connection for the master.
+        # A named port outweighs that: the end that uses it is the slave.
         ends = [connection.slave.port, connection.master.port]
-        turned = self._any_port and ends[1] in self._ports and ends[0] not in self._ports
-        is_rtu = ends[turned] in self._rtu_ports
+        swapped = self._any_port and ends[1] in self._ports and ends[0] not in self._ports
+        is_rtu = ends[swapped] in self._rtu_ports
         return ProtocolDetector(
             connection,
             joined=joined,
             expected=self._is_expected(connection),
             tcp=not is_rtu,
             rtu=is_rtu or self._any_port,
-            turned=turned,
+            swapped=swapped,
         )
 
     def _is_expected(self, connection: Connection) -> bool:
-        """Whether Modbus is; without `any_port` only ports and taps are here that a user named."""
+        """True if Modbus is expected; without `any_port` only Modbus ports and taps get here."""
         ports = self._ports
         named = connection.slave.port in ports or connection.master.port in ports
         return named or not self._any_port
 
-    def _recognised(self, conversation: ProtocolDetector, decoded: list[Decoded]) -> list[Record]:
-        """The same, but foreign connections that nobody named once for each endpoint."""
-        if not decoded or not self._any_port or conversation.state is not ProtocolState.FOREIGN:
-            return self._named(decoded)
-        if self._is_expected(conversation.connection):
-            return self._named(decoded)
-        ends = conversation.connection
-        # Without its beginning nobody knows which end of a stranger's connection is the slave.
-        slaves = {str(ends.slave), str(ends.master)} if conversation.joined else {str(ends.slave)}
-        if slaves & self._told_foreign or len(self._told_foreign) >= MAX_TOLD:
-            return []
-        self._told_foreign |= slaves
-        return self._named(decoded)
+    def _end(self, detector: ProtocolDetector) -> list[Record]:
+        return self._reported(detector, detector.close())
 
-    def _named(self, decoded: list[Decoded]) -> list[Record]:
+    def _reported(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Record]:
+        """The records, but the FOREIGN event of an unnamed port only once for each endpoint."""
+        if not decoded or not self._any_port or detector.state is not ProtocolState.FOREIGN:
+            return self._to_records(decoded)
+        if self._is_expected(detector.connection):
+            return self._to_records(decoded)
+        ends = detector.connection
+        # Without the connection's beginning nobody knows which of its ends is the slave.
+        slaves = {str(ends.slave), str(ends.master)} if detector.joined else {str(ends.slave)}
+        known = self._foreign_endpoints
+        if slaves & known or len(known) >= MAX_FOREIGN_REPORTED:
+            return []
+        known |= slaves
+        return self._to_records(decoded)
+
+    def _to_records(self, decoded: list[Decoded]) -> list[Record]:
+        """Name the transactions, keep the events, leave out the ADUs."""
         records: list[Record] = []
         for one in decoded:
             if isinstance(one, Transaction):
@@ -329,7 +329,21 @@ class Decoder:
         return records
 
 
-def _told(item: StreamOpened | StreamClosed, kind: EventKind, message: str) -> WireEvent:
+_HANDLERS: dict[type[Evidence], Callable[[Decoder, Any], list[Record]]] = {
+    Chunk: Decoder._chunk,
+    Packet: Decoder._packet,
+    Quiet: Decoder._quiet,
+    StreamClosed: Decoder._stream_closed,
+    StreamEvent: Decoder._stream_event,
+    StreamGap: Decoder._stream_gap,
+    StreamOpened: Decoder._stream_opened,
+    WireEvent: Decoder._wire_event,
+}
+
+
+def _connection_event(
+    item: StreamOpened | StreamClosed, kind: EventKind, message: str
+) -> WireEvent:
     return WireEvent(
         ts_ns=item.ts_ns,
         link=item.connection.link,

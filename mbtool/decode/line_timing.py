@@ -1,9 +1,15 @@
-"""Which silences hold on a serial line: the user's, a device's, or the standard's."""
+"""Chooses the silences t1.5 and t3.5 of a serial line."""
 
-# In this order: the options --t1-5 and --t3-5; what the LINK says; the profiles of the devices that
-# can be on the line; baud rate and character format. A profile speaks for a line if it was assigned
-# without an address and its device speaks the line's mode. Of several the shortest t3.5 counts,
-# since each of them may send with it, and the longest t1.5 that is not longer.
+# The first source that gives a silence wins:
+#
+#     1  the options --t1-5 and --t3-5
+#     2  the link spec
+#     3  the profiles of the devices that can be on the line
+#     4  the standard, from baud rate and character format
+#
+# A profile counts for a line if it was assigned without an address and supports the line's mode
+# (RTU or ASCII). Of several profiles the shortest t3.5 is taken, as any of the devices may pause
+# only that long between frames, and the longest t1.5 that does not exceed this t3.5.
 
 from __future__ import annotations
 
@@ -20,25 +26,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LineTiming:
-    """What is known of silences beside the lines' own settings."""
+    """The silences that options and device profiles give, beside the lines' own settings."""
 
     assignments: Assignments = field(default_factory=Assignments)
     t1_5: Silence | None = None
     t3_5: Silence | None = None
 
-    @property
-    def is_given(self) -> bool:
-        """Whether the user says anything of silences."""
-        return self.t1_5 is not None or self.t3_5 is not None
-
     def given(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
-        """The links as the user wants them, so that a log says it too. Raises UsageError."""
-        if self.is_given and not any(isinstance(link, SerialLink) for link in links):
+        """The links with the silences of the options, which a log then records.
+
+        Raises UsageError if silences are given and no link is a serial line, or if they contradict
+        each other.
+        """
+        is_given = self.t1_5 is not None or self.t3_5 is not None
+        if is_given and not any(isinstance(link, SerialLink) for link in links):
             raise UsageError("--t1-5 and --t3-5 are for serial lines; none of the links is one")
         return [self._given(link) if isinstance(link, SerialLink) else link for link in links]
 
     def format_of(self, line: SerialLink) -> SerialFormat:
-        """A line's settings with the silences that hold on it. Raises UsageError."""
+        """A line's settings with its silences filled in.
+
+        Raises UsageError if the silences contradict each other.
+        """
         format_ = self._given(line).format
         if format_.t3_5 is None:
             t3_5 = _shortest(self._of_profiles(line, "t3_5"), format_)

@@ -1,17 +1,19 @@
-"""Joins requests and responses into transactions."""
+"""Pairs requests with their responses and makes transactions of them."""
 
-# On a network a response belongs to the oldest open request of its connection with the same
-# transaction id, unit and function: masters may pipeline, slaves may answer out of order, and some
-# masters always send id 0. Some slaves answer with an id of their own: a response whose id no open
-# request has belongs to the only open request, if it can be its answer. Otherwise nobody asked.
+# On a TCP connection a response belongs to the oldest open request with the same transaction id,
+# unit and function: masters may send several requests at once, slaves may respond out of order, and
+# some masters always send id 0. Some slaves send an id of their own: if no open request matches and
+# only one is open, the response belongs to that one, provided that unit and content fit. All other
+# responses are unsolicited.
 #
-# On a bus there is one open request. The next request ends it unanswered, whoever it is for.
+# On a serial line one request is open at a time. The next request ends it without an answer,
+# whichever unit it is for.
 #
-# A request that goes unanswered is a transaction of its own, and the equal request after it says in
-# `retries` how many went before. On a network the answer to the later one may come while the
-# earlier one is still open; that is a retry too.
+# A request without an answer is a transaction of its own. The next equal request counts in
+# `retries` how many went before it. On a TCP connection the response to a later request may come
+# while an equal earlier one is still open; that one counts as well.
 #
-# Holds at most MAX_OPEN_REQUESTS requests, and as many counts of unanswered ones; beyond that the
+# Limits: MAX_OPEN_REQUESTS open requests, and as many counts of unanswered ones; beyond that the
 # oldest of each is given up.
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ import msgspec
 
 from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
-from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
 from mbtool.modbus.adu import Adu, Verdict
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.modbus.request_match import is_response_code, is_response_to
@@ -34,51 +36,52 @@ if TYPE_CHECKING:
 
 BUS_TIMEOUT_NS = 5_000_000_000
 NETWORK_TIMEOUT_NS = 60_000_000_000
-"""Longer than any master waits, so that a late answer is still joined to its request."""
+"""Longer than any master waits, so that a late response is still paired with its request."""
 
 
 class Pairing:
-    """`Adu` of one bus or one connection in, `Transaction` out, each when it is complete."""
+    """Takes the ADUs of one serial line or one connection, returns complete transactions."""
 
     def __init__(self, ends: Ends, *, bus: bool) -> None:
+        """`bus` is True for a serial line, False for a TCP connection."""
         self._ends = ends
         self._bus = bus
         self._timeout_ns = BUS_TIMEOUT_NS if bus else NETWORK_TIMEOUT_NS
         self._open: deque[_OpenRequest] = deque()
         self._unanswered: dict[tuple[int, bytes], int] = {}
-        """How many requests of a unit and a PDU stayed without an answer in a row."""
+        """By unit and PDU, how many requests in a row had no answer."""
 
     def feed(self, adu: Adu) -> list[Transaction]:
         """Take the next ADU, in order of time."""
         done = self.advance(adu.start_ns) if self._open else []
         if adu.direction is not Direction.RESPONSE:
-            self._ask(adu, done)
+            self._add_request(adu, done)
             return done
-        place, verdicts = self._match(adu)
-        if place is None:
+        index, verdicts = self._match(adu)
+        if index is None:
             done.append(unsolicited(self._ends, adu))
             return done
-        answered = self._open[place]
-        del self._open[place]
-        retries = self._retries(answered, place)
-        done.append(together(self._ends, answered.adu, adu, retries, verdicts))
+        answered = self._open[index]
+        del self._open[index]
+        retries = self._take_retries(answered, index)
+        done.append(with_response(self._ends, answered.adu, adu, retries, verdicts))
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Learn that no response came until now."""
+        """Note that no response arrived until `now_ns`."""
         done: list[Transaction] = []
         while self._open and now_ns - self._open[0].adu.end_ns > self._timeout_ns:
             self._give_up(done)
         return done
 
     def close(self) -> list[Transaction]:
-        """The link ends; open requests stay unanswered."""
+        """End the link: open requests stay without an answer."""
         done: list[Transaction] = []
         while self._open:
             self._give_up(done)
         return done
 
-    def _ask(self, request: Adu, done: list[Transaction]) -> None:
+    def _add_request(self, request: Adu, done: list[Transaction]) -> None:
         if self._bus:
             if self._open:
                 done += self.close()
@@ -90,29 +93,29 @@ class Pairing:
         self._open.append(_OpenRequest(request))
 
     def _match(self, response: Adu) -> tuple[int | None, tuple[Verdict, ...]]:
-        """Which open request a response belongs to, and what is odd about it."""
-        for place, one in enumerate(self._open):
-            asked = one.adu
+        """The index of the open request that a response belongs to, or None, and verdicts."""
+        for index, candidate in enumerate(self._open):
+            request = candidate.adu
             if (
-                asked.transaction_id == response.transaction_id
-                and asked.unit == response.unit
-                and is_response_code(asked.pdu[0], response.pdu[0])
+                request.transaction_id == response.transaction_id
+                and request.unit == response.unit
+                and is_response_code(request.pdu[0], response.pdu[0])
             ):
-                return place, ()
+                return index, ()
         if len(self._open) == 1:
-            asked = self._open[0].adu
-            if asked.unit == response.unit and is_response_to(
-                parse_pdu(asked.pdu, Direction.REQUEST), response.pdu
+            request = self._open[0].adu
+            if request.unit == response.unit and is_response_to(
+                parse_pdu(request.pdu, Direction.REQUEST), response.pdu
             ):
                 return 0, (Verdict.OTHER_TRANSACTION_ID,)
         return None, ()
 
-    def _retries(self, answered: _OpenRequest, place: int) -> int:
-        """How many equal requests without an answer an answered one ends."""
+    def _take_retries(self, answered: _OpenRequest, index: int) -> int:
+        """Count the equal requests before an answered one; each counts only once."""
         retries = self._unanswered.pop(answered.key, 0) if self._unanswered else 0
-        for one in islice(self._open, place):
-            if one.counts and one.key == answered.key:
-                one.counts = False
+        for earlier in islice(self._open, index):
+            if earlier.counts and earlier.key == answered.key:
+                earlier.counts = False
                 retries += 1
         return retries
 
@@ -128,11 +131,11 @@ class Pairing:
 
 
 class _OpenRequest(msgspec.Struct, gc=False):
-    """A request that waits for its response."""
+    """A request whose response has not arrived."""
 
     adu: Adu
     counts: bool = True
-    """Whether it counts as a retry of the equal request after it, should it stay unanswered."""
+    """False if a later equal request has already counted this one in its `retries`."""
 
     @property
     def key(self) -> tuple[int, bytes]:

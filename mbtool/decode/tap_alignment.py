@@ -1,21 +1,22 @@
-"""Which response belongs to which request, where each side has times of its own."""
+"""Aligns the requests of one tap with the responses of another, whose times differ."""
 
-# Two adapters deliver what they hear each with a delay of its own, so that a response can seem to
-# begin before its request has ended. What is certain on a line:
+# Each of the two adapters delivers bytes with its own delay, so a response can seem to begin before
+# its request has ended. These rules hold on every line:
 #
-#     a response follows its request              it begins SKEW_NS before its end at the earliest
-#     the next request follows the response       it begins SKEW_NS before its end at the earliest
-#     a request has one response, and they come in order
-#     a master waits for a response before it asks again
+#     1  a response follows its request         it may seem to begin up to SKEW_NS before its end
+#     2  the next request follows the response  it may seem to begin up to SKEW_NS before its end
+#     3  a request has at most one response, and responses come in the order of the requests
+#     4  a master waits for a response before it sends the next request
 #
-# Of all ways to join requests and responses that keep to the first three, the one that strains what
-# is known least is taken. Strain is time: by how much a response is too early for its request or
-# too late for the next one, and for what is left alone or does not fit as much as the table below
-# says. So a pair that is off by less than the skew is joined, but where a capture begins with a
-# response whose request was not heard, polls that follow closely are not all shifted by one. What
-# pairs have shown of the delays already is no strain.
+# Among all alignments that keep rules 1 to 3, the one with the lowest cost is taken. A cost is a
+# time in ns: by how much a response is too early for its request or too late for the next one, plus
+# the constants below for a pair whose contents do not fit, a request without a response (rule 4)
+# and a response without a request. So a pair that is off by less than the skew is still aligned.
+# If a capture begins with a response whose request is missing, that response stays alone; otherwise
+# every later response of a fast poll would be assigned to the wrong request.
+# The offset that earlier pairs have already shown costs nothing.
 #
-# Looks at MOST requests and MOST responses; what lies beyond does not bear on the first.
+# At most MAX_ALIGNED requests and responses are examined; later ones do not affect the first.
 
 from __future__ import annotations
 
@@ -35,25 +36,26 @@ if TYPE_CHECKING:
 SKEW_NS = 50_000_000
 """Three times as long as an FTDI adapter's latency timer holds bytes back (16 ms)."""
 
-MOST = 8
+MAX_ALIGNED = 8
 
-_MISFIT_NS = 4 * SKEW_NS
-"""Same unit and function, but for instance another quantity: rarer than a lost answer."""
-_HASTE = 8
-"""What each ns counts by which a master waited less than the skew for an answer: none does that."""
-_UNASKED_NS = MOST * SKEW_NS
-"""Slaves do not speak unasked."""
-_FIRST_UNASKED_NS = SKEW_NS
-"""But a capture may begin behind a request."""
-_NEVER_NS = 1 << 60
+_MISMATCH_NS = 4 * SKEW_NS
+"""Cost of a pair with equal unit and function and, for instance, another quantity: this is rarer
+than a lost response."""
+_IMPATIENCE = 8
+"""Cost per ns by which a master waited less than SKEW_NS for a response: masters wait longer."""
+_UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
+"""Cost of a response without a request: slaves do not send on their own."""
+_FIRST_UNSOLICITED_NS = SKEW_NS
+"""The same for the first response of a capture, whose request may have been sent before it."""
+_IMPOSSIBLE_NS = 1 << 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapRequest:
-    """A request, and what it asks."""
+    """A request with its parsed PDU."""
 
     adu: Adu
-    asked: Pdu
+    pdu: Pdu
 
     @classmethod
     def of(cls, adu: Adu) -> TapRequest:
@@ -61,11 +63,11 @@ class TapRequest:
 
 
 def can_answer(request: Adu, response: Adu) -> bool:
-    """Whether they name the same unit and function."""
+    """True if both have the same unit and function."""
     return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
 
 
-def asker_of_first(
+def request_of_first(
     requests: Sequence[TapRequest],
     responses: Sequence[Adu],
     until_ns: int,
@@ -73,83 +75,86 @@ def asker_of_first(
     ahead_ns: int = 0,
     at_start: bool = False,
 ) -> int | None:
-    """Which request the first response belongs to, by its place, or None.
+    """The index of the request that the first response belongs to, or None if there is none.
 
-    Both are in order, all that began until a time; the first request may be one that has been
-    waiting for long. `ahead_ns` is by how much responses are known to seem early. At the start of a
-    capture the first response may belong to a request that was not heard.
+    `requests` and `responses` are all that began until `until_ns`, each in order of time; the first
+    request may be older and still pending. `ahead_ns` is by how much responses are already known to
+    seem early. With `at_start` the capture begins here, so the request of the first response may be
+    missing.
     """
-    if len(requests) > MOST:
-        until_ns = min(until_ns, requests[MOST].adu.start_ns)
-    requests, responses = requests[:MOST], responses[:MOST]
-    if _is_without_strain(requests, responses, ahead_ns):
-        return 0  # As nearly always; no other way can be better.
+    if len(requests) > MAX_ALIGNED:
+        until_ns = min(until_ns, requests[MAX_ALIGNED].adu.start_ns)
+    requests, responses = requests[:MAX_ALIGNED], responses[:MAX_ALIGNED]
+    if _pairs_in_order_cost_nothing(requests, responses, ahead_ns):
+        return 0  # The usual case; no alignment can cost less.
 
-    def choices(place: int, at: int) -> tuple[int, int, int]:
-        """The strain from here on if the two are joined, and if either is left alone."""
-        has_request, has_response = place < len(requests), at < len(responses)
-        joined = unanswered = unasked = _NEVER_NS
+    def costs(request: int, response: int) -> tuple[int, int, int]:
+        """The lowest cost from these two on: paired, request alone, response alone."""
+        has_request, has_response = request < len(requests), response < len(responses)
+        paired = unanswered = unsolicited = _IMPOSSIBLE_NS
         if has_request and has_response:
-            joined = least(place + 1, at + 1) + _joined_ns(requests, place, responses[at], ahead_ns)
+            pair_ns = _pair_cost(requests, request, responses[response], ahead_ns)
+            paired = lowest(request + 1, response + 1) + pair_ns
         if has_request:
-            unanswered = least(place + 1, at) + _unanswered_ns(requests, place)
+            unanswered = lowest(request + 1, response) + _unanswered_cost(requests, request)
         if has_response:
-            is_first = at_start and at == 0
-            unasked = least(place, at + 1) + _unasked_ns(responses[at], until_ns, is_first)
-        return joined, unanswered, unasked
+            is_first = at_start and response == 0
+            alone_ns = _unsolicited_cost(responses[response], until_ns, is_first)
+            unsolicited = lowest(request, response + 1) + alone_ns
+        return paired, unanswered, unsolicited
 
     @cache
-    def least(place: int, at: int) -> int:
-        at_end = place == len(requests) and at == len(responses)
-        return 0 if at_end else min(choices(place, at))
+    def lowest(request: int, response: int) -> int:
+        at_end = request == len(requests) and response == len(responses)
+        return 0 if at_end else min(costs(request, response))
 
-    for place in range(len(requests)):
-        joined, unanswered, unasked = choices(place, 0)
-        if joined <= min(unanswered, unasked):
-            return place
-        if unasked < unanswered:
+    for request in range(len(requests)):
+        paired, unanswered, unsolicited = costs(request, 0)
+        if paired <= min(unanswered, unsolicited):
+            return request
+        if unsolicited < unanswered:
             return None
     return None
 
 
-def _is_without_strain(
+def _pairs_in_order_cost_nothing(
     requests: Sequence[TapRequest], responses: Sequence[Adu], ahead_ns: int
 ) -> bool:
-    """Whether each response is its request's, one by one, and their times say so too."""
+    """True if pairing the first response with the first request, and so on, has no cost."""
     answered = len(responses)
     return (
         0 < answered <= len(requests)
         and not any(
-            _joined_ns(requests, place, each, ahead_ns) for place, each in enumerate(responses)
+            _pair_cost(requests, index, each, ahead_ns) for index, each in enumerate(responses)
         )
-        and not any(_unanswered_ns(requests, place) for place in range(answered, len(requests)))
+        and not any(_unanswered_cost(requests, index) for index in range(answered, len(requests)))
     )
 
 
-def _joined_ns(requests: Sequence[TapRequest], place: int, response: Adu, ahead_ns: int) -> int:
-    request = requests[place].adu
+def _pair_cost(requests: Sequence[TapRequest], index: int, response: Adu, ahead_ns: int) -> int:
+    request = requests[index].adu
     if not can_answer(request, response):
-        return _NEVER_NS
+        return _IMPOSSIBLE_NS
     early_ns = request.end_ns - response.start_ns
-    late_ns = -_NEVER_NS
-    if place + 1 < len(requests):
-        late_ns = response.end_ns - requests[place + 1].adu.start_ns
+    late_ns = -_IMPOSSIBLE_NS
+    if index + 1 < len(requests):
+        late_ns = response.end_ns - requests[index + 1].adu.start_ns
     if max(early_ns, late_ns) > SKEW_NS or -early_ns > BUS_TIMEOUT_NS:
-        return _NEVER_NS
-    misfit_ns = 0 if is_response_to(requests[place].asked, response.pdu) else _MISFIT_NS
-    return max(early_ns - ahead_ns, 0) + max(late_ns + ahead_ns, 0) + misfit_ns
+        return _IMPOSSIBLE_NS
+    mismatch_ns = 0 if is_response_to(requests[index].pdu, response.pdu) else _MISMATCH_NS
+    return max(early_ns - ahead_ns, 0) + max(late_ns + ahead_ns, 0) + mismatch_ns
 
 
-def _unanswered_ns(requests: Sequence[TapRequest], place: int) -> int:
-    request = requests[place].adu
-    if request.unit == 0 or place + 1 == len(requests):
-        return 0
-    waited_ns = requests[place + 1].adu.start_ns - request.end_ns
-    return _HASTE * max(SKEW_NS - waited_ns, 0)
+def _unanswered_cost(requests: Sequence[TapRequest], index: int) -> int:
+    request = requests[index].adu
+    if request.unit == 0 or index + 1 == len(requests):
+        return 0  # A broadcast has no response; the last request's may still come.
+    waited_ns = requests[index + 1].adu.start_ns - request.end_ns
+    return _IMPATIENCE * max(SKEW_NS - waited_ns, 0)
 
 
-def _unasked_ns(response: Adu, until_ns: int, is_first: bool) -> int:
-    early_ns = until_ns - response.start_ns
-    if early_ns <= SKEW_NS:
-        return max(early_ns, 0)  # Its request may lie beyond what is looked at.
-    return _FIRST_UNASKED_NS if is_first else _UNASKED_NS
+def _unsolicited_cost(response: Adu, until_ns: int, is_first: bool) -> int:
+    before_end_ns = until_ns - response.start_ns
+    if before_end_ns <= SKEW_NS:
+        return max(before_end_ns, 0)  # Its request may begin after `until_ns`.
+    return _FIRST_UNSOLICITED_NS if is_first else _UNSOLICITED_NS

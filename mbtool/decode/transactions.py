@@ -1,4 +1,4 @@
-"""Makes the record of a transaction from its request and its response."""
+"""Builds the record of a transaction from its request and its response."""
 
 from __future__ import annotations
 
@@ -16,34 +16,36 @@ from mbtool.modbus.pdu import Pdu, parse_pdu
 from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
 
-MAX_KNOWN = 256
-"""Requests whose meaning is remembered; beyond that the one unasked longest is forgotten."""
+MAX_CACHED_REQUESTS = 256
+"""Parsed requests that are kept; beyond that the one that was not used longest is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """Where a transaction happens: the link, and on a network the ends of its connection."""
+    """The link of a transaction, and on a network the two ends of its connection."""
 
     link: str
     master: str | None = None
     slave: str | None = None
     timed: bool = True
-    """Whether the times of its bytes are known."""
+    """False if its bytes have no known times; its transactions then have no latency."""
 
 
-def together(
+def with_response(
     ends: Ends, request: Adu, response: Adu, retries: int, verdicts: tuple[Verdict, ...]
 ) -> Transaction:
-    """A request with its response."""
-    asked = _asked(request.pdu)
-    answered = parse_pdu(response.pdu, Direction.RESPONSE)
+    """A request with its response; `verdicts` are those about the pair."""
+    facts = _request_facts(request.pdu)
+    response_pdu = parse_pdu(response.pdu, Direction.RESPONSE)
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
-    if asked.is_malformed:
+    if facts.is_malformed:
         noticed.append(Verdict.MALFORMED_REQUEST)
-    malformed = answered.problem or (not asked.is_malformed and mismatch(asked.pdu, answered))
+    malformed = response_pdu.problem or (
+        not facts.is_malformed and mismatch(facts.pdu, response_pdu)
+    )
     if malformed:
         noticed.append(Verdict.MALFORMED_RESPONSE)
-    exception = answered.exception_code
+    exception = response_pdu.exception_code
     if exception is not None:
         outcome = Outcome.EXCEPTION
     else:
@@ -51,11 +53,11 @@ def together(
     return _record(
         ends,
         request,
-        asked,
+        facts,
         exception,
         outcome=outcome,
-        request_values=_listed(asked.values),
-        response_values=_response_values(asked.pdu, answered),
+        request_values=_listed(facts.values),
+        response_values=_response_values(facts.pdu, response_pdu),
         request_ns=request.end_ns,
         response_ns=response.end_ns,
         latency_ns=_latency_ns(request, response) if ends.timed else None,
@@ -68,10 +70,10 @@ def together(
 
 
 def _latency_ns(request: Adu, response: Adu) -> int | None:
-    """From the end of the request to the start of the response.
+    """Nanoseconds from the end of the request to the start of the response.
 
-    Where an adapter glued the two, the response's start is only known to lie behind; that is 0. A
-    capture whose clock ran backwards has no latency to tell.
+    0 if the adapter merged the two in one read, so that the response seems to start earlier. None
+    if the capture's clock was set back in between.
     """
     if response.end_ns < request.end_ns:
         return None
@@ -84,21 +86,21 @@ def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
 
 
 def broadcast(ends: Ends, request: Adu) -> Transaction:
-    """A request to all units, which none of them answers (Serial Line V1.02, 2.1)."""
+    """A request to all units, which no unit answers (Serial Line V1.02, 2.1)."""
     return _alone(ends, request, Outcome.BROADCAST, 0)
 
 
 def unsolicited(ends: Ends, response: Adu) -> Transaction:
-    """A response that no request asked for."""
-    answered = parse_pdu(response.pdu, Direction.RESPONSE)
-    malformed = [Verdict.MALFORMED_RESPONSE] if answered.problem else []
+    """A response without a request."""
+    pdu = parse_pdu(response.pdu, Direction.RESPONSE)
+    malformed = [Verdict.MALFORMED_RESPONSE] if pdu.problem else []
     return _record(
         ends,
         response,
-        _Asked.of(Pdu(answered.function, answered.fields, None)),
-        answered.exception_code,
+        _RequestFacts.of(Pdu(pdu.function, pdu.fields, None)),
+        pdu.exception_code,
         outcome=Outcome.UNSOLICITED,
-        response_values=_listed(_values(answered)),
+        response_values=_listed(_values(pdu)),
         response_ns=response.end_ns,
         retries=0,
         response_raw=response.raw,
@@ -108,15 +110,15 @@ def unsolicited(ends: Ends, response: Adu) -> Transaction:
 
 
 def _alone(ends: Ends, request: Adu, outcome: Outcome, retries: int) -> Transaction:
-    asked = _asked(request.pdu)
-    malformed = [Verdict.MALFORMED_REQUEST] if asked.is_malformed else []
+    facts = _request_facts(request.pdu)
+    malformed = [Verdict.MALFORMED_REQUEST] if facts.is_malformed else []
     return _record(
         ends,
         request,
-        asked,
+        facts,
         None,
         outcome=outcome,
-        request_values=_listed(asked.values),
+        request_values=_listed(facts.values),
         request_ns=request.end_ns,
         retries=retries,
         request_raw=request.raw,
@@ -125,8 +127,8 @@ def _alone(ends: Ends, request: Adu, outcome: Outcome, retries: int) -> Transact
     )
 
 
-class _Asked(msgspec.Struct, frozen=True):
-    """What a request asks."""
+class _RequestFacts(msgspec.Struct, frozen=True):
+    """The fields of a transaction that follow from the request's PDU alone."""
 
     pdu: Pdu
     is_malformed: bool
@@ -135,12 +137,12 @@ class _Asked(msgspec.Struct, frozen=True):
     sub_function: int | None
     address: int | None
     quantity: int | None
-    """How many; a write of one value is of one."""
+    """How many registers or bits; 1 for a write of a single value."""
     write_address: int | None
     values: tuple[int, ...] | None
 
     @classmethod
-    def of(cls, pdu: Pdu) -> _Asked:
+    def of(cls, pdu: Pdu) -> _RequestFacts:
         sub_function = pdu.number("sub_function")
         quantity = pdu.number("quantity")
         if quantity is None and pdu.code in WRITE_ONE and "address" in pdu.fields:
@@ -158,14 +160,14 @@ class _Asked(msgspec.Struct, frozen=True):
         )
 
 
-@lru_cache(maxsize=MAX_KNOWN)
-def _asked(request: bytes) -> _Asked:
-    """Read a request's PDU, once: masters ask the same few over and over."""
-    return _Asked.of(parse_pdu(request, Direction.REQUEST))
+@lru_cache(maxsize=MAX_CACHED_REQUESTS)
+def _request_facts(request: bytes) -> _RequestFacts:
+    """Parse a request's PDU; cached, as masters repeat the same few requests."""
+    return _RequestFacts.of(parse_pdu(request, Direction.REQUEST))
 
 
 def _record(
-    ends: Ends, adu: Adu, asked: _Asked, exception: int | None, **facts: Any
+    ends: Ends, adu: Adu, facts: _RequestFacts, exception: int | None, **fields: Any
 ) -> Transaction:
     return Transaction(
         link=ends.link,
@@ -174,27 +176,27 @@ def _record(
         destination=ends.slave,
         unit=adu.unit,
         transaction_id=adu.transaction_id,
-        function=asked.function,
-        function_name=asked.function_name,
-        sub_function=asked.sub_function,
-        address=asked.address,
-        quantity=asked.quantity,
-        write_address=asked.write_address,
+        function=facts.function,
+        function_name=facts.function_name,
+        sub_function=facts.sub_function,
+        address=facts.address,
+        quantity=facts.quantity,
+        write_address=facts.write_address,
         exception=exception,
         exception_name=None if exception is None else exception_name(exception),
         direction_by=adu.direction_by,
-        **facts,
+        **fields,
     )
 
 
 def _values(pdu: Pdu) -> tuple[int, ...] | None:
-    """The registers or bits that a PDU carries."""
+    """The registers (0..65535) or bits (0 or 1) that a PDU carries."""
     values = pdu.numbers("values")
     if values is not None:
         return values
     values = pdu.numbers("fifo")
     if values is not None:
-        return values[1:]
+        return values[1:]  # The first number is the FIFO count.
     value = pdu.number("value")
     if value is not None:
         if pdu.function == 0x05:
@@ -207,13 +209,13 @@ def _values(pdu: Pdu) -> tuple[int, ...] | None:
     return None
 
 
-def _response_values(asked: Pdu, answered: Pdu) -> list[int] | None:
-    """What a response tells; an echo tells nothing that the request did not."""
-    if asked.code in WRITE_ONE:
+def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
+    """The values that a response brings; None if it only repeats the request's."""
+    if request.code in WRITE_ONE:
         return None
-    values = _values(answered)
-    if values is not None and asked.code in READ_BITS:
-        values = values[: asked.number("quantity")]  # The rest of the last byte is padding.
+    values = _values(response)
+    if values is not None and request.code in READ_BITS:
+        values = values[: request.number("quantity")]  # The rest of the last byte is padding.
     return _listed(values)
 
 

@@ -1,15 +1,20 @@
-"""A file that is a complete MCAP file at every moment, however its writer ends."""
+"""Writes a file that is a complete MCAP file at every moment, even if its writer is killed."""
 
-# Layout while it grows (docs/decisions/0001-always-complete-log.md):
+# Layout while the file grows (docs/decisions/0001-always-complete-log.md):
 #
 #     records so far | DataEnd Footer magic            the tail, 50 bytes; the summary is empty
 #
-# Strategy: more records replace the tail back to front. First the tail is written where it will
-# end; readers stop at the old one, and the file ends as a file must. Then all between. Last the
-# old tail's own 50 bytes, which makes everything visible at once. A private record of a few bytes
-# keeps every tail inside one 512-byte sector: a kernel that is told to kill a process stops a
-# write between pages only, and a disk that loses power writes a sector or does not. What the disk
-# has no room for is never in view, so there is nothing to repair.
+# New records replace the tail, and are written back to front:
+#
+#     1  the new tail, at its final place: readers still stop at the old tail, and the file has a
+#        valid end
+#     2  everything between the old tail and the new one
+#     3  the 50 bytes of the old tail, which makes all new records visible at once
+#
+# A tail must not be written in part. So a private record of a few bytes is inserted where needed to
+# keep each tail inside one 512-byte sector: the kernel stops the write of a killed process only
+# between pages, and a disk that loses power writes a sector entirely or not at all. If the disk is
+# full, step 3 never happens and the file stays as it was.
 
 from __future__ import annotations
 
@@ -18,6 +23,7 @@ import zlib
 from typing import TYPE_CHECKING, BinaryIO
 
 from mbtool.core import OutputError
+from mbtool.core.errors import reason_of
 from mbtool.logs.layout import (
     DATA_END_SIZE,
     FOOTER_SIZE,
@@ -37,16 +43,20 @@ _sync_data = os.fdatasync if hasattr(os, "fdatasync") else os.fsync
 
 
 class CompleteFile:
-    """Grows by whole records. `file` is empty, unbuffered, and closed by `close`."""
+    """A growing MCAP file."""
 
     def __init__(self, file: BinaryIO, name: str, head: bytes) -> None:
-        """Write the magic and the first records, `head`. Raises OutputError."""
+        """Write `head`: the magic and the first records.
+
+        `file` is empty and unbuffered, and `close` closes it. `name` stands in errors. Raises
+        OutputError.
+        """
         self._file = file
         self._name = name
         self._failure: OutputError | None = None
         head += _padding(len(head), TAIL_SIZE, 0)
         self.position = len(head)
-        """Where the next record goes."""
+        """The offset of the next record."""
         self._crc = zlib.crc32(head)
         try:
             self._write(0, head + data_end(self._crc) + footer())
@@ -63,14 +73,14 @@ class CompleteFile:
         return self._file.closed
 
     def hold(self) -> BinaryIO:
-        """The file once more, with the lock that it has."""
+        """A second handle of the file, which keeps its lock until it is closed."""
         return open(os.dup(self._file.fileno()), "wb", buffering=0)
 
     def append(self, records: bytes, *, sync: bool) -> None:
-        """Add records; with `sync`, they are on the disk afterwards. Raises OutputError.
+        """Add records; with `sync`, return when they are on the disk. Raises OutputError.
 
-        After an error the file is as it was and takes no more: each later write raises that error,
-        so that the reason is told whichever of them comes to be the last.
+        After an error the file is as it was before. Every later write raises the same error again,
+        so that the caller sees the reason even if it handles only the last one.
         """
         records += _padding(self.position + len(records), TAIL_SIZE, TAIL_SIZE - len(records))
         crc = zlib.crc32(records, self._crc)
@@ -80,13 +90,15 @@ class CompleteFile:
         self._crc = crc
 
     def finish(self, summary: Callable[[int], tuple[bytes, bytes]]) -> None:
-        """Add the summary section: `summary` makes it and its footer, given where it starts.
+        """Add the summary section.
 
-        Its length must not depend on where that is. Raises OutputError.
+        `summary` takes the offset at which the section starts and returns the section and its
+        footer; their lengths must not depend on the offset. Raises OutputError.
         """
         length = DATA_END_SIZE + len(summary(0)[0])
         if not _fits(self.position + length, FOOTER_SIZE):
-            # Few positions are bad for a tail or a footer, so one of a sector's is good for both.
+            # A filler record moves the tail and the footer to places where each fits in a sector.
+            # Few places in a sector are bad, so there is always a size that is good for both.
             size = next(
                 size
                 for size in range(TAIL_SIZE, TAIL_SIZE + SECTOR)
@@ -98,7 +110,7 @@ class CompleteFile:
         section, end = summary(start)
 
         def write() -> None:
-            # The empty footer keeps the file readable from its start until the summary stands.
+            # With an empty footer first, the file is readable until the summary is on the disk.
             self._replace(start, section + footer(), FOOTER_SIZE, sync=True)
             self._write(start + len(section), end)
             self._sync()
@@ -118,7 +130,7 @@ class CompleteFile:
             raise self._failure from error
 
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
-        """Replace the last `old_size` bytes of the file, which stand at `at`, back to front."""
+        """Replace the last `old_size` bytes of the file, from offset `at` on, back to front."""
         end = len(new) - old_size
         self._write(at + end, new[end:])
         self._write(at + old_size, new[old_size:end])
@@ -139,13 +151,17 @@ class CompleteFile:
 
     def _error(self, error: OSError) -> OutputError:
         return OutputError(
-            f"{self._name}: the log cannot be written: {error.strerror or error}; "
+            f"{self._name}: the log cannot be written: {reason_of(error)}; "
             "what was written before can be read"
         )
 
 
 def _padding(end: int, tail: int, minimum: int) -> bytes:
-    """A private record of at least `minimum` bytes after which a tail fits into one sector."""
+    """A private record of at least `minimum` bytes, so that the tail after it is in one sector.
+
+    `end` is the offset at which the record begins, `tail` the size of the tail. Empty if none is
+    needed.
+    """
     size = max(minimum, RECORD_HEAD.size) if minimum > 0 else 0
     if not _fits(end + size, tail):
         size = max(size + SECTOR - (end + size) % SECTOR, RECORD_HEAD.size)
@@ -153,4 +169,5 @@ def _padding(end: int, tail: int, minimum: int) -> bytes:
 
 
 def _fits(start: int, size: int) -> bool:
+    """True if so many bytes from an offset on are in one sector."""
     return start % SECTOR + size <= SECTOR

@@ -1,12 +1,12 @@
 """Writes messages into MCAP chunks with their indexes, and the summary at the end."""
 
-# Messages gather in one open chunk. A chunk is sealed (packed with zstd, its message indexes after
-# it) when it holds CHUNK_SIZE bytes, when a record that stands outside chunks follows, or at a
-# flush; sealed bytes are on their way to the file at once when they are that many, else at the
-# flush. Schemas and channels stand in the chunk that first uses them.
+# Messages are collected in one open chunk. The chunk is sealed (compressed with zstd, followed by
+# its message indexes) when it has CHUNK_SIZE bytes, before a record that must be outside chunks,
+# and at a flush. Sealed bytes go to the file at the next flush; a full chunk causes one. Schemas
+# and channels are in the chunk that first uses them.
 #
-# Holds: one chunk; for the summary the indexes as bytes, about 110 for each chunk (two chunks a
-# second for a day: 19 MB).
+# Memory: one chunk, and the chunk indexes for the summary, about 110 bytes for each chunk (two
+# chunks a second for a day: 19 MB).
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _INDEX_HEAD = struct.Struct("<HI")
 
 
 class Topic:
-    """A channel that messages are added to."""
+    """An MCAP channel, with the index of its messages in the open chunk."""
 
     __slots__ = ("count", "id", "index")
 
@@ -52,7 +52,7 @@ class Topic:
         self.id = channel_id
         self.count = 0
         self.index = bytearray()
-        """The open chunk's messages: time and place of each."""
+        """For each message in the open chunk, its time and its offset in the chunk."""
 
 
 class Container:
@@ -76,11 +76,11 @@ class Container:
 
     @property
     def pending(self) -> bool:
-        """Whether anything has been added since the last flush."""
+        """True if anything was added since the last flush."""
         return bool(self._chunk or self._sealed)
 
     def add_topic(self, name: str, schema_name: str, schema: bytes) -> Topic:
-        """Announce a topic of JSON messages with a jsonschema; at most MAX_CHANNELS."""
+        """Add a topic of JSON messages, with its JSON schema; at most MAX_CHANNELS topics."""
         known = self._schemas.get(schema_name)
         if known is None:
             known = Schema(
@@ -102,7 +102,7 @@ class Container:
         return topic
 
     def add_message(self, topic: Topic, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Add one message. A time that MCAP cannot say becomes the nearest that it can."""
+        """Add one message. Times outside 0 to MAX_TIME are set to the nearer limit."""
         log_ns = min(max(log_ns, 0), MAX_TIME)
         publish_ns = min(max(publish_ns, 0), MAX_TIME)
         if not topic.index:
@@ -141,7 +141,10 @@ class Container:
         self._sealed += record
 
     def flush(self, *, sync: bool) -> None:
-        """Bring all that was added into the file. Raises OutputError; then it is forgotten."""
+        """Write everything that was added to the file.
+
+        Raises OutputError; what could not be written is then dropped.
+        """
         self._seal()
         if self._sealed:
             sealed, self._sealed = bytes(self._sealed), bytearray()
@@ -154,12 +157,12 @@ class Container:
 
     @property
     def _next(self) -> int:
-        """Where the next sealed record comes to stand."""
+        """The offset that the next sealed record will have in the file."""
         return self._file.position + len(self._sealed)
 
     def _seal(self) -> None:
         if self._chunk_times is None:
-            return  # A topic without a message waits for its first one.
+            return  # Schemas and channels without a message stay in the open chunk.
         content, self._chunk = self._chunk, bytearray()
         (start_ns, end_ns), self._chunk_times = self._chunk_times, None
         data = self._compressor.compress(content)

@@ -1,12 +1,12 @@
-"""Creates the file of a log, which belongs to its recorder alone."""
+"""Creates and locks the file of a log."""
 
-# A recorder must not take from another what that one has written, nor from the user what is no
-# file: a device, a pipe. So a log is a regular file that was not there, or one that the user lets
-# go and that no recorder has open. A symbolic link is followed and stays.
+# A recorder must not overwrite a file that another recorder is writing, nor write to a device or a
+# pipe. So a log is a new regular file, or an existing one that the user allows to be replaced and
+# that no recorder has open. A symbolic link is followed and stays.
 #
-# The lock is the kernel's own (flock), on the file itself: it ends with the process, however that
-# ends, and leaves nothing behind. A file that is replaced is emptied only once it is locked. Where
-# a system or a file system has no such locks (Windows, some network shares), recorders go without.
+# The lock is the kernel's (flock), on the file itself. It ends with the process, even if that is
+# killed, and leaves no lock file behind. A file that is replaced is emptied only after it is
+# locked. There is no lock on Windows and on file systems without flock (some network shares).
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mbtool.core import OutputError, UsageError
+from mbtool.core.errors import reason_of
 
 if sys.platform != "win32":
     import fcntl
 
 
 def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
-    """An empty file, open for writing, unbuffered, and locked until it is closed.
+    """Create an empty file, open for writing, unbuffered, and locked until it is closed.
 
-    Raises UsageError for what cannot be created or may not be replaced, OutputError where another
-    recorder has the file.
+    Raises UsageError if it cannot be created or exists (without `replace`), OutputError if another
+    recorder has it open.
     """
-    demand_place(path, replace=replace)
+    check_path(path, replace=replace)
     try:
-        place = Path(os.path.realpath(path))
+        target = Path(os.path.realpath(path))
         flags = os.O_WRONLY | os.O_CREAT | (0 if replace else os.O_EXCL)
-        descriptor = os.open(place, flags | getattr(os, "O_BINARY", 0), 0o666)
+        descriptor = os.open(target, flags | getattr(os, "O_BINARY", 0), 0o666)
     except FileExistsError:
         raise _exists(path) from None
     except (OSError, ValueError) as error:
@@ -48,12 +49,12 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
         file.close()
         raise
     if os.name == "posix":
-        _sync_folder(place.parent)
+        _sync_folder(target.parent)
     return file
 
 
-def demand_place(path: Path, *, replace: bool = False) -> None:
-    """See that a log may stand there, and create nothing. Raises UsageError."""
+def check_path(path: Path, *, replace: bool = False) -> None:
+    """Raise UsageError if no log can be created at a path; create nothing."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError as error:
@@ -71,7 +72,7 @@ def demand_place(path: Path, *, replace: bool = False) -> None:
 
 
 def _lock(file: BinaryIO, path: Path) -> None:
-    """Raise OutputError where another recorder has the file."""
+    """Lock the file. Raises OutputError if another recorder has locked it."""
     if sys.platform == "win32":
         return
     try:
@@ -92,16 +93,15 @@ def _exists(path: Path) -> UsageError:
 
 
 def _uncreated(path: Path, error: OSError | ValueError) -> UsageError:
-    reason = getattr(error, "strerror", None) or str(error)
-    return UsageError(f"{path}: the log cannot be created: {reason}")
+    return UsageError(f"{path}: the log cannot be created: {reason_of(error)}")
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the file's name last through a power cut."""
+    """Write the folder's entry for a new file to the disk, so that it survives a power cut."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:
-        return  # A folder that may be written and not read: the name lasts when the kernel says so.
+        return  # The folder may be written but not read; the kernel writes its entry later.
     try:
         os.fsync(descriptor)
     except OSError:

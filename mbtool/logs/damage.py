@@ -1,10 +1,10 @@
-"""What of a log is damaged: counted while it is read, told when it has been."""
+"""Counts the damaged places of a log while it is read, and reports them."""
 
-# One byte that changed costs the record that it stands in, and no more: what is left out is counted
-# here, and a hole among the items is told where it is, so that nobody joins what stands before it
-# to what stands behind.
+# A damaged byte costs only the record that holds it. Skipped records are counted here. Where items
+# may be missing, a GAP event is put among the items, so that the decoder does not join bytes from
+# before the damage to bytes from after it.
 #
-# Holds the first damage and counts, however many there are.
+# Memory: the text of the first damage, and counts.
 
 from __future__ import annotations
 
@@ -18,37 +18,39 @@ if TYPE_CHECKING:
 
 
 class Damage:
-    """The damaged places of one log; false where there are none."""
+    """The damaged places of one log; false if there are none."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._first = ""
         self._places = 0
-        self._left_out = 0
+        self._skipped = 0
+        """Bytes in all that were skipped."""
         self._hole = 0
+        """Bytes skipped since the last item, among which items may have been."""
         self._hole_at = 0
 
     def __bool__(self) -> bool:
         return self._places > 0
 
-    def add(self, error: DamageError, left_out: int = 0) -> None:
-        """Count a damaged place, for which so many bytes of the log are left out."""
+    def add(self, error: DamageError, skipped: int = 0) -> None:
+        """Count a damaged place, with the number of bytes that are skipped for it."""
         if not self._places:
             self._first = str(error).removeprefix(f"{self._name}: ")
         self._places += 1
-        self._left_out += left_out
+        self._skipped += skipped
 
-    def add_hole(self, error: DamageError, offset: int, left_out: int) -> None:
+    def add_hole(self, error: DamageError, offset: int, skipped: int) -> None:
         """Count a damaged place that may have held items."""
-        self.add(error, left_out)
+        self.add(error, skipped)
         if not self._hole:
             self._hole_at = offset
-        self._hole += left_out
+        self._hole += skipped
 
-    def hole(self, ts_ns: int) -> list[WireEvent]:
-        """The hole before an item of this time, if there is one that is not told yet.
+    def take_gap(self, ts_ns: int) -> list[WireEvent]:
+        """The GAP event, with this time, for places that were not reported yet; else nothing.
 
-        A time of 0 is none: nothing stands around the hole.
+        A time of 0 means that the log has no item, so there is nothing to report a gap between.
         """
         if not self._hole or not ts_ns:
             return []
@@ -59,18 +61,18 @@ class Damage:
         return [WireEvent(ts_ns=ts_ns, link="", kind=EventKind.GAP, message=message)]
 
     def error(self) -> DamageError:
-        """What to raise where a log was read to its end."""
-        rest = ", all else was read" if self._left_out else ""
-        return DamageError(f"{self._name}: {self._told()}{rest}")
+        """The error to raise after a log was read to its end."""
+        rest = ", all else was read" if self._skipped else ""
+        return DamageError(f"{self._name}: {self._summary()}{rest}")
 
-    def joined_to(self, end: InputError) -> InputError:
-        """What to raise where reading ended with an error."""
-        return type(end)(f"{end}; before that, {self._told()}")
+    def added_to(self, end: InputError) -> InputError:
+        """The error to raise if reading ended early with an error, `end`."""
+        return type(end)(f"{end}; before that, {self._summary()}")
 
-    def _told(self) -> str:
-        told = self._first
+    def _summary(self) -> str:
+        summary = self._first
         if self._places > 1:
-            told += f", and at {counted(self._places - 1, 'more place')}"
-        if self._left_out:
-            told += f"; {self._left_out} bytes of the log are left out"
-        return told
+            summary += f", and at {counted(self._places - 1, 'more place')}"
+        if self._skipped:
+            summary += f"; {self._skipped} bytes of the log are left out"
+        return summary

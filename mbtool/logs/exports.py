@@ -1,13 +1,13 @@
-"""Transactions and events as lines of text: jsonl and CSV."""
+"""Formats transactions and events as lines of jsonl or CSV."""
 
-# One jsonl line is one transaction with the fields of docs/log-format.md, or one event. An event is
-# told by `kind`, which no transaction has, and a transaction by `outcome`, which no event has:
+# A jsonl line is one transaction with the fields of docs/log-format.md, or one event. Only events
+# have `kind`, and only transactions have `outcome`:
 #
 #     jq 'select(.outcome == "exception")'      jq 'select(.kind == "gap")'
 #
-# In CSV a list's values are parted by spaces, and a line end inside a text becomes a space.
-#
-# Bytes are lower-case hex; times are UTC nanoseconds as integers; what does not apply is absent.
+# Bytes are lower-case hex; times are UTC nanoseconds as integers; a field that does not apply is
+# absent in jsonl and empty in CSV. In CSV the values of a list are separated by spaces, and a line
+# end inside a text becomes a space.
 
 from __future__ import annotations
 
@@ -58,16 +58,16 @@ CSV_COLUMNS = (
     "request_raw",
     "response_raw",
 )
-"""The columns in their order. A column keeps its name and meaning; a new one is the last."""
+"""The columns in order. A column never changes its name or meaning; new columns come last."""
 
 
 def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
-    """One line, with its end."""
+    """One line, with its line end."""
     return _line(transaction, "request_raw", "response_raw")
 
 
 def event_to_jsonl(event: WireEvent) -> bytes:
-    """One line, with its end."""
+    """One line, with its line end."""
     return _line(EventMessage.of(event), "raw")
 
 
@@ -75,7 +75,7 @@ class CsvWriter:
     """Writes transactions as CSV rows of one line each, after a row of column names."""
 
     def __init__(self, stream: TextIO) -> None:
-        """`stream` is opened with newline=""."""
+        """Write the column names. `stream` must be opened with newline=""."""
         self._writer = csv.writer(stream, lineterminator="\n")
         self._writer.writerow(CSV_COLUMNS)
 
@@ -84,7 +84,7 @@ class CsvWriter:
 
 
 def csv_row(transaction: NamedTransaction) -> list[str]:
-    """The cells of CSV_COLUMNS; empty where a field does not apply."""
+    """The cells of CSV_COLUMNS; empty if a field does not apply."""
     fields = _with_hex(transaction)
     points = "; ".join(
         f"{point.name}{':=' if point.written else '='}{point.text}" for point in transaction.points
@@ -93,9 +93,9 @@ def csv_row(transaction: NamedTransaction) -> list[str]:
     return [_cell(fields.get(column)) for column in CSV_COLUMNS]
 
 
-def _line(message: msgspec.Struct, *of_bytes: str) -> bytes:
-    # A Struct takes a text where its field has bytes, so one copy is all that the hex costs.
-    hexes = {name: raw.hex() for name in of_bytes if (raw := getattr(message, name))}
+def _line(message: msgspec.Struct, *bytes_fields: str) -> bytes:
+    # A Struct does not check types, so its bytes fields can be replaced by hex texts in one copy.
+    hexes = {name: raw.hex() for name in bytes_fields if (raw := getattr(message, name))}
     return _encode(msgspec.structs.replace(message, **hexes)) + b"\n"
 
 

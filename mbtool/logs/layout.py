@@ -1,10 +1,10 @@
-"""The bytes of an MCAP file that the writer and the reader share."""
+"""Defines the bytes of an MCAP file that both the writer and the reader need."""
 
 #     magic | record ... | DataEnd | summary ... | Footer | magic
 #     record = opcode (1 byte), length (8 bytes), content; integers are little-endian
 #
-# Source: the MCAP format specification, https://mcap.dev/spec. The `mcap` package has the records;
-# what is here is what its classes keep to themselves or do too slowly for one call per message.
+# Source: the MCAP format specification, https://mcap.dev/spec. The `mcap` package defines the
+# records; this module adds what its classes do not make public, or do too slowly for each message.
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time."""
 
 PRIVATE = 0x80
-"""The first of the opcodes that a reader skips when it does not know them."""
+"""The first private opcode; readers skip private records that they do not know."""
 
 MAX_RECORD = 64 << 20
-"""The longest record and the largest unpacked chunk that a reader takes into memory."""
+"""Bytes of the longest record, and of the largest uncompressed chunk, that a reader accepts."""
 
 
 def packed(*records: McapRecord) -> bytes:
-    """Records as they stand in a file."""
+    """The bytes of records."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -53,7 +53,7 @@ def empty_record(size: int) -> bytes:
 
 
 def footer(summary_start: int = 0, offsets_start: int = 0, crc: int = 0) -> bytes:
-    """What a file ends with: Footer and magic."""
+    """The end of a file: Footer and magic."""
     return packed(Footer(summary_start, offsets_start, crc)) + MAGIC
 
 

@@ -1,4 +1,4 @@
-"""What a log says of its links and devices, for decoding it as the run did that made it."""
+"""Reads from a log the settings that are needed to decode its evidence again."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ SPEC = "spec"
 PORTS = "ports"
 RTU_PORTS = "rtu_ports"
 ANY_PORT = "any"
-"""What a log says of a link beside its name: the keys of its metadata."""
+"""The value among PORTS that means every TCP port; the others are keys of a link's metadata."""
 
 
 def all_assignments(log: LogReader, given: Assignments) -> Assignments:
-    """What the user gives, and for all others the log's own profiles."""
+    """The user's assignments, and the log's own for all devices that these do not name."""
     named = {str(assignment.who) for assignment in given}
     of_log = (
         Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))
@@ -29,18 +29,18 @@ def all_assignments(log: LogReader, given: Assignments) -> Assignments:
 
 
 def serial_lines(log: LogReader) -> dict[str, SerialLink]:
-    """The serial links by name. Raises UsageError for one that cannot be read."""
+    """The serial links by name. Raises UsageError for a link spec that cannot be parsed."""
     links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
     return {name: link for name, link in links if isinstance(link, SerialLink)}
 
 
 def names_any_port(log: LogReader) -> bool:
-    """Whether Modbus was looked for at all ports."""
+    """True if the recorder looked for Modbus at all TCP ports."""
     return any(ANY_PORT in one.get(PORTS, "").split() for one in log.links.values())
 
 
 def ports_of(log: LogReader, key: str) -> tuple[int, ...]:
-    """The numbers that PORTS or RTU_PORTS of any link hold."""
+    """The port numbers of all links under a key: PORTS or RTU_PORTS."""
     texts = (one.get(key, "") for one in log.links.values())
     ports = {port for text in texts for port in text.split()}
     return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

@@ -1,8 +1,8 @@
-"""The messages of the log as they stand in JSON, and the values they are made of."""
+"""Defines the JSON messages of the log, and converts items to messages and back."""
 
-# A transaction is its own message: NamedTransaction is a msgspec.Struct. The other values of the
-# core are dataclasses that know nothing of JSON, so each has a Struct here, in which a field that
-# does not apply is absent. Bytes are base64, times are UTC nanoseconds as integers.
+# NamedTransaction is a msgspec.Struct and is a message itself. The core's values are dataclasses
+# that know nothing about JSON, so each has a Struct here. A field that does not apply is absent.
+# Bytes are base64, times are UTC nanoseconds as integers.
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mbtool.core import Chunk, Connection, Direction, EventKind, Packet, Stamp, 
 from mbtool.devices import NamedTransaction
 
 LogItem = Chunk | Packet | NamedTransaction | WireEvent
-"""What is written to a log and read back from it."""
+"""The values that are written to a log and read back from it."""
 
 
 class ChunkMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A Chunk, or a Packet: then it has a link type."""
+    """A Chunk or a Packet; only a Packet has a link type."""
 
     ts_ns: int
     link: str
@@ -83,30 +83,10 @@ class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
     @classmethod
     def of(cls, event: WireEvent) -> EventMessage:
-        return cls(
-            ts_ns=event.ts_ns,
-            link=event.link,
-            kind=event.kind,
-            message=event.message,
-            source=event.source,
-            destination=event.destination,
-            raw=event.raw,
-            missing=event.missing,
-            packets=event.packets,
-        )
+        return msgspec.convert(event, cls, from_attributes=True)
 
     def item(self) -> WireEvent:
-        return WireEvent(
-            ts_ns=self.ts_ns,
-            link=self.link,
-            kind=self.kind,
-            message=self.message,
-            source=self.source,
-            destination=self.destination,
-            raw=self.raw,
-            missing=self.missing,
-            packets=self.packets,
-        )
+        return msgspec.convert(self, WireEvent, from_attributes=True)
 
 
 class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -124,7 +104,7 @@ class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class Level(IntEnum):
-    """How grave, as Foxglove counts."""
+    """The level of a message in Foxglove's Log schema."""
 
     UNKNOWN = 0
     DEBUG = 1
@@ -135,7 +115,7 @@ class Level(IntEnum):
 
 
 class LogTime(msgspec.Struct, frozen=True, kw_only=True):
-    """A time as Foxglove writes it."""
+    """A time in Foxglove's form: UTC seconds since 1970, and nanoseconds of the second."""
 
     sec: int
     nsec: int

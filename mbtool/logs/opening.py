@@ -1,4 +1,4 @@
-"""Begins the log of a run: what it says of the run, its links, devices and profiles."""
+"""Creates the log of a run and records the run's links, devices and profiles in it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InterfaceLink, TapLink, UsageError
 from mbtool.devices import profile_to_json
-from mbtool.logs.creating import demand_place
+from mbtool.logs.creating import check_path
 from mbtool.logs.links import ANY_PORT, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.rotation import RotatingLog
 from mbtool.logs.writer import LogWriter
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from mbtool.logs.rotation import Rotation
 
 
-_OTHER_KINDS = frozenset({".pcap", ".pcapng", ".jsonl", ".csv"})
-"""Endings of names that say of a file what no log is."""
+_OTHER_SUFFIXES = frozenset({".pcap", ".pcapng", ".jsonl", ".csv"})
+"""Suffixes of file formats that are no log."""
 
 
-def begin_log(
+def create_log(
     path: str,
     links: Sequence[LinkSpec],
     assignments: Assignments,
@@ -38,11 +38,12 @@ def begin_log(
     rotation: Rotation | None = None,
     overwrite: bool = False,
 ) -> LogWriter | RotatingLog:
-    """Create a log and say in it all that decoding it again needs.
+    """Create a log with everything in it that is needed to decode it again.
 
-    Raises UsageError, and OutputError where another recorder has the file.
+    `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces.
+    Raises UsageError if the file cannot be created, OutputError if another recorder has it open.
     """
-    _demand_name(path)
+    _check_suffix(path)
     capture = {
         "host": platform.node(),
         "system": platform.platform(),
@@ -71,15 +72,15 @@ def begin_log(
     return log
 
 
-def demand_log(path: str, *, overwrite: bool = False) -> None:
-    """See that a log may be begun there, before anything is done for it. Raises UsageError."""
-    _demand_name(path)
-    demand_place(Path(path), replace=overwrite)
+def check_log_path(path: str, *, overwrite: bool = False) -> None:
+    """Raise UsageError if `create_log` could not create a log at a path; create nothing."""
+    _check_suffix(path)
+    check_path(Path(path), replace=overwrite)
 
 
-def _demand_name(path: str) -> None:
+def _check_suffix(path: str) -> None:
     name = PurePath(path)
-    if name.suffix.lower() in _OTHER_KINDS:
+    if name.suffix.lower() in _OTHER_SUFFIXES:
         raise UsageError(f"{path}: a log is an MCAP file: name it {name.with_suffix('.mcap')}")
 
 

@@ -1,7 +1,7 @@
-"""Which named values have changed since they were last seen."""
+"""Finds the points whose values have changed since they were last seen."""
 
-# Holds the last value of at most MAX_POINTS points; beyond, the one that changed least recently is
-# forgotten, and counts as changed when it comes again.
+# Memory: the last value of at most MAX_POINTS points. Beyond that the point that has not changed
+# for longest is dropped, and counts as changed when it is seen again.
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ MAX_POINTS = 65536
 
 
 class PointChanges:
-    """Looks at transactions in order. The first value of a point is a change."""
+    """Takes transactions in order. The first value of a point counts as a change."""
 
     def __init__(self, limit: int = MAX_POINTS) -> None:
         self._limit = limit
         self._last: dict[tuple[str, int, str | None, str], tuple[float | None, str]] = {}
 
     def changes(self, transaction: NamedTransaction, ts_ns: int) -> Iterator[PointMessage]:
-        """The values that this transaction changes; none where it had no effect on the device."""
+        """The points that changed; none if the transaction had no effect on the device."""
         if not transaction.points or not transaction.took_effect:
             return
         link, unit, device = transaction.link, transaction.unit, transaction.device

@@ -1,15 +1,18 @@
-"""Reads a log back: the items that were written, and what is known about them."""
+"""Reads a log: its items, and the metadata about them."""
 
-# A log is read from its start to its end, in the order in which it was written, so a pipe will do
-# and a log that is cut off gives all whole chunks before the cut. The metadata that stands before
-# the first item is known once a LogReader is made; what follows later is added as it is met.
+# A log is read from start to end, in the order in which it was written. So it can come from a pipe,
+# and a log that is cut off gives all complete chunks before the cut. The metadata before the first
+# item is known as soon as a LogReader is made; later metadata is added when it is reached.
 #
-# Raises InputError for a file of another kind, CutError for a file that ends early, DamageError for
-# damage; the last two after everything that is whole was given. A chunk or an attachment whose CRC
-# is wrong is left out, and where items may be missing a GAP of no link stands in their place. No
-# item is ever wrong, as each chunk is under a CRC; damage between chunks can hide one, which the
-# CRC of the whole tells at the end, and can make lengths wrong, which ends the reading there. A
-# recording that was killed is not cut: it is complete, and only `closed` tells.
+# Errors: InputError for a file of another kind, CutError for a file that ends early, DamageError
+# for damaged bytes. The last two are raised after all intact items were returned.
+#
+# Damage: a chunk or an attachment with a wrong CRC is skipped. Where items may be missing there is
+# a GAP event without a link in their place. Each chunk has a CRC, so no wrong item is returned.
+# Damage between chunks can hide an item, which the CRC of the whole data section shows at the end;
+# a wrong length of a record ends the reading there.
+#
+# The log of a recorder that was killed is complete, and only `closed` shows that it was.
 
 from __future__ import annotations
 
@@ -24,6 +27,8 @@ import msgspec
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from mbtool.core import Chunk, DamageError, InputError, Packet, WireEvent
+from mbtool.core.closing import ClosesOnExit
+from mbtool.core.errors import reason_of
 from mbtool.devices import NamedTransaction
 from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage
@@ -36,23 +41,23 @@ if TYPE_CHECKING:
 
 _Message = ChunkMessage | NamedTransaction | EventMessage
 _ITEMS = frozenset({schemas.CHUNK, schemas.TRANSACTION, schemas.WIRE_EVENT})
-_OF_ITEMS = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
-"""The records that hold items, or say what items are."""
+_ITEM_OPCODES = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+"""Records that hold items, or define their types."""
 
 
-class LogReader:
-    """One pass over a log. A context manager whose exit closes the stream."""
+class LogReader(ClosesOnExit):
+    """Reads a log once. A context manager whose exit closes the stream."""
 
     capture: dict[str, str]
-    """What the recorder said of itself: version, host, command, clock, drop counts."""
+    """The run's metadata: version, host, command, clock, drop counts."""
     links: dict[str, dict[str, str]]
     """The settings of each link, by its name."""
     devices: dict[str, str]
-    """The profile of each device, by whom it was given for."""
+    """The name of each device's profile, by the device as `--device` names it."""
     profiles: dict[str, bytes]
     """The profiles in use, by name, as JSON."""
     closed: bool
-    """Whether the recorder closed it; known at the end."""
+    """True if the recorder closed the log; known once it was read to its end."""
 
     def __init__(
         self, stream: ByteStream, name: str, *, wait: Callable[[], bool] | None = None
@@ -98,29 +103,23 @@ class LogReader:
         return self._now_ns
 
     def items(self) -> Iterator[LogItem]:
-        """Everything that was written, in its order. One pass: a second call gives nothing."""
+        """All items in the order in which they were written. A second call returns nothing."""
         return self._read(_ITEMS)
 
     def transactions(self) -> Iterator[NamedTransaction]:
-        """Only the transactions, in place of `items`."""
+        """Only the transactions; use this or `items`, not both."""
         for item in self._read({schemas.TRANSACTION}):
             if isinstance(item, NamedTransaction):
                 yield item
 
     def evidence(self) -> Iterator[Chunk | Packet | WireEvent]:
-        """Only what was captured, in place of `items`; an event is a hole that damage has left."""
+        """Only the captured bytes, and GAP events where the log is damaged; instead of `items`."""
         for item in self._read({schemas.CHUNK}):
             if not isinstance(item, NamedTransaction):
                 yield item
 
     def close(self) -> None:
         self._stream.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _read_header(self, name: str) -> None:
         record = self._records.read()
@@ -142,7 +141,11 @@ class LogReader:
             )
 
     def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[McapRecord]:
-        """The records up to DataEnd; the rest of the file is checked."""
+        """Yield the records before DataEnd, then check the rest of the file.
+
+        With `wait`, a log that is still open is read again from its DataEnd until it is closed or
+        `wait` returns False.
+        """
         while True:
             record = self._records.read()
             if record.opcode != Opcode.DATA_END:
@@ -164,19 +167,19 @@ class LogReader:
 
     def _check_crc(self, data_end: McapRecord) -> None:
         if self._damage:
-            return  # The CRC of the whole has no more to tell.
+            return  # The CRC of the data section would only report the same damage again.
         try:
             self._records.check_crc(data_end)
         except DamageError as error:
             self._damage.add(error)
 
     def _is_open_end(self, record: McapRecord) -> bool:
-        """Whether this is the Footer of a log that is being written, or was when it was killed."""
+        """True for the Footer of a log that is being written, or whose recorder was killed."""
         return record.opcode == Opcode.FOOTER and self._records.summary_start(record) == 0
 
     def _learn(self, record: McapRecord) -> bool:
-        """Take in a record that stands outside chunks; False where it may hold items."""
-        if record.opcode in _OF_ITEMS:
+        """Take the metadata of a record outside chunks; False if the record may hold items."""
+        if record.opcode in _ITEM_OPCODES:
             return False
         try:
             self._learn_from(record)
@@ -211,21 +214,21 @@ class LogReader:
                 if not self._learn(record):
                     yield from self._items_of(record, wanted)
         except InputError as end:
-            yield from self._damage.hole(self._now_ns)
+            yield from self._damage.take_gap(self._now_ns)
             if self._damage:
-                raise self._damage.joined_to(end) from end
+                raise self._damage.added_to(end) from end
             raise
-        yield from self._damage.hole(self._now_ns)
+        yield from self._damage.take_gap(self._now_ns)
         if self._damage:
             raise self._damage.error()
 
     def _items_of(self, record: McapRecord, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
-        """What a record holds, up to where it is damaged."""
+        """The items of a record, up to the place where it is damaged."""
         is_chunk = record.opcode == Opcode.CHUNK
         try:
             for inner in self._records.unpack_chunk(record) if is_chunk else (record,):
                 for item in self._take(inner, wanted):
-                    yield from self._damage.hole(self._now_ns)
+                    yield from self._damage.take_gap(self._now_ns)
                     yield item
         except DamageError as error:
             self._damage.add_hole(error, record.offset, len(record.content))
@@ -264,9 +267,9 @@ class LogReader:
         yield message if isinstance(message, NamedTransaction) else message.item()
 
     def _schema_of(self, data: bytes) -> str:
-        """The schema of a message whose channel stood in what is left out; "" for no item's.
+        """The schema of a message whose channel was in a skipped chunk; "" if it is no item.
 
-        Each kind of item has fields that are in no other, so a message tells what it is.
+        Each type of item has required fields that no other has, so decoding finds the type.
         """
         for schema, decoder in self._decoders.items():
             with suppress(msgspec.MsgspecError):
@@ -276,18 +279,18 @@ class LogReader:
 
 
 def read_log(path: str | Path) -> Iterator[LogItem]:
-    """Everything that was written to a log, in its order. Raises InputError."""
+    """All items of a log in the order in which they were written. Raises InputError."""
     with LogReader.open(path) as log:
         yield from log.items()
 
 
 def follow(path: str | Path, wait: Callable[[], bool]) -> Iterator[LogItem]:
-    """As `read_log`, of a log that is being written: items come as they reach the disk.
+    """Read a log that is being written; yields items as they reach the disk. Raises InputError.
 
-    `wait` is called when there is no more; it returns when it is worth looking again, or False to
-    end. Ends by itself when the log is closed.
+    `wait` is called at the end of the file. It returns True to look again, or False to end. The
+    iterator also ends when the log is closed.
     """
-    # Unbuffered, as the writer replaces the end of the file, and a buffer would keep the old one.
+    # Unbuffered, as the writer replaces the end of the file, and a buffer would keep the old end.
     with _open(path, buffering=0) as stream:
         yield from LogReader(stream, str(path), wait=wait).items()
 
@@ -296,5 +299,4 @@ def _open(path: str | Path, buffering: int = -1) -> BinaryIO:
     try:
         return Path(path).open("rb", buffering=buffering)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path}: cannot be opened: {reason}") from error
+        raise InputError(f"{path}: cannot be opened: {reason_of(error)}") from error

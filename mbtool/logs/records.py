@@ -1,11 +1,11 @@
-"""Reads the records of an MCAP file, whole ones only, however the file was damaged."""
+"""Reads the complete records of an MCAP file, even if the file is damaged."""
 
-# The stock StreamReader takes what is left of a file for a whole field, trusts every length, and
-# cannot wait for more, so only its record classes are used here.
+# The mcap package's StreamReader accepts a truncated field, trusts every length, and cannot wait
+# for more bytes. So only its record classes are used here.
 #
-# Whatever the bytes, what is raised is CutError (the file ends inside a record), DamageError (a
-# record says what cannot be) or InputError (a file of another kind, one that cannot be read). A
-# record is at most MAX_RECORD long, packed or not.
+# For any bytes the only errors are CutError (the file ends inside a record), DamageError (a record
+# contradicts itself) and InputError (another kind of file, or one that cannot be read). A record
+# has at most MAX_RECORD bytes, compressed or not.
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk
 
 from mbtool.core import CutError, DamageError, InputError
+from mbtool.core.errors import reason_of
 from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ _FOOTER = struct.Struct("<QQI")
 
 
 class ByteStream(Protocol):
-    """What a log is read from."""
+    """A source of a log's bytes."""
 
     def read(self, size: int, /) -> bytes: ...
 
@@ -47,13 +48,13 @@ class McapRecord(NamedTuple):
     """One record of the file or of a chunk."""
 
     offset: int
-    """Where it begins in the file; for a record in a chunk, where the chunk begins."""
+    """The file offset of the record; for a record in a chunk, of the chunk."""
     opcode: int
     content: bytes
 
 
 class RecordStream:
-    """Gives the records of a stream in order; `name` stands in errors."""
+    """Reads the records of a stream in order; `name` stands in errors."""
 
     def __init__(self, stream: ByteStream, name: str) -> None:
         self._stream = stream
@@ -61,10 +62,10 @@ class RecordStream:
         self._position = 0
         self._crc = 0
         self._crc_before = 0
-        """Of all that was read before the last record."""
+        """The CRC of all bytes before the last record."""
 
     def read_magic(self) -> None:
-        """Raise InputError where a file of another kind begins, CutError where it ends early."""
+        """Read the magic. Raises InputError for another kind of file, CutError if it ends early."""
         at = self._position
         magic = self._read(len(MAGIC), at, partly=True)
         if not magic and at == 0:
@@ -77,7 +78,7 @@ class RecordStream:
             raise self._cut(at)
 
     def read(self) -> McapRecord:
-        """The next record. Raises CutError; DamageError where what follows cannot be found."""
+        """The next record. Raises CutError; DamageError if its length is impossible."""
         offset = self._position
         self._crc_before = self._crc
         opcode, length = RECORD_HEAD.unpack(self._read(RECORD_HEAD.size, offset))
@@ -89,25 +90,25 @@ class RecordStream:
         return McapRecord(offset, opcode, self._read(length, offset))
 
     def check_crc(self, data_end: McapRecord) -> None:
-        """Raise DamageError where a DataEnd, just read, says that what was before it is damaged."""
+        """Raise DamageError if the bytes before a DataEnd, just read, do not match its CRC."""
         expected = self._unpack(_DATA_END, data_end)[0]
         if expected not in (0, self._crc_before):
             raise self.damaged(data_end.offset, "the bytes before are not those that were written")
 
     def seek(self, offset: int) -> None:
-        """Go to an offset, so that what has been written there meanwhile is read."""
+        """Go back to an offset, to read what was written there meanwhile."""
         self._stream.seek(offset)
         self._position = offset
 
     def parse(self, record: McapRecord, read: Callable[[ReadDataStream], _T]) -> _T:
-        """Take a record apart with one of mcap's classes. Raises DamageError."""
+        """Parse a record with `read` of one of mcap's classes. Raises DamageError."""
         try:
             return read(ReadDataStream(io.BytesIO(record.content)))
         except (McapError, struct.error, ValueError, OverflowError) as error:
             raise self.damaged(record.offset, "a record that ends too early") from error
 
     def summary_start(self, footer: McapRecord) -> int:
-        """Where a Footer says that the summary starts; 0 where there is none."""
+        """The offset of the summary that a Footer gives; 0 if there is no summary."""
         return self._unpack(_FOOTER, footer)[0]
 
     def unpack_chunk(self, record: McapRecord) -> Iterator[McapRecord]:
@@ -151,10 +152,9 @@ class RecordStream:
             try:
                 piece = self._stream.read(missing)
             except EOFError:
-                piece = b""  # A packed file that was cut.
+                piece = b""  # A compressed file that was cut off.
             except (OSError, ValueError) as error:
-                reason = getattr(error, "strerror", None) or str(error)
-                raise InputError(f"{self._name}: cannot be read: {reason}") from error
+                raise InputError(f"{self._name}: cannot be read: {reason_of(error)}") from error
             if not piece:
                 break
             pieces.append(piece)
@@ -174,7 +174,7 @@ def _decompress(chunk: Chunk) -> bytes:
         return chunk.data
     if chunk.compression != "zstd":
         raise ValueError(f"it is packed with {chunk.compression!r}; zstd would be right")
-    # A frame that states its own size is unpacked to that size whatever the limit is.
+    # zstd unpacks a frame that states its own size to that size, regardless of the limit.
     stated = zstandard.get_frame_parameters(chunk.data).content_size
     if stated not in (0, zstandard.CONTENTSIZE_UNKNOWN, chunk.uncompressed_size):
         raise ValueError("its size is not what its record says")

@@ -1,10 +1,10 @@
-"""A log that goes on in the next file when one is long enough."""
+"""Writes a log over several files, each limited in size or time."""
 
-# FILE.mcap, FILE-0002.mcap, FILE-0003.mcap, ...: each complete in itself, with the metadata, the
-# links and the profiles. A file ends at the first tick or item after it has reached its limit, so
-# it is longer by what one flush holds, and it holds at least one item. A number whose file exists
-# is left out. A transaction may stand in the file after its evidence's. FILE.mcap stays locked to
-# the end, so that no other recorder begins anew with the names that this one goes on with.
+# The files are FILE.mcap, FILE-0002.mcap, FILE-0003.mcap, ... Each is a complete log, with the
+# metadata, the links and the profiles. A file ends at the first tick or item after it has reached
+# its limit, so it is longer by up to one flush, and it has at least one item. A number whose file
+# exists already is skipped. A transaction may be in the file after that of its evidence. FILE.mcap
+# stays locked to the end, so that no other recorder starts a series with the same names.
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import UsageError
+from mbtool.core.closing import ClosesOnExit
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
@@ -29,11 +30,12 @@ _TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """When a log goes on in the next file: by size, or by time."""
+    """The limit of each file of a log: a size or a time."""
 
     size: int | None = None
     """Bytes on disk."""
     time_ns: int | None = None
+    """Time from the file's first tick."""
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -51,8 +53,8 @@ class Rotation:
         )
 
 
-class RotatingLog:
-    """Writes like a LogWriter, over as many files as its rotation asks for."""
+class RotatingLog(ClosesOnExit):
+    """A LogWriter that starts the next file when one has reached its limit."""
 
     def __init__(
         self,
@@ -62,13 +64,13 @@ class RotatingLog:
         capture: Mapping[str, str],
         replace: bool = False,
     ) -> None:
-        """Create the first file. Raises UsageError, as LogWriter."""
+        """Create the first file. Raises UsageError and OutputError as LogWriter does."""
         self._path = Path(path)
         self._rotation = rotation
         self._capture = dict(capture)
         self._replace = replace
         self._number = 1
-        self._introduction: list[Callable[[LogWriter], None]] = []
+        self._metadata: list[Callable[[LogWriter], None]] = []
         self._began_ns: int | None = None
         self._now_ns: int | None = None
         self._writer = self._open()
@@ -89,13 +91,13 @@ class RotatingLog:
         self._is_empty = False
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:
-        self._introduce(lambda writer: writer.add_link(name, settings))
+        self._add_to_each(lambda writer: writer.add_link(name, settings))
 
     def add_device(self, who: str, profile: str) -> None:
-        self._introduce(lambda writer: writer.add_device(who, profile))
+        self._add_to_each(lambda writer: writer.add_device(who, profile))
 
     def add_profile(self, name: str, profile_json: bytes) -> None:
-        self._introduce(lambda writer: writer.add_profile(name, profile_json))
+        self._add_to_each(lambda writer: writer.add_profile(name, profile_json))
 
     def tick(self, now_ns: int) -> None:
         if self._began_ns is None:
@@ -110,16 +112,10 @@ class RotatingLog:
         finally:
             self._first.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _introduce(self, say: Callable[[LogWriter], None]) -> None:
-        """Tell this file and each one after it."""
-        self._introduction.append(say)
-        say(self._writer)
+    def _add_to_each(self, add: Callable[[LogWriter], None]) -> None:
+        """Add metadata to this file and to each later one."""
+        self._metadata.append(add)
+        add(self._writer)
 
     def _rotate_if_due(self) -> None:
         if self._is_due():
@@ -127,8 +123,8 @@ class RotatingLog:
             self._number += 1
             self._began_ns = self._now_ns
             self._writer = self._open()
-            for say in self._introduction:
-                say(self._writer)
+            for add in self._metadata:
+                add(self._writer)
 
     def _is_due(self) -> bool:
         if self._is_empty:

@@ -1,10 +1,10 @@
-"""The JSON schema of each topic, made from the types that the messages are encoded from."""
+"""Makes the JSON schema of each topic from the type of its messages."""
 
-# The schemas keep to what Foxglove reads (its parseJsonSchema): objects with properties, arrays,
+# The schemas use only what Foxglove reads (its parseJsonSchema): objects with properties, arrays,
 # boolean, string, number, integer; no null, no union, no $ref; bytes are strings with
-# contentEncoding base64; an enumeration of numbers is a oneOf of title and const. An enumeration of
-# strings has no form there, so it is a string whose description lists the values. A field that does
-# not apply is absent, so `X | None` is X, not required.
+# contentEncoding base64; an enumeration of numbers is a oneOf of title and const. Foxglove has no
+# enumeration of strings, so that is a string whose description lists the values. A field that does
+# not apply is absent, so `X | None` becomes X, not required.
 
 from __future__ import annotations
 
@@ -43,21 +43,30 @@ _TITLES = {
     LOG: "A broken rule",
 }
 
+_POINT = {
+    "name": "The point's name in its manual",
+    "reference": "Its address in the vendor's notation",
+    "value": "The value as a number; absent if it is infinite or not a number",
+    "text": "The value as the manual writes it",
+    "unit": "The unit of measure",
+}
+"""The fields that a point has in a transaction and as a message of its own."""
+
 _DESCRIPTIONS: dict[type, dict[str, str]] = {
     ChunkMessage: {
         "ts_ns": "When it was captured, UTC nanoseconds",
         "link": "The bus, the slave's address, or the interface",
         "data": "The bytes",
-        "direction": "Who speaks, where the source knows it",
-        "stamp": "Whether the time is that of all bytes (a segment) or of the last (a serial read)",
+        "direction": "Who sent the bytes, if the source knows it",
+        "stamp": "Which bytes have this time: all (a segment) or only the last (a serial read)",
         "connection": "The TCP connection; absent on a serial line",
-        "link_type": "A packet's LINKTYPE_ of the pcap registry; absent where data is no packet",
-        "original_length": "A packet's bytes on the wire; more than data has where it was cut",
+        "link_type": "A packet's LINKTYPE_ of the pcap registry; absent if data is no packet",
+        "original_length": "A packet's length on the wire, in bytes; data is shorter if it was cut",
     },
     Connection: {
-        "master": "The end that asks",
-        "slave": "The end that answers",
-        "number": "Tells apart connections between the same ends",
+        "master": "The end that sends requests",
+        "slave": "The end that responds",
+        "number": "A number that differs between connections of the same ends",
     },
     Endpoint: {"host": "The address", "port": "The TCP port"},
     NamedTransaction: {
@@ -66,13 +75,13 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "source": "The master's endpoint, on a network",
         "destination": "The slave's endpoint, on a network",
         "unit": "The unit id: the slave's number",
-        "transaction_id": "Of Modbus/TCP",
+        "transaction_id": "The transaction id of Modbus/TCP",
         "function": "The function code, without the bit that marks an exception response",
         "function_name": "The function in words",
-        "sub_function": "Of diagnostics (08), and the MEI type of 2B",
-        "address": "The first address on the wire, counted from 0; where function 17H reads",
+        "sub_function": "The sub-function of diagnostics (08), or the MEI type of 2B",
+        "address": "The first address on the wire, counted from 0; function 17H reads there",
         "quantity": "How many registers or bits",
-        "write_address": "Where function 17H writes, counted from 0",
+        "write_address": "The first address that function 17H writes, counted from 0",
         "request_values": "What the request writes: registers as 0..65535, bits as 0 or 1",
         "response_values": "What the response brings: registers as 0..65535, bits as 0 or 1",
         "exception": "The exception code of the response",
@@ -85,19 +94,15 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "request_raw": "The whole ADU of the request",
         "response_raw": "The whole ADU of the response",
         "verdicts": "What was noticed about its frames",
-        "direction_by": "What decided who speaks",
-        "confidence": "How sure that is, 0 to 1",
+        "direction_by": "What decided the direction of its frames",
+        "confidence": "The probability that this direction is right, 0 to 1",
         "device": "The name of the device's profile",
         "reference": "What is addressed, in the vendor's notation",
         "points": "The named values that the response brought or the request asks to write",
         "findings": "Codes of broken rules",
     },
     PointValue: {
-        "name": "The point's name in its manual",
-        "reference": "Where it stands, in the vendor's notation",
-        "value": "The value as a number; absent where it is infinite or not a number",
-        "text": "The value as the manual would put it",
-        "unit": "The unit of measure",
+        **_POINT,
         "written": "True for what function 17H writes, beside what it reads; absent otherwise",
     },
     EventMessage: {
@@ -116,11 +121,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "link": "The bus or the slave's address",
         "unit_id": "The slave's number",
         "device": "The name of the device's profile",
-        "name": "The point's name in its manual",
-        "reference": "Where it stands, in the vendor's notation",
-        "value": "The value as a number; absent where it is infinite or not a number",
-        "text": "The value as the manual would put it",
-        "unit": "The unit of measure",
+        **_POINT,
     },
     LogMessage: {
         "timestamp": "When the transaction that broke the rule was complete",

@@ -1,26 +1,29 @@
-"""Writes a log: evidence, what was decoded from it, and all that a reader needs to know."""
+"""Writes a log: evidence, its decoding, and the metadata for reading both."""
 
-# The order in the file is the order of the calls, so evidence that is written before it is decoded
-# stands before what was decoded from it.
+# The order in the file is the order of the calls: evidence that is written before it is decoded
+# comes before the transactions decoded from it.
 #
-# The writer has no clock: `tick` tells it the time, and it flushes when something may have waited
-# for FLUSH_AFTER_NS. Ticked ten times a second it has at most 0.6 s in memory. Each such flush is
-# synced to the disk; a flush because a chunk is full is not, so a fast capture syncs as seldom as a
-# slow one, and the next tick's sync covers it. A log that is made from a file needs no ticks.
+# The writer has no clock: `tick` gives it the time. It flushes once something may have been in
+# memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory.
+# Such a flush is synced to the disk. The flush of a full chunk is not, so that a fast capture does
+# not sync more often than a slow one; the sync of the next tick covers it. A log that is made from
+# a file needs no ticks.
 #
-# Holds one chunk, the last value of the points it has seen (points.py), and the file's indexes
-# (container.py). Links after MAX_LINKS share the topics of OTHER_LINKS; their messages name them.
+# Memory: one chunk, the last value of each point (points.py), and the file's indexes
+# (container.py). Links after the first MAX_LINKS share the topics of OTHER_LINKS; each of their
+# messages still names its own link.
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 from mcap.records import Header
 
 from mbtool import __version__
 from mbtool.core import Chunk, OutputError, Packet
+from mbtool.core.closing import ClosesOnExit
 from mbtool.devices import NamedTransaction, finding_text
 from mbtool.devices.checking.rules import Severity, severity_of
 from mbtool.logs import schemas
@@ -48,16 +51,16 @@ MAX_LINKS = 10_000
 OTHER_LINKS = "others"
 
 
-class LogWriter:
+class LogWriter(ClosesOnExit):
     """A log that is complete on disk at every moment; a context manager whose exit closes it."""
 
     def __init__(
         self, path: str | Path, *, capture: Mapping[str, str], replace: bool = False
     ) -> None:
-        """Create the file. `capture` says what a reader should know: host, command, clock.
+        """Create the file. `capture` is metadata of the run: host, command, clock.
 
-        Raises UsageError where the file exists (unless `replace`) or cannot be created, OutputError
-        where another recorder has it.
+        Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
+        another recorder has it open.
         """
         self._path = Path(path)
         file = create_file(self._path, replace=replace)
@@ -68,7 +71,7 @@ class LogWriter:
         self._links: set[str] = set()
         self._encode = msgspec.json.Encoder().encode
         self._points = PointChanges()
-        self._quiet_ns = 0
+        self._flushed_ns = 0
         self._capture = {
             "log_format": str(FORMAT_VERSION),
             "version": __version__,
@@ -91,11 +94,11 @@ class LogWriter:
         return self._file.size
 
     def hold(self) -> BinaryIO:
-        """The file once more: no other recorder gets it until this is closed as well."""
+        """A second handle of the file, which keeps it locked until it is closed as well."""
         return self._file.hold()
 
     def write(self, item: LogItem) -> None:
-        """Add one item. Raises OutputError when the disk takes no more."""
+        """Add one item. Raises OutputError if it cannot be written."""
         if isinstance(item, NamedTransaction):
             self._write_transaction(item)
         elif isinstance(item, Chunk | Packet):
@@ -106,30 +109,31 @@ class LogWriter:
             self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:
-        """Say how a link is set up: its link spec, its line settings."""
+        """Add a link's settings as metadata: its link spec, its ports."""
         self._container.add_metadata(LINK, _clean({"name": name, **settings}))
 
     def add_device(self, who: str, profile: str) -> None:
-        """Say whom a profile was given for, in the words of `--device`."""
+        """Record which device has which profile; `who` names the device as `--device` does."""
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
     def add_profile(self, name: str, profile_json: bytes) -> None:
-        """Attach a profile in use, whole."""
+        """Attach a complete profile."""
         (clean,) = _clean({name: ""})
         self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
 
     def tick(self, now_ns: int) -> None:
-        """Learn the time, of any clock that goes forward. Raises OutputError."""
+        """Take the time, of any clock that goes forward, and flush if due. Raises OutputError."""
         if not self._container.pending:
-            self._quiet_ns = now_ns
-        elif not 0 <= now_ns - self._quiet_ns < FLUSH_AFTER_NS:
+            self._flushed_ns = now_ns
+        elif not 0 <= now_ns - self._flushed_ns < FLUSH_AFTER_NS:
             self._container.flush(sync=True)
-            self._quiet_ns = now_ns
+            self._flushed_ns = now_ns
 
     def close(self, final: Mapping[str, str] | None = None) -> None:
-        """Write what is left and the summary. `final` is what only the end shows: drop counts.
+        """Write what is in memory and the summary, and close the file.
 
-        Does nothing the second time. Raises OutputError; the file is closed all the same.
+        `final` is metadata that is known only at the end: drop counts. A second call does nothing.
+        Raises OutputError; the file is closed all the same.
         """
         if self._file.closed:
             return
@@ -140,14 +144,8 @@ class LogWriter:
         finally:
             self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _write_transaction(self, item: NamedTransaction) -> None:
-        # The time at which all of it was known, so that no viewer shows it before its evidence.
+        # The log time is that of the last byte, so that no viewer shows it before its evidence.
         known_ns = item.start_ns if item.response_ns is None else item.response_ns
         topic = self._topic(item.link, "transactions", schemas.TRANSACTION)
         self._add(topic, known_ns, item.start_ns, item)
@@ -162,7 +160,7 @@ class LogWriter:
         self._container.add_message(topic, log_ns, publish_ns, self._encode(message))
 
     def _topic(self, link: str, kind: str, schema: str) -> Topic:
-        """The topic of a kind of message; an empty link for one that all links share."""
+        """The topic of a link's messages of one kind; without a link, of all links' messages."""
         topic = self._topics.get((link, kind))
         if topic is not None:
             return topic
@@ -197,7 +195,7 @@ def _finding(code: str, item: NamedTransaction, ts_ns: int) -> LogMessage:
 
 
 def _clean(values: Mapping[str, str]) -> dict[str, str]:
-    """As Unicode can say it: a command line or a file name may hold bytes that are no text."""
+    """Replace what UTF-8 cannot encode: a command line may contain bytes that are no text."""
     return {_text(key): _text(value) for key, value in values.items()}
 
 

@@ -1,8 +1,9 @@
-"""What a --where expression can speak of, and which comparisons of it can ever hold."""
+"""Defines the names of the --where language, and rejects comparisons that are never true."""
 
-# Each name has a kind, and some a fixed set of words. A comparison across kinds, or with a word
-# that the name never has, would silently choose nothing; so it is refused when the expression is
-# read. Texts may be looked for in texts (`"HR4" in reference`); there a part of a word will do.
+# Each name has a kind (number, text, list), and some names a fixed set of texts. A comparison of
+# different kinds, or with a text that the name never has, would select nothing without a word; so
+# it is an error when the expression is parsed. A text may be searched in a text
+# (`"HR4" in reference`); there any part will do.
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from mbtool.modbus.adu import Transport, Verdict
 
 
 class ValueKind(StrEnum):
-    """What can be compared with what."""
+    """The kind of a term; only terms of one kind can be compared."""
 
     NUMBER = "a number"
     TEXT = "a text"
@@ -29,15 +30,16 @@ class Term:
     """One side of a comparison."""
 
     text: str
-    """How the expression, or this program, writes it."""
+    """The term as error messages write it."""
     value: Callable[[NamedTransaction], Any]
+    """Its value for a transaction; None if it does not apply."""
     kind: ValueKind
-    words: tuple[str, ...] = ()
-    """All that a name's text can be; none where it can be anything."""
+    choices: tuple[str, ...] = ()
+    """All texts that a name can have; empty if it can be any text."""
     constant: str | None = None
-    """A text that stands in the expression itself."""
+    """The text, if the term is a text in the expression."""
     items: tuple[Term, ...] = ()
-    """What a list can hold: its members, or for a name one that stands for all of them."""
+    """The members of a list; for a name, one term that stands for all members."""
 
     @property
     def described(self) -> str:
@@ -46,29 +48,29 @@ class Term:
         return f"{self.text} is {self.kind}"
 
 
-def complaint(left: Term, right: Term, *, membership: bool) -> str | None:
-    """Why a comparison can never hold, and what would be right; None where it can.
+def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
+    """Why a comparison can never be true, and what to write instead; None if it can.
 
-    `membership` says that the left is looked for in the right.
+    `membership` is True for `left in right`.
     """
     if not membership:
-        return _of_equals(left, right)
+        return _why_never_equal(left, right)
     if right.kind is ValueKind.LIST:
-        return _first(_of_equals(left, item) for item in right.items)
+        return _first(_why_never_equal(left, item) for item in right.items)
     if right.kind is ValueKind.TEXT:
         return None if left.kind is ValueKind.TEXT else _unlike(left, right)
     return f"{right.described}, and in looks into a list: unit in (1, 2)"
 
 
-def _of_equals(left: Term, right: Term) -> str | None:
+def _why_never_equal(left: Term, right: Term) -> str | None:
     if left.kind is ValueKind.LIST and right.kind is ValueKind.LIST:
-        return _first(_of_equals(one, other) for one in left.items for other in right.items)
+        return _first(_why_never_equal(one, other) for one in left.items for other in right.items)
     for one, other in ((left, right), (right, left)):
         if one.kind is ValueKind.LIST:
-            fits = not any(_of_equals(other, item) for item in one.items)
+            fits = not any(_why_never_equal(other, item) for item in one.items)
             return _unlike(left, right, f"write {other.text} in {one.text}" if fits else None)
-        if one.words and other.constant is not None and other.constant not in one.words:
-            return f"{one.text} is never {other.text}; it is {_either(one.words)}"
+        if one.choices and other.constant is not None and other.constant not in one.choices:
+            return f"{one.text} is never {other.text}; it is {_either(one.choices)}"
     return None if left.kind is right.kind else _unlike(left, right)
 
 
@@ -77,29 +79,29 @@ def _unlike(left: Term, right: Term, instead: str | None = None) -> str:
     return f"{both}; {instead or 'they cannot be compared'}"
 
 
-def _first(complaints: Iterable[str | None]) -> str | None:
-    return next((one for one in complaints if one is not None), None)
+def _first(reasons: Iterable[str | None]) -> str | None:
+    return next((one for one in reasons if one is not None), None)
 
 
-def _either(words: tuple[str, ...]) -> str:
-    return f"{', '.join(words[:-1])} or {words[-1]}"
+def _either(choices: tuple[str, ...]) -> str:
+    return f"{', '.join(choices[:-1])} or {choices[-1]}"
 
 
 def _number(name: str, value: Callable[[NamedTransaction], Any]) -> Term:
     return Term(text=name, value=value, kind=ValueKind.NUMBER)
 
 
-def _text(name: str, value: Callable[[NamedTransaction], Any], words: Iterable[str] = ()) -> Term:
-    return Term(text=name, value=value, kind=ValueKind.TEXT, words=tuple(words))
+def _text(name: str, value: Callable[[NamedTransaction], Any], choices: Iterable[str] = ()) -> Term:
+    return Term(text=name, value=value, kind=ValueKind.TEXT, choices=tuple(choices))
 
 
 def _list(
     name: str,
     value: Callable[[NamedTransaction], Any],
     kind: ValueKind,
-    words: Iterable[str] = (),
+    choices: Iterable[str] = (),
 ) -> Term:
-    item = Term(text=f"one of {name}", value=value, kind=kind, words=tuple(words))
+    item = Term(text=f"one of {name}", value=value, kind=kind, choices=tuple(choices))
     return Term(text=name, value=value, kind=ValueKind.LIST, items=(item,))
 
 
@@ -130,4 +132,4 @@ _TERMS = (
 )
 
 NAMES = {term.text: term for term in _TERMS}
-"""Each name and what it is of a transaction: None where it does not apply."""
+"""The names that an expression can use. README.md lists them."""

@@ -1,14 +1,14 @@
-"""The filter expressions of --where: compiled once, then asked about each transaction."""
+"""Compiles a --where expression into a test of transactions."""
 
-# The language is the comparisons of Python over the names in NAMES, joined by and, or, not:
+# An expression has Python's comparisons of the names in NAMES, combined with and, or, not:
 #
 #     unit == 5 and function in (3, 16)
 #     outcome == "exception" or latency_ms > 50
 #     40 <= address < 50 and 17 in values
 #
-# A name that does not apply to a transaction compares as false, whatever it is compared with.
-# The expression is parsed, never evaluated as Python: what is not a comparison is refused, and so
-# is one that can never hold, such as a number with a text (where_terms.py).
+# A comparison is false if one of its names does not apply to the transaction. The expression is
+# parsed, never evaluated as Python. Everything that is not a comparison is an error, and so is a
+# comparison that can never be true, such as a number with a text (terms.py).
 #
 # Limits: MAX_LENGTH characters, and MAX_DEPTH levels of not, and, or and parentheses.
 
@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import UsageError
-from mbtool.query.terms import NAMES, Term, ValueKind, complaint
+from mbtool.query.terms import NAMES, Term, ValueKind, why_never_true
 
 if TYPE_CHECKING:
     from mbtool.devices.named import NamedTransaction
@@ -53,7 +53,7 @@ def parse_where(text: str) -> Where:
         raise UsageError(f"--where takes at most {MAX_LENGTH} characters, not {len(text)}")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python warns of "\d"; here it is a text.
+            warnings.simplefilter("ignore")  # Python warns of "\d", which is a valid text here.
             tree = ast.parse(text, mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise UsageError(f"--where {_short(text)!r} is no expression; {_EXAMPLE}") from error
@@ -61,7 +61,7 @@ def parse_where(text: str) -> Where:
 
 
 class _Compiler:
-    """Makes functions of the nodes of one expression's tree."""
+    """Turns the nodes of one expression's syntax tree into functions."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -95,7 +95,7 @@ class _Compiler:
             if compare is None:
                 raise self._refused("compare with == and !=, not with is")
             membership = isinstance(one_operator, ast.In | ast.NotIn)
-            why = complaint(terms[at], terms[at + 1], membership=membership)
+            why = why_never_true(terms[at], terms[at + 1], membership=membership)
             if why is not None:
                 raise self._wrong(why)
             compares.append(compare)
@@ -109,7 +109,7 @@ class _Compiler:
                     compare(values[at], values[at + 1]) for at, compare in enumerate(compares)
                 )
             except TypeError:
-                return False  # A name inside a list does not apply: it is neither more nor less.
+                return False  # A name inside a list does not apply, so it cannot be ordered.
 
         return holds
 

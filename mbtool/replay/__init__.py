@@ -1,4 +1,4 @@
-"""Plays one side of a recording or both, and compares two. No I/O: the shells of slave/ do that."""
+"""Prepares a recording to be played as slave, master or bus, and compares recordings. No I/O."""
 
 from mbtool.replay.bus import BusPlayer, ByteRun
 from mbtool.replay.clock import PlayClock
@@ -11,8 +11,8 @@ from mbtool.replay.player import Device, OnMiss, RecordedSlave
 from mbtool.replay.recording import RecordedAnswer, Recording
 from mbtool.replay.script import Script, Step
 from mbtool.replay.steering import Control, PlayerControls, Progress, Steering
+from mbtool.replay.time_range import TimeRange
 from mbtool.replay.traffic import Traffic
-from mbtool.replay.window import TimeRange
 
 __all__ = [
     "BusPlayer",

@@ -1,26 +1,26 @@
-"""Plays a line: every byte of both sides, at its time."""
+"""Plays a serial line: every byte of master and slaves, at its recorded time."""
 
-# A piece is what one read of a port brought, or a frame made of a message that was recorded on a
-# network. It is due when its first byte began, by the clock.
+# A run is a sequence of bytes without gaps: the bytes of one read, or a frame made from a message
+# that was recorded on a network. It is due at the time at which its first byte began. If the
+# recording has a time for each byte, each byte is a run of its own, and the gaps between bytes are
+# played. Gaps inside one read are not known.
 #
-# A line carries one byte after the other. What begins a frame waits until the bytes before it have
-# passed, and for the silence that parts frames. Other bytes do not: the port sends them one behind
-# the other, so what followed without a gap does so again, however late one of them is; only when
-# the line is AHEAD_NS behind do they wait, so that no port is flooded. What the line delays by more
-# than BEHIND_NS is counted, and its wait is no lateness: a faster line would be the remedy.
+# A run that begins a frame waits until the bytes before it are sent, and then for the silence
+# between frames. Other runs are given to the port at once, so that bytes without a gap in the
+# recording have none on the line even if one of them is late. Only if more than AHEAD_NS of bytes
+# are still to be sent do they wait, so that the port's buffer does not overflow.
 #
-# What stands in a piece leaves without a gap: where the recording has a time for each byte, each is
-# a piece of its own, and the gaps between them are played; of what a port read in one go they are
-# not known.
+# A run that the line itself delays by more than BEHIND_NS is counted in `delayed` and not in
+# `lateness`: the line is too slow for the recording.
 #
-# Memory grows with the recording: a piece for each read or frame.
+# Memory grows with the recording: one run for each read or frame.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.replay.steering import Gate
+from mbtool.replay.play_queue import PlayQueue
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
@@ -37,101 +37,87 @@ BEHIND_NS = 1_000_000
 class ByteRun:
     """Bytes that follow each other without a gap."""
 
-    place_ns: int
-    """When the first of them began, since the beginning of what is played."""
+    position_ns: int
+    """When the first byte began, counted from the beginning of the part that is played."""
     data: bytes
     after_silence: bool = False
-    """The line is to be silent before it, as between frames."""
+    """True if the line must be silent before it, as between frames."""
 
 
 class BusPlayer:
-    """Says which piece is to be sent now. Pieces are in order of their places."""
+    """Decides which run is to be sent now."""
 
     def __init__(
-        self, pieces: Sequence[ByteRun], clock: PlayClock, *, character_ns: int, silence_ns: int
+        self, runs: Sequence[ByteRun], clock: PlayClock, *, character_ns: int, silence_ns: int
     ) -> None:
-        """`character_ns` and `silence_ns`, between frames, are those of the line played on."""
-        self._pieces = pieces
-        self._clock = clock
-        self._gate = Gate(clock)
+        """`runs` are in order of time.
+
+        `character_ns` and `silence_ns` are a character's time and the silence between frames on the
+        line that is played on.
+        """
+        self._queue = PlayQueue(runs, clock)
         self._character_ns = character_ns
         self._silence_ns = silence_ns
-        self._next = 0
-        self._lap = 0
         self._passed_ns: int | None = None
-        """When the last byte that was sent has passed; None before the first."""
+        """When the last byte given out leaves the line; None before the first."""
         self.bytes = 0
-        self.held = 0
-        """How many pieces the line delayed."""
+        self.delayed = 0
+        """How many runs the line delayed."""
         self.lateness = Sample()
-        """Of all other pieces, in nanoseconds."""
+        """How late all other runs were sent, in ns."""
 
     @property
     def has_ended(self) -> bool:
-        """Whether the last byte was sent."""
-        return self._upcoming() is None
+        """True if the last run was sent."""
+        return self._queue.upcoming() is None
 
     @property
     def sent(self) -> int:
-        """How many pieces have been sent, all laps together."""
-        return self._lap * len(self._pieces) + self._next
+        """How many runs were sent, over all laps."""
+        return self._queue.taken
 
     @property
     def passed_ns(self) -> int | None:
-        """When the last byte that was sent has passed."""
+        """When the last byte that was sent leaves the line; None before the first."""
         return self._passed_ns
 
-    def next_piece(self, now_ns: int) -> ByteRun | None:
-        """The piece to send at once; it counts as sent. None where there is none yet."""
-        piece = self._upcoming()
-        if piece is None:
+    def next_run(self, now_ns: int) -> ByteRun | None:
+        """The run to send at once, which then counts as sent; None if none is due."""
+        run = self._queue.upcoming()
+        if run is None or self._free_ns(run) > now_ns:
             return None
-        place_ns = self._place(piece)
-        if self._free_ns(piece) > now_ns:
-            return None
-        due_ns = self._gate.opens_ns(place_ns, now_ns)
+        due_ns = self._queue.due_ns(run, now_ns)
         if due_ns is None or due_ns > now_ns:
             return None
-        if self._gate.passes(place_ns, now_ns):
-            if self._busy_ns(piece) > due_ns + BEHIND_NS:
-                self.held += 1
+        if self._queue.take(run, now_ns):
+            if self._busy_ns(run) > due_ns + BEHIND_NS:
+                self.delayed += 1
             else:
                 self.lateness.add(now_ns - due_ns)
-        self._next += 1
-        self.bytes += len(piece.data)
+        self.bytes += len(run.data)
         begin_ns = now_ns if self._passed_ns is None else max(now_ns, self._passed_ns)
-        self._passed_ns = begin_ns + len(piece.data) * self._character_ns
-        return piece
+        self._passed_ns = begin_ns + len(run.data) * self._character_ns
+        return run
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """When the next piece is due; None while the clock stands, and behind the last."""
-        piece = self._upcoming()
-        if piece is None:
+        """When the next run is due; None while the clock stands still and after the last run."""
+        run = self._queue.upcoming()
+        if run is None:
             return None
-        due_ns = self._gate.opens_ns(self._place(piece), now_ns)
-        return None if due_ns is None else max(due_ns, self._free_ns(piece))
+        due_ns = self._queue.due_ns(run, now_ns)
+        return None if due_ns is None else max(due_ns, self._free_ns(run))
 
-    def let_go(self, _now_ns: int) -> None:
-        """Have one more piece sent while the clock stands."""
-        self._gate.let_go()
+    def allow_step(self, _now_ns: int) -> None:
+        """Let one more run be sent while the clock stands still."""
+        self._queue.allow_step()
 
-    def _free_ns(self, piece: ByteRun) -> int:
-        """From when on the line takes a piece."""
-        busy_ns = self._busy_ns(piece)
-        return busy_ns if piece.after_silence else busy_ns - AHEAD_NS
+    def _free_ns(self, run: ByteRun) -> int:
+        """The earliest time at which a run can be given to the port."""
+        busy_ns = self._busy_ns(run)
+        return busy_ns if run.after_silence else busy_ns - AHEAD_NS
 
-    def _busy_ns(self, piece: ByteRun) -> int:
-        """When the line has carried what comes before a piece, its silence included."""
+    def _busy_ns(self, run: ByteRun) -> int:
+        """When the line has carried everything before a run, with the silence before it."""
         if self._passed_ns is None:
             return 0
-        return self._passed_ns + (self._silence_ns if piece.after_silence else 0)
-
-    def _upcoming(self) -> ByteRun | None:
-        if self._next >= len(self._pieces):
-            if not self._clock.is_loop or not self._pieces:
-                return None
-            self._next, self._lap = 0, self._lap + 1
-        return self._pieces[self._next]
-
-    def _place(self, piece: ByteRun) -> int:
-        return piece.place_ns + self._clock.lap_begin(self._lap)
+        return self._passed_ns + (self._silence_ns if run.after_silence else 0)

@@ -1,18 +1,16 @@
-"""The clock of a recording that is played: where in it we are, and when a moment of it comes."""
+"""Converts real time to a position in a recording that is played, and back."""
 
-# One pair of moments, a real one and a place in the recording, is the anchor; everything else is
-# computed from it:
+# The conversion has one anchor: a real time and the position at that time.
 #
-#     place = anchor place + (now - anchor moment) x rate
+#     position = anchor position + (now - anchor time) x rate
 #
-# It is never a sum of steps, so nothing adds up to a drift, however often it is asked; the rate is
-# a fraction, so an hour at 1/3 is exact. Only what changes the course sets another anchor: start,
-# pause, another rate, a jump.
+# The position is never a sum of steps, so rounding errors do not add up; the rate is a fraction, so
+# an hour at 1/3 is exact. Start, pause, another rate and a jump set a new anchor.
 #
-# Places count from the beginning of the part that is played, in recorded nanoseconds, and go on
-# growing when it is played in a loop: `lap` is how often the end was passed.
+# A position is in recorded ns from the beginning of the part that is played. In a loop it goes on
+# growing: `lap` is how often the end was passed.
 #
-# It never asks for the time: moments come in, from any clock that runs evenly.
+# Real times are arguments, from any clock that runs evenly; the module has no clock.
 
 from __future__ import annotations
 
@@ -21,11 +19,11 @@ from fractions import Fraction
 SLOWEST = Fraction(1, 64)
 FASTEST = Fraction(64)
 _STEP = 2
-"""What `faster` and `slower` multiply and divide by."""
+"""The factor of `faster` and `slower`."""
 
 
 class PlayClock:
-    """Maps moments to places in a recording, and back. It stands still until it is started."""
+    """The position in a recording that is played. It stands still until it is started."""
 
     def __init__(
         self,
@@ -35,11 +33,11 @@ class PlayClock:
         gap_ns: int = 0,
         is_loop: bool = False,
     ) -> None:
-        """A recording, or the part of it that is played, of so many nanoseconds.
+        """Play `length_ns` of recorded time.
 
-        `rate` is recorded time for each real time; None: as fast as can be. In a loop `gap_ns`
-        of recorded time pass between the end and the next beginning. Raises ValueError for a rate
-        that is not more than 0, or a loop of no length.
+        `rate` is recorded time per real time; None: as fast as possible. In a loop, `gap_ns` of
+        recorded time are between the end and the next beginning. Raises ValueError if the rate is
+        not above 0, or if a loop has no length.
         """
         if rate is not None and rate <= 0:
             raise ValueError(f"rate must be more than 0, not {rate}")
@@ -48,9 +46,9 @@ class PlayClock:
         self.length_ns = length_ns
         self._lap_ns = length_ns + gap_ns if is_loop else None
         self._rate = rate
-        self._moment_ns: int | None = None
-        """The anchor's moment; None while the clock stands."""
-        self._place_ns = 0
+        self._anchor_ns: int | None = None
+        """The anchor's real time; None while the clock stands still."""
+        self._anchor_position_ns = 0
 
     @property
     def rate(self) -> Fraction | None:
@@ -58,74 +56,72 @@ class PlayClock:
 
     @property
     def is_running(self) -> bool:
-        return self._moment_ns is not None
+        return self._anchor_ns is not None
 
-    def place(self, now_ns: int) -> int:
-        """How much of the recording has been played, all laps together."""
-        if self._moment_ns is None or self._rate is None:
-            return self._place_ns
-        return self._place_ns + (now_ns - self._moment_ns) * self._rate // 1
+    def position(self, now_ns: int) -> int:
+        """How much recorded time was played, over all laps."""
+        if self._anchor_ns is None or self._rate is None:
+            return self._anchor_position_ns
+        return self._anchor_position_ns + (now_ns - self._anchor_ns) * self._rate // 1
 
-    def in_recording(self, place_ns: int) -> int:
-        """The same within the recording: 0 to its length."""
+    def in_recording(self, position_ns: int) -> int:
+        """A position within its lap: 0 to the recording's length."""
         if self._lap_ns is not None:
-            place_ns %= self._lap_ns
-        return min(max(place_ns, 0), self.length_ns)
+            position_ns %= self._lap_ns
+        return min(max(position_ns, 0), self.length_ns)
 
-    def lap(self, place_ns: int) -> int:
-        """How often the end was passed."""
-        return place_ns // self._lap_ns if self._lap_ns is not None else 0
+    def lap(self, position_ns: int) -> int:
+        """How often the end was passed, from 0."""
+        return position_ns // self._lap_ns if self._lap_ns is not None else 0
 
     @property
     def is_loop(self) -> bool:
         return self._lap_ns is not None
 
     def lap_begin(self, lap: int) -> int:
-        """The place at which a lap begins."""
+        """The position at which a lap begins."""
         return lap * self._lap_ns if self._lap_ns is not None else 0
 
     def is_over(self, now_ns: int) -> bool:
-        """Whether all was played; never in a loop."""
-        return self._lap_ns is None and self.place(now_ns) >= self.length_ns
+        """True if everything was played; never in a loop."""
+        return self._lap_ns is None and self.position(now_ns) >= self.length_ns
 
-    def when(self, place_ns: int) -> int | None:
-        """The moment at which a place comes, or came; None while the clock stands.
+    def time_of(self, position_ns: int) -> int | None:
+        """The real time at which a position is reached; None while the clock stands still.
 
-        It is the first nanosecond at which `place` has reached it.
+        It is the first ns at which `position` is not before it.
         """
-        if self._moment_ns is None:
+        if self._anchor_ns is None:
             return None
         if self._rate is None:
-            return self._moment_ns
-        return self._moment_ns - (self._place_ns - place_ns) / self._rate // 1
+            return self._anchor_ns
+        return self._anchor_ns - (self._anchor_position_ns - position_ns) / self._rate // 1
 
     def run(self, now_ns: int) -> None:
         """Start, or go on after a pause."""
-        if self._moment_ns is None:
-            self._moment_ns = now_ns
+        if self._anchor_ns is None:
+            self._anchor_ns = now_ns
 
     def pause(self, now_ns: int) -> None:
         """Stand still until `run`."""
-        self._place_ns = self.place(now_ns)
-        self._moment_ns = None
+        self._anchor_position_ns = self.position(now_ns)
+        self._anchor_ns = None
 
-    def jump(self, place_ns: int, now_ns: int) -> None:
-        """Go on from another place: a step, or back to the beginning."""
-        self._place_ns = place_ns
-        if self._moment_ns is not None:
-            self._moment_ns = now_ns
+    def jump(self, position_ns: int, now_ns: int) -> None:
+        """Go on from another position."""
+        self._anchor_position_ns = position_ns
+        if self._anchor_ns is not None:
+            self._anchor_ns = now_ns
 
-    def turn(self, rate: Fraction | None, now_ns: int) -> None:
-        """Go on at another rate, within SLOWEST to FASTEST."""
-        self._place_ns = self.place(now_ns)
-        if self._moment_ns is not None:
-            self._moment_ns = now_ns
-        self._rate = min(max(rate, SLOWEST), FASTEST) if rate is not None else None
+    def set_rate(self, rate: Fraction, now_ns: int) -> None:
+        """Go on at another rate, limited to SLOWEST to FASTEST."""
+        self.jump(self.position(now_ns), now_ns)
+        self._rate = min(max(rate, SLOWEST), FASTEST)
 
     def faster(self, now_ns: int) -> None:
         if self._rate is not None:
-            self.turn(self._rate * _STEP, now_ns)
+            self.set_rate(self._rate * _STEP, now_ns)
 
     def slower(self, now_ns: int) -> None:
         if self._rate is not None:
-            self.turn(self._rate / _STEP, now_ns)
+            self.set_rate(self._rate / _STEP, now_ns)

@@ -1,19 +1,20 @@
-"""Compares two captures by meaning: what was asked, what was answered, how soon."""
+"""Compares two captures by meaning: requests, outcomes, values and latencies."""
 
-# Ids, order and times are not compared. For each slave, by unit and if need be by link:
+# Transaction ids, the order of requests and times are not compared. For each slave, identified by
+# unit and, if needed, by link, there are these differences:
 #
-#     slave     it is in one capture only
-#     request   it was asked for something in one capture only
-#     outcome   a request ended in a way that it never did in the other capture; no answer is a
-#               matter of degree, so there it is the share that must differ
+#     slave     the slave is in one capture only
+#     request   a request is in one capture only
+#     outcome   a request ended in a way that it never did in the other capture. Missing responses
+#               occur in most captures, so for these the share must differ
 #     value     a register or bit had a value that it did not have in the other capture. Neighbours
 #               that change in both captures are one difference
-#     latency   the latencies of equal requests differ by more than chance; of one slave and
-#               function that is one difference, told by the request for which it is greatest
+#     latency   the latencies of equal requests differ significantly. All such requests of one slave
+#               and function are one difference, shown by the request with the greatest shift
 #
-# What chance would do is judged at ALPHA for a whole comparison: divided by how many tests there
-# are (Bonferroni). A latency must also be of medium size (significance.py), since with thousands of
-# polls the smallest shift is beyond chance.
+# The significance level of a whole comparison is ALPHA, divided by the number of tests
+# (Bonferroni). A shift of latencies must also be at least of medium size (significance.py), as with
+# thousands of polls the smallest shift is significant.
 
 from __future__ import annotations
 
@@ -26,56 +27,62 @@ from mbtool.core.wording import counted
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.replay.significance import Shift, rank_sum, same_share
-from mbtool.replay.traffic import NO_ANSWER, Held, RequestKey, ValueKey
-from mbtool.replay.wording import DeviceWording, function_text, held_text, latency_side
+from mbtool.replay.traffic import (
+    NO_ANSWER,
+    ObservedValues,
+    RequestKey,
+    RequestTraffic,
+    SlaveKey,
+    SlaveTraffic,
+    Traffic,
+    ValueKey,
+)
+from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from mbtool.devices import Profile
-from mbtool.replay.traffic import Asked, SlaveKey, SlaveTraffic, Traffic
 
 ALPHA = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Ignored:
-    """What is not compared."""
+    """The parts of captures that are not compared."""
 
     spans: Sequence[Span] = ()
     """Registers whose values may differ."""
     latency: bool = False
-
-    def has(self, place: ValueKey) -> bool:
-        return any(span.table is place.table and place.address in span for span in self.spans)
+    """True if latencies may differ."""
 
 
 def differences(
     a: Traffic, b: Traffic, profiles: Mapping[str, Profile], ignored: Ignored
 ) -> list[Difference]:
-    """All differences, slave by slave; `profiles` by name, for the words."""
-    links = a.links_of_units() | b.links_of_units()  # The greater of the two.
-    alone = frozenset(unit for unit, count in links.items() if count == 1)
-    here, there = a.slaves(alone), b.slaves(alone)
-    tests = _tests(here, there)
+    """All differences, slave by slave; `profiles` by name, for the names of registers."""
+    links = a.links_of_units() | b.links_of_units()  # For each unit the greater number.
+    unique = frozenset(unit for unit, count in links.items() if count == 1)
+    slaves_a, slaves_b = a.slaves(unique), b.slaves(unique)
+    tests = _count_tests(slaves_a, slaves_b)
     found: list[Difference] = []
-    for key in sorted(here.keys() | there.keys(), key=lambda key: (key.unit, key.link or "")):
-        one, other = here.get(key), there.get(key)
+    for key in sorted(
+        slaves_a.keys() | slaves_b.keys(), key=lambda key: (key.unit, key.link or "")
+    ):
+        one, other = slaves_a.get(key), slaves_b.get(key)
         if one is None or other is None:
             found.append(_only_slave(key, one, other))
             continue
-        device = one.device or other.device
-        words = DeviceWording(profiles.get(device) if device is not None else None)
-        compared = _Compared(key, one, other, words, ignored, ALPHA / max(tests, 1))
-        found += compared.differences()
+        wording = DeviceWording.of_device(one.device or other.device, profiles)
+        comparison = _SlaveComparison(key, one, other, wording, ignored, ALPHA / max(tests, 1))
+        found += comparison.differences()
     return found
 
 
-def _tests(here: Mapping[SlaveKey, SlaveTraffic], there: Mapping[SlaveKey, SlaveTraffic]) -> int:
-    """How many tests are made: two for each request that both captures have."""
+def _count_tests(a: Mapping[SlaveKey, SlaveTraffic], b: Mapping[SlaveKey, SlaveTraffic]) -> int:
+    """The number of statistical tests: two for each request that both captures have."""
     return sum(
-        2 * len(here[key].asked.keys() & there[key].asked.keys())
-        for key in here.keys() & there.keys()
+        2 * len(a[key].requests.keys() & b[key].requests.keys()) for key in a.keys() & b.keys()
     )
 
 
@@ -90,124 +97,127 @@ def _only_slave(key: SlaveKey, one: SlaveTraffic | None, other: SlaveTraffic | N
     )
 
 
-class _Compared:
-    """One slave, as two captures have it."""
+class _SlaveComparison:
+    """Compares one slave's traffic in two captures."""
 
     def __init__(
         self,
         key: SlaveKey,
         a: SlaveTraffic,
         b: SlaveTraffic,
-        words: DeviceWording,
+        wording: DeviceWording,
         ignored: Ignored,
         alpha: float,
     ) -> None:
+        """`alpha` is the significance level of each test."""
         self._key = key
         self._a = a
         self._b = b
-        self._words = words
+        self._wording = wording
         self._ignored = ignored
         self._alpha = alpha
-        self._both = sorted(a.asked.keys() & b.asked.keys())
+        self._in_both = sorted(a.requests.keys() & b.requests.keys())
 
     def differences(self) -> Iterator[Difference]:
         yield from self._requests()
-        for ask in self._both:
-            yield from self._outcomes(ask)
+        for request in self._in_both:
+            yield from self._outcomes(request)
         yield from self._values()
         if not self._ignored.latency:
             yield from self._latencies()
 
     def _requests(self) -> Iterator[Difference]:
-        for ask in sorted(self._a.asked.keys() ^ self._b.asked.keys()):
-            here, there = self._a.asked.get(ask), self._b.asked.get(ask)
-            yield self._about(
-                ask,
+        for request in sorted(self._a.requests.keys() ^ self._b.requests.keys()):
+            one, other = self._a.requests.get(request), self._b.requests.get(request)
+            yield self._difference(
+                request,
                 Kind.REQUEST,
-                _transactions(here.count if here is not None else 0),
-                _transactions(there.count if there is not None else 0),
+                _transactions(one.count if one is not None else 0),
+                _transactions(other.count if other is not None else 0),
             )
 
-    def _outcomes(self, ask: RequestKey) -> Iterator[Difference]:
-        here, there = self._a.asked[ask], self._b.asked[ask]
-        labels = (here.outcomes.keys() ^ there.outcomes.keys()) - {NO_ANSWER}
-        p = same_share(here.outcomes[NO_ANSWER], here.count, there.outcomes[NO_ANSWER], there.count)
+    def _outcomes(self, request: RequestKey) -> Iterator[Difference]:
+        one, other = self._a.requests[request], self._b.requests[request]
+        labels = (one.outcomes.keys() ^ other.outcomes.keys()) - {NO_ANSWER}
+        p = same_share(one.outcomes[NO_ANSWER], one.count, other.outcomes[NO_ANSWER], other.count)
         if labels or p < self._alpha:
-            yield self._about(
-                ask,
+            yield self._difference(
+                request,
                 Kind.OUTCOME,
-                Side(text=_outcomes_text(here), count=here.count),
-                Side(text=_outcomes_text(there), count=there.count),
+                Side(text=_outcomes_text(one), count=one.count),
+                Side(text=_outcomes_text(other), count=other.count),
                 None if labels else p,
             )
 
     def _values(self) -> Iterator[Difference]:
-        places = [
-            place
-            for place in sorted(self._a.registers.keys() & self._b.registers.keys())
-            if not self._ignored.has(place)
-            and not _is_same(self._a.registers[place], self._b.registers[place])
+        keys = [
+            key
+            for key in sorted(self._a.registers.keys() & self._b.registers.keys())
+            if not key.is_in(self._ignored.spans)
+            and not _is_same(self._a.registers[key], self._b.registers[key])
         ]
-        for run in _runs(places, self._changes):
+        for run in _runs(keys, self._changes_in_both):
             first = run[0]
             if len(run) == 1:
-                here, there = self._a.registers[first], self._b.registers[first]
-                name, texts = self._words.of(first)
-                a = Side(text=held_text(here, texts), values=list(here.values))
-                b = Side(text=held_text(there, texts), values=list(there.values))
+                one, other = self._a.registers[first], self._b.registers[first]
+                name, point = self._wording.of(first)
+                a = Side(text=values_text(one, point), values=list(one.values))
+                b = Side(text=values_text(other, point), values=list(other.values))
             else:
                 name = None
-                a = Side(text=_together(run, self._a.registers))
-                b = Side(text=_together(run, self._b.registers))
+                a = Side(text=_run_text(run, self._a.registers))
+                b = Side(text=_run_text(run, self._b.registers))
             yield Difference(
                 kind=Kind.VALUE,
                 unit=self._key.unit,
                 link=self._key.link,
-                reference=self._words.reference(first.table, first.address, len(run)),
+                reference=self._wording.reference(first.table, first.address, len(run)),
                 name=name,
                 what="written" if first.is_written else "read",
                 a=a,
                 b=b,
             )
 
-    def _changes(self, place: ValueKey) -> bool:
-        """Whether it changes in both captures, so that its neighbours may be told with it."""
-        return min(len(side.registers[place].values) for side in (self._a, self._b)) > 1
+    def _changes_in_both(self, key: ValueKey) -> bool:
+        """True if a register had several values in each capture."""
+        return min(len(side.registers[key].values) for side in (self._a, self._b)) > 1
 
     def _latencies(self) -> Iterator[Difference]:
-        for _, asks in groupby(self._both, key=lambda ask: ask.function):
+        for _, requests in groupby(self._in_both, key=lambda request: request.function):
             shifted = [
-                (shift, ask)
-                for ask in asks
-                for shift in (self._shift(ask),)
+                (shift, request)
+                for request in requests
+                for shift in (self._shift(request),)
                 if shift.p < self._alpha and shift.is_medium
             ]
             if not shifted:
                 continue
-            shift, ask = max(shifted, key=lambda one: abs(one[0].exceeds - 0.5))
-            yield self._about(
-                ask,
+            shift, request = max(shifted, key=lambda one: abs(one[0].exceeds - 0.5))
+            yield self._difference(
+                request,
                 Kind.LATENCY,
-                latency_side(self._a.asked[ask].latencies),
-                latency_side(self._b.asked[ask].latencies),
+                latency_side(self._a.requests[request].latencies),
+                latency_side(self._b.requests[request].latencies),
                 shift.p,
                 len(shifted) - 1,
             )
 
-    def _shift(self, ask: RequestKey) -> Shift:
-        return rank_sum(self._a.asked[ask].latencies.values, self._b.asked[ask].latencies.values)
+    def _shift(self, request: RequestKey) -> Shift:
+        one, other = self._a.requests[request], self._b.requests[request]
+        return rank_sum(one.latencies.values, other.latencies.values)
 
-    def _about(
-        self, ask: RequestKey, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
+    def _difference(
+        self, key: RequestKey, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
     ) -> Difference:
-        asked = self._a.asked.get(ask) or self._b.asked[ask]
+        """A difference of a request; `alike` is how many others differ in the same way."""
+        request = self._a.requests.get(key) or self._b.requests[key]
         return Difference(
             kind=kind,
             unit=self._key.unit,
             link=self._key.link,
-            function=ask.function,
-            reference=asked.reference or None,
-            what=function_text(ask.function, asked.function_name, ask.sub_function),
+            function=key.function,
+            reference=request.reference or None,
+            what=function_text(key.function, request.function_name, key.sub_function),
             a=a,
             b=b,
             p=p,
@@ -215,24 +225,25 @@ class _Compared:
         )
 
 
-def _is_same(a: Held, b: Held) -> bool:
+def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
+    """True if the values are equal; if some were not kept, if the ranges are equal."""
     bounds = (a.least, a.greatest) == (b.least, b.greatest)
     return a.values.keys() == b.values.keys() or (bounds and not (a.is_all and b.is_all))
 
 
 def _runs(
-    places: Iterable[ValueKey], is_together: Callable[[ValueKey], bool]
+    keys: Iterable[ValueKey], can_join: Callable[[ValueKey], bool]
 ) -> Iterator[list[ValueKey]]:
-    """Neighbours of which all hold that; each other place alone."""
+    """Join neighbouring registers for which `can_join` is true; each other register alone."""
     run: list[ValueKey] = []
-    for place in places:
-        follows = bool(run) and is_together(run[-1]) and is_together(place)
-        if follows and place == run[-1]._replace(address=run[-1].address + 1):
-            run.append(place)
+    for key in keys:
+        joins = bool(run) and can_join(run[-1]) and can_join(key)
+        if joins and key == run[-1]._replace(address=run[-1].address + 1):
+            run.append(key)
             continue
         if run:
             yield run
-        run = [place]
+        run = [key]
     if run:
         yield run
 
@@ -241,15 +252,15 @@ def _transactions(count: int) -> Side:
     return Side(text=counted(count, "transaction", ",") if count else "", count=count)
 
 
-def _outcomes_text(asked: Asked) -> str:
+def _outcomes_text(request: RequestTraffic) -> str:
     return ", ".join(
-        label if count == asked.count else f"{label} {count:,} of {asked.count:,}"
-        for label, count in sorted(asked.outcomes.items(), key=lambda one: (-one[1], one[0]))
+        label if count == request.count else f"{label} {count:,} of {request.count:,}"
+        for label, count in sorted(request.outcomes.items(), key=lambda one: (-one[1], one[0]))
     )
 
 
-def _together(run: Sequence[ValueKey], registers: Mapping[ValueKey, Held]) -> str:
-    held = [registers[place] for place in run]
-    values = sum(len(one.values) for one in held)
-    least, greatest = min(one.least for one in held), max(one.greatest for one in held)
+def _run_text(run: Sequence[ValueKey], registers: Mapping[ValueKey, ObservedValues]) -> str:
+    observed = [registers[key] for key in run]
+    values = sum(len(one.values) for one in observed)
+    least, greatest = min(one.least for one in observed), max(one.greatest for one in observed)
     return f"{least}..{greatest}, {values} values"

@@ -1,26 +1,26 @@
-"""Decides when each recorded request is sent, and when its answer is given up."""
+"""Decides when each recorded request is sent, and when to stop waiting for its response."""
 
-# Whoever owns the link asks in a loop:
+# The owner of the link calls in a loop:
 #
-#     step = conductor.next_step(now)     a step to send at once, or None
-#     conductor.has_left(step, now)       its last byte is on the link: latencies count from here
-#     conductor.answered(...)             what came back
-#     conductor.give_up(number, now)      what cannot come back any more
-#     conductor.expire(now)               what did not, in time
-#     conductor.wake_ns(now)              when to ask again at the latest
+#     step = conductor.next_step(now)     the step to send at once, or None
+#     conductor.note_sent(step, now)      its last byte was sent: its latency counts from here
+#     conductor.answered(...)             a response arrived
+#     conductor.give_up(number, now)      a response cannot arrive any more
+#     conductor.expire(now)               end the requests whose time-out has passed
+#     conductor.wake_ns(now)              the latest time for the next call
 #
-# A step is sent when the clock has come to its place, and no sooner than those that it waits for
-# (script.py) are over. On a line that carries one request at a time, none is sent while another is
-# open, or before `pause_ns` have passed since the last sign of life on it; behind a broadcast
-# `turnaround_ns` must pass (Serial Line V1.02, 2.4.1: typically 100 to 200 ms).
+# A step is sent when the clock has reached its position and the steps that it waits for (script.py)
+# are answered or given up. If the link carries one request at a time, a step also waits for the
+# open request, and for `pause_ns` after the last byte on the link. After a broadcast it waits for
+# `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200 ms).
 #
-# While the clock stands nothing is sent, but for a step that is let go on its own; the clock then
-# stands at that step's place.
+# While the clock stands still nothing is sent, except steps that `allow_step` lets through; each
+# moves the clock to its position.
 #
-# How late a step leaves is kept only where it waits for nothing but the clock: that is what the
-# player can help.
+# Lateness is recorded only for steps that waited for the clock alone, as the player cannot help
+# other delays.
 #
-# Holds: the open requests, at most MAX_OPEN_REQUESTS; more are not sent until one is over.
+# Limit: MAX_OPEN_REQUESTS open requests; the next one waits until one of them is over.
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core.limits import MAX_OPEN_REQUESTS
+from mbtool.replay.play_queue import PlayQueue
 from mbtool.replay.script import Step
-from mbtool.replay.steering import Gate
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
@@ -49,21 +49,17 @@ class Conductor:
     """Plays a script once, or in a loop until it is told to end."""
 
     def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
-        self._steps = script.steps
-        self._clock = clock
-        self._gate = Gate(clock)
+        self._queue = PlayQueue(script.steps, clock)
         self._judge = judge
         self._limits = limits
-        self._next = 0
-        self._lap = 0
         self._open: dict[int, _SentRequest] = {}
         """By the step's number."""
         self._free_ns: int | None = None
-        """From when on the line may be used; None: at once."""
+        """The earliest time for the next request; None: at once."""
         self.lateness = Sample()
-        """Of steps that waited for the clock only, in nanoseconds."""
-        self.strays = 0
-        """Answers that no open request is for."""
+        """How late steps were sent that waited for the clock only, in ns."""
+        self.unsolicited = 0
+        """How many responses belonged to no open request."""
 
     @property
     def has_ended(self) -> bool:
@@ -71,22 +67,20 @@ class Conductor:
 
     @property
     def sent(self) -> int:
-        """How many steps have been sent, all laps together."""
-        return self._lap * len(self._steps) + self._next
+        """How many steps were sent, over all laps."""
+        return self._queue.taken
 
     def next_step(self, now_ns: int) -> Step | None:
-        """The step to send now; it counts as sent. None where there is none yet."""
+        """The step to send at once, which then counts as sent; None if none is due."""
         step = self._upcoming()
         if step is None or not self._is_free(step, now_ns):
             return None
-        place_ns = self._place(step)
-        due_ns = self._gate.opens_ns(place_ns, now_ns)
+        due_ns = self._queue.due_ns(step, now_ns)
         if due_ns is None or due_ns > now_ns:
             return None
         waited_for_clock = self._free_ns is None or self._free_ns <= due_ns
-        if self._gate.passes(place_ns, now_ns) and waited_for_clock:
+        if self._queue.take(step, now_ns) and waited_for_clock:
             self.lateness.add(now_ns - due_ns)
-        self._next += 1
         if step.is_broadcast:
             self._judge.judge(step, None, None)
             self._free_ns = now_ns + self._limits.turnaround_ns
@@ -94,43 +88,44 @@ class Conductor:
             self._open[step.number] = _SentRequest(step, now_ns)
         return step
 
-    def let_go(self, _now_ns: int) -> None:
-        """Have one more step sent while the clock stands."""
-        self._gate.let_go()
+    def allow_step(self, _now_ns: int) -> None:
+        """Let one more step be sent while the clock stands still."""
+        self._queue.allow_step()
 
-    def has_left(self, step: Step, now_ns: int) -> None:
-        """Say that the last byte of a step was sent."""
-        open_ = self._open.get(step.number)
-        if open_ is not None:
-            open_.sent_ns = now_ns
+    def note_sent(self, step: Step, now_ns: int) -> None:
+        """Note that the last byte of a step was sent."""
+        request = self._open.get(step.number)
+        if request is not None:
+            request.sent_ns = now_ns
         elif step.is_broadcast:
             self._free_ns = now_ns + self._limits.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """When something is due: a step, the end of a pause, or a time-out. None: nothing is."""
-        moments = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
+        """The time of the next step, end of a pause or time-out; None if nothing is due."""
+        times = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
-        if step is not None and not self._is_held(step):
-            due_ns = self._gate.opens_ns(self._place(step), now_ns)
+        if step is not None and not self._must_wait(step):
+            due_ns = self._queue.due_ns(step, now_ns)
             if due_ns is not None:
                 free_ns = due_ns if self._free_ns is None else self._free_ns
-                moments.append(max(due_ns, free_ns))
-        return min(moments, default=None)
+                times.append(max(due_ns, free_ns))
+        return min(times, default=None)
 
     def answered(self, number: int, pdu: bytes, start_ns: int, end_ns: int) -> bool | None:
-        """An answer came, from its first byte to its last: whether it is right.
+        """Take a response to the request with this number.
 
-        None where no open request has this number.
+        `start_ns` and `end_ns` are the times of its first and last byte. Returns True if it means
+        the same as the recorded one, None if no open request has this number.
         """
-        open_ = self._open.pop(number, None)
-        if open_ is None:
-            self.strays += 1
+        request = self._open.pop(number, None)
+        if request is None:
+            self.unsolicited += 1
             return None
-        self._over(end_ns)
-        return self._judge.judge(open_.step, pdu, max(start_ns - open_.sent_ns, 0))
+        self._note_over(end_ns)
+        return self._judge.judge(request.step, pdu, max(start_ns - request.sent_ns, 0))
 
     def expire(self, now_ns: int) -> list[tuple[Step, bool]]:
-        """Give up requests that were open for too long: each, and whether silence is right."""
+        """Give up the requests whose time-out has passed; returns what `give_up` does."""
         late = [
             number
             for number, each in self._open.items()
@@ -139,29 +134,26 @@ class Conductor:
         return [each for number in late for each in self.give_up(number, now_ns)]
 
     def give_up(self, number: int, now_ns: int) -> list[tuple[Step, bool]]:
-        """Wait no longer for an answer: the step, if it is open, and whether silence is right."""
-        open_ = self._open.pop(number, None)
-        if open_ is None:
-            return []
-        self._over(now_ns)
-        return [(open_.step, self._judge.judge(open_.step, None, None))]
+        """Stop waiting for a response.
 
-    def _over(self, now_ns: int) -> None:
-        """A request is over: the next may be sent."""
+        Returns the step, and True if the recording has no response either; nothing if no open
+        request has this number.
+        """
+        request = self._open.pop(number, None)
+        if request is None:
+            return []
+        self._note_over(now_ns)
+        return [(request.step, self._judge.judge(request.step, None, None))]
+
+    def _note_over(self, now_ns: int) -> None:
+        """Let the next request be sent after the pause."""
         self._free_ns = now_ns + self._limits.pause_ns
 
     def _upcoming(self) -> Step | None:
-        if self._next >= len(self._steps):
-            if not self._clock.is_loop or not self._steps or self._open:
-                return None
-            self._next, self._lap = 0, self._lap + 1
-        return self._steps[self._next]
+        return self._queue.upcoming(may_restart=not self._open)
 
-    def _place(self, step: Step) -> int:
-        return step.place_ns + self._clock.lap_begin(self._lap)
-
-    def _is_held(self, step: Step) -> bool:
-        """Whether it waits for others to be over."""
+    def _must_wait(self, step: Step) -> bool:
+        """True if a step must wait until other requests are over."""
         if len(self._open) >= MAX_OPEN_REQUESTS or (self._limits.one_at_a_time and self._open):
             return True
         return any(
@@ -170,4 +162,4 @@ class Conductor:
         )
 
     def _is_free(self, step: Step, now_ns: int) -> bool:
-        return not self._is_held(step) and (self._free_ns is None or self._free_ns <= now_ns)
+        return not self._must_wait(step) and (self._free_ns is None or self._free_ns <= now_ns)

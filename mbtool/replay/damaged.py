@@ -1,17 +1,17 @@
-"""Answers of a recording that were damaged on their way, and what brings them about again."""
+"""Finds damaged responses in a recording, and makes responses with the same damage."""
 
-# A master that got an answer with a wrong CRC, or half of one, got no answer; so a recording has
-# the request unanswered, and behind it bytes that could not be read. Those are taken for its answer
-# that begin as an answer of that unit to that function would, and come before the next request on
-# the same line and within ANSWER_NS. Bytes that begin like the request itself, addresses included,
-# are taken for a damaged repetition of it.
+# In a recording, a response with a wrong CRC or an incomplete one leaves its request without an
+# answer, followed by bytes that could not be decoded. Such bytes count as the response if they
+# begin like a response of that unit to that function, and come before the next request on the same
+# line and within RESPONSE_NS. Bytes that begin like the request, including its address, count as a
+# damaged repetition of the request instead.
 #
-# On a line of the same kind the very bytes are sent again. ASCII in place of RTU, or the other way:
-# an answer with a wrong check has another wrong check; of a piece of one there is no equal, so
-# silence. Modbus/TCP has no check at all: silence.
+# On the same kind of line the same bytes are sent again. From RTU to ASCII or back, a response with
+# a wrong checksum gets a wrong checksum, and an incomplete response becomes silence. On Modbus/TCP,
+# which has no checksum, both become silence.
 #
-# Only of serial lines and RTU over TCP: what a capture has of a Modbus/TCP answer in part may be
-# the capture's own loss.
+# Only serial lines and RTU over TCP are examined: if part of a Modbus/TCP response is missing, the
+# capture itself may have lost it.
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from mbtool.modbus import Transaction
 
-ANSWER_NS = 5_000_000_000
+RESPONSE_NS = 5_000_000_000
 DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 
 _WHOLE_ADU = 1024
@@ -40,17 +40,17 @@ _RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
 
 @dataclass(frozen=True, slots=True)
 class DamagedAnswer:
-    """What stands in the recording for an answer."""
+    """A damaged response."""
 
     raw: bytes
-    """As captured."""
+    """Its bytes as captured."""
     transport: Transport
     has_wrong_check: bool
-    """It is whole but for its check; else only a part of it, or worse."""
+    """True if only its checksum is wrong; False if it is incomplete or more is wrong."""
     latency_ns: int
 
     def again(self, transport: Transport, delay_ns: int) -> Response | None:
-        """An answer that arrives on a link in the same way; None where it cannot."""
+        """A response with the same damage for a link; None if that means silence there."""
         if transport is self.transport or {transport, self.transport} <= _RTU:
             return Response(b"\0", delay_ns, Distortion(cut=_WHOLE_ADU, extra=self.raw))
         pdu = whole_pdu(self.transport, self.raw) if self.has_wrong_check else None
@@ -62,28 +62,32 @@ class DamagedAnswer:
 def damaged_answers(
     asked: Sequence[Transaction], events: Iterable[WireEvent]
 ) -> dict[int, DamagedAnswer]:
-    """By place in `asked`, which is in order of time, the damaged answers of those unanswered."""
-    unread: dict[str, list[WireEvent]] = defaultdict(list)
+    """The damaged responses of requests without an answer, by index in `asked`.
+
+    `asked` is in order of time.
+    """
+    undecoded: dict[str, list[WireEvent]] = defaultdict(list)
     for event in events:
         if event.kind in DAMAGED_KINDS and event.raw:
-            unread[event.link].append(event)
-    for each in unread.values():
+            undecoded[event.link].append(event)
+    for each in undecoded.values():
         each.sort(key=_time)
     found: dict[int, DamagedAnswer] = {}
     next_ns: dict[str, int] = {}
-    for place in range(len(asked) - 1, -1, -1):
-        one = asked[place]
+    """By link, the time of the request after the current one; requests are visited backwards."""
+    for index in range(len(asked) - 1, -1, -1):
+        one = asked[index]
         request_ns = one.start_ns
-        until_ns = min(next_ns.get(one.link, request_ns + ANSWER_NS), request_ns + ANSWER_NS)
+        until_ns = min(next_ns.get(one.link, request_ns + RESPONSE_NS), request_ns + RESPONSE_NS)
         next_ns[one.link] = request_ns
         if one.outcome is not Outcome.NO_ANSWER or one.transport is Transport.TCP:
             continue
-        of_link = unread.get(one.link, ())
+        of_link = undecoded.get(one.link, ())
         for event in of_link[bisect_left(of_link, request_ns, key=_time) :]:
             if event.ts_ns >= until_ns:
                 break
-            if _is_answer(one, event.raw):
-                found[place] = DamagedAnswer(
+            if _begins_like_response(one, event.raw):
+                found[index] = DamagedAnswer(
                     event.raw,
                     one.transport,
                     event.kind is EventKind.BAD_CHECK,
@@ -97,8 +101,8 @@ def _time(event: WireEvent) -> int:
     return event.ts_ns
 
 
-def _is_answer(asked: Transaction, raw: bytes) -> bool:
-    """Whether bytes begin as an answer to a request would."""
+def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
+    """True if bytes begin like a response to a request."""
     body, request = _body(asked.transport, raw), _body(asked.transport, asked.request_raw or b"")
     if len(body) < 2 or body[0] != asked.unit or body[1] & ~EXCEPTION_BIT != asked.function:
         return False
@@ -106,7 +110,7 @@ def _is_answer(asked: Transaction, raw: bytes) -> bool:
 
 
 def _body(transport: Transport, raw: bytes) -> bytes:
-    """The unit and what follows, as far as it can be read."""
+    """The unit and the PDU; of ASCII, the digits before the first line end."""
     if transport is not Transport.ASCII:
         return raw
     digits = raw.lstrip(b":")[: len(raw) // 2 * 2]

@@ -1,22 +1,23 @@
-"""Compares what a slave answers with what the recorded one answered, by meaning."""
+"""Compares a slave's responses with the recorded ones, by meaning."""
 
-# Each answer is held against the recorded one of the same step:
+# Each response is compared with the recorded one of the same step:
 #
-#     outcome   answered or not, ok or which exception, an answer that breaks its form or is to
-#               another function, or one with another quantity of values
-#     value     each register or bit that was read, one by one
-#     data      functions whose form says nothing of registers: the bytes
+#     outcome   response or none, ok or which exception, a malformed response, another function,
+#               another number of values
+#     value     each register or bit that was read
+#     data      the bytes, for functions whose responses have no registers
 #
-# What differs is put together by request, and by register: how often, and of how many, where that
-# is not always; the recorded values, and those that came. So a register that is wrong in a thousand
-# polls is one difference. Latencies are kept beside, and count only where the user says by how much
-# they may differ.
+# Differences are grouped by request and by register: how often something differed (and out of how
+# many, unless always), the recorded values, and the new ones. So a register that is wrong in a
+# thousand polls is one difference. Latencies are always recorded, but compared only if the user
+# gives a tolerance.
 #
-# Registers that may differ: those of `spans`, which the user names, and those that differed in a
-# run in which the judge learned; `learned` gives them.
+# Registers may differ if the user names them (`spans`). A judge that learns counts no register as a
+# difference; `learned` returns those that differed.
 #
-# Memory grows with what was asked, not with how often: see traffic.py for its bounds. At most
-# MAX_WRONG outcomes of one request are kept, such as the bytes of a counter; what is more is one.
+# Memory grows with the number of different requests, not with their repetitions (limits as in
+# traffic.py). Of one request at most MAX_OUTCOMES different outcomes are kept, as the bytes of a
+# counter differ every time; all others are counted together.
 
 from __future__ import annotations
 
@@ -31,8 +32,8 @@ from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import exception_name, parse_pdu, register_access
 from mbtool.replay.script import Step
-from mbtool.replay.traffic import Held, Sample, ValueKey
-from mbtool.replay.wording import DeviceWording, function_text, held_text, latency_side
+from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
+from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -40,62 +41,63 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
     from mbtool.modbus import RegisterAccess
 
-NO_ANSWER = "no answer"
 SHOWN_BYTES = 16
-MAX_WRONG = 16
+MAX_OUTCOMES = 16
 
 _OK = "ok"
-_OTHERS = ("others", "others")
+_OTHER_OUTCOMES = ("others", "others")
 _EXCEPTION_BIT = 0x80
 
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How much later answers may come than the recorded ones."""
+    """How much longer latencies may be than the recorded ones."""
 
     share: float = 0.0
-    """Of the recorded median and 95th percentile: 0.5 is half as long again."""
+    """Allowed increase as a share of the recorded median and 95th percentile: 0.5 is 50 %."""
     least_ns: int = 1_000_000
-    """So much later is no difference whatever the share."""
+    """An increase that is always allowed."""
 
     def latest_ns(self, recorded_ns: int) -> float:
         return recorded_ns + max(recorded_ns * self.share, self.least_ns)
 
 
 @dataclass(slots=True)
-class _Judged:
-    """One request and its repetitions."""
+class _RequestResult:
+    """The results of one request and its repetitions."""
 
     step: Step
     count: int = 0
     different: int = 0
-    wrong: dict[tuple[str, str], int] = field(default_factory=dict)
-    """How often what was recorded, and what came in its place."""
+    outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
+    """How often a recorded outcome was replaced by another one."""
     recorded: Sample = field(default_factory=Sample)
+    """The recorded latencies."""
     answered: Sample = field(default_factory=Sample)
+    """The new latencies."""
 
-    def add_wrong(self, recorded: str, came: str) -> None:
-        """Count an answer that is wrong; two equal texts say that its values are."""
+    def add_difference(self, recorded: str, outcome: str) -> None:
+        """Count a wrong response; if the outcomes are equal, only its values are wrong."""
         self.different += 1
-        if recorded == came:
+        if recorded == outcome:
             return
-        pair = recorded, came
-        if pair not in self.wrong and len(self.wrong) >= MAX_WRONG:
-            pair = _OTHERS
-        self.wrong[pair] = self.wrong.get(pair, 0) + 1
+        pair = recorded, outcome
+        if pair not in self.outcomes and len(self.outcomes) >= MAX_OUTCOMES:
+            pair = _OTHER_OUTCOMES
+        self.outcomes[pair] = self.outcomes.get(pair, 0) + 1
 
 
 @dataclass(slots=True)
-class _Pair:
-    """A register: what was recorded and what came, where they differed."""
+class _RegisterResult:
+    """The recorded and the new values of a register, from the responses in which they differed."""
 
-    recorded: Held = field(default_factory=Held)
-    came: Held = field(default_factory=Held)
+    recorded: ObservedValues = field(default_factory=ObservedValues)
+    answered: ObservedValues = field(default_factory=ObservedValues)
     count: int = 0
 
 
 class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One request and its repetitions, for reports."""
+    """The results of one request and its repetitions, for reports."""
 
     unit: int
     function: int
@@ -103,11 +105,11 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     reference: str
     count: int
     different: int
-    """How many of its answers were not as recorded."""
+    """How many of its responses were not as recorded."""
 
 
 class Judge:
-    """Takes answers one by one, and says in what they differ."""
+    """Takes responses one by one, and collects how they differ from the recorded ones."""
 
     def __init__(
         self,
@@ -117,68 +119,76 @@ class Judge:
         learns: bool = False,
         tolerance: Tolerance | None = None,
     ) -> None:
-        """`profiles` by name, for the words; without `tolerance` latencies do not count."""
+        """`profiles` by name, for names and units; without `tolerance` latencies do not count.
+
+        With `learns`, registers that differ are collected and do not count as differences.
+        """
         self._profiles = profiles or {}
         self._spans = list(spans)
         self._learns = learns
         self._tolerance = tolerance
-        self._of_devices: dict[str | None, DeviceWording] = {}
-        self._asked: dict[tuple[int, bytes], _Judged] = {}
-        self._registers: dict[tuple[int, str | None, ValueKey], _Pair] = {}
+        self._wordings: dict[str | None, DeviceWording] = {}
+        self._results: dict[tuple[int, bytes], _RequestResult] = {}
+        """By unit and request PDU."""
+        self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
+        """By unit, device and register."""
         self.count = 0
-        """How many answers were judged."""
+        """How many responses were compared, silence included."""
         self.wrong = 0
         """How many of them differed."""
 
-    def judge(self, step: Step, answer: bytes | None, latency_ns: int | None) -> bool:
-        """Whether an answer, or None for silence, means what the recorded one means."""
+    def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
+        """Compare a response, None for silence, with the recorded one. True if they mean the same.
+
+        `latency_ns` is the response's, None if it is unknown.
+        """
         self.count += 1
-        asked = self._asked.setdefault((step.unit, step.pdu), _Judged(step))
-        asked.count += 1
+        result = self._results.setdefault((step.unit, step.pdu), _RequestResult(step))
+        result.count += 1
         if step.latency_ns is not None and latency_ns is not None:
-            asked.recorded.add(step.latency_ns)
-            asked.answered.add(latency_ns)
-        if step.is_broadcast or answer == step.expected:
+            result.recorded.add(step.latency_ns)
+            result.answered.add(latency_ns)
+        if step.is_broadcast or response == step.expected:
             return True
-        recorded, came = (_outcome(pdu, step.pdu[0]) for pdu in (step.expected, answer))
+        recorded, outcome = (_outcome(pdu, step.pdu[0]) for pdu in (step.expected, response))
         is_right = False
-        if step.expected is not None and answer is not None and recorded == came:
-            reach = register_access(parse_pdu(step.pdu, Direction.REQUEST))
-            if recorded != _OK or reach is None or not reach.reads:
-                recorded, came = _apart(step.expected, answer)
-            elif len(answer) != len(step.expected):
-                recorded, came = _length(step.expected), _length(answer)
+        if step.expected is not None and response is not None and recorded == outcome:
+            access = register_access(parse_pdu(step.pdu, Direction.REQUEST))
+            if recorded != _OK or access is None or not access.reads:
+                recorded, outcome = _differing_bytes(step.expected, response)
+            elif len(response) != len(step.expected):
+                recorded, outcome = _length(step.expected), _length(response)
             else:
-                is_right = self._has_right_values(step, step.expected, reach, answer)
+                is_right = self._has_right_values(step, step.expected, access, response)
         if not is_right:
             self.wrong += 1
-            asked.add_wrong(recorded, came)
+            result.add_difference(recorded, outcome)
         return is_right
 
     def differences(self) -> list[Difference]:
-        """What differed, by unit: outcomes in the order of the requests, then values, latencies."""
+        """All differences by unit: outcomes in the order of requests, then values and latencies."""
         found = [*self._outcomes(), *self._value_differences(), *self._latencies()]
         return sorted(found, key=lambda one: one.unit)
 
     def requests(self) -> list[RequestReport]:
-        """What was asked, in the order in which it was first asked."""
+        """The results of each request, in the order in which they were first sent."""
         return [
             RequestReport(
-                unit=asked.step.unit,
-                function=asked.step.pdu[0],
-                what=function_text(asked.step.pdu[0], asked.step.function_name),
-                reference=asked.step.reference,
-                count=asked.count,
-                different=asked.different,
+                unit=result.step.unit,
+                function=result.step.pdu[0],
+                what=function_text(result.step.pdu[0], result.step.function_name),
+                reference=result.step.reference,
+                count=result.count,
+                different=result.different,
             )
-            for asked in self._asked.values()
+            for result in self._results.values()
         ]
 
     def learned(self) -> list[tuple[int, Span]]:
-        """The units and registers that differed, as ranges."""
+        """The registers that differed, as ranges with their units."""
         spans: list[tuple[int, Span]] = []
-        for unit, place in sorted({(unit, place) for unit, _, place in self._registers}):
-            one = Span(place.table, place.address, place.address)
+        for unit, key in sorted({(unit, key) for unit, _, key in self._registers}):
+            one = Span(key.table, key.address, key.address)
             if spans:
                 before, span = spans[-1]
                 if (before, span.table, span.last + 1) == (unit, one.table, one.first):
@@ -188,91 +198,90 @@ class Judge:
         return spans
 
     def _has_right_values(
-        self, step: Step, expected: bytes, reach: RegisterAccess, answer: bytes
+        self, step: Step, expected: bytes, access: RegisterAccess, response: bytes
     ) -> bool:
-        recorded, came = (
-            parse_pdu(pdu, Direction.RESPONSE).numbers() or () for pdu in (expected, answer)
+        recorded, answered = (
+            parse_pdu(pdu, Direction.RESPONSE).numbers() or () for pdu in (expected, response)
         )
         is_right = True
-        for address, before, after in zip(reach.reads, recorded, came, strict=False):
-            place = ValueKey(reach.table, address, is_written=False)
-            if before == after or self._may_differ(place):
+        for address, before, after in zip(access.reads, recorded, answered, strict=False):
+            key = ValueKey(access.table, address, is_written=False)
+            if before == after or key.is_in(self._spans):
                 continue
-            pair = self._registers.setdefault((step.unit, step.device, place), _Pair())
-            pair.recorded.add(before)
-            pair.came.add(after)
-            pair.count += 1
+            result = self._registers.setdefault((step.unit, step.device, key), _RegisterResult())
+            result.recorded.add(before)
+            result.answered.add(after)
+            result.count += 1
             is_right = self._learns and is_right
         return is_right
 
-    def _may_differ(self, place: ValueKey) -> bool:
-        return any(span.table is place.table and place.address in span for span in self._spans)
-
     def _outcomes(self) -> Iterable[Difference]:
-        for asked in self._asked.values():
-            for (recorded, came), count in asked.wrong.items():
-                text = _counted(came, count, asked.count)
-                yield _about(asked, Kind.OUTCOME, Side(text=recorded), Side(text=text, count=count))
+        for result in self._results.values():
+            for (recorded, outcome), count in result.outcomes.items():
+                text = _with_count(outcome, count, result.count)
+                a, b = Side(text=recorded), Side(text=text, count=count)
+                yield _difference(result, Kind.OUTCOME, a, b)
 
     def _value_differences(self) -> Iterable[Difference]:
         if self._learns:
             return
         reads = self._reads()
-        for unit, device, place in sorted(self._registers, key=lambda key: (key[0], key[2])):
-            pair = self._registers[unit, device, place]
-            words = self._words(device)
-            name, named = words.of(place)
-            came = held_text(pair.came, named)
+        for unit, device, key in sorted(self._registers, key=lambda each: (each[0], each[2])):
+            result = self._registers[unit, device, key]
+            wording = self._wording(device)
+            name, point = wording.of(key)
+            answered = values_text(result.answered, point)
             yield Difference(
                 kind=Kind.VALUE,
                 unit=unit,
-                reference=words.reference(place.table, place.address),
+                reference=wording.reference(key.table, key.address),
                 name=name,
                 what="read",
-                a=Side(text=held_text(pair.recorded, named), values=list(pair.recorded.values)),
+                a=Side(
+                    text=values_text(result.recorded, point), values=list(result.recorded.values)
+                ),
                 b=Side(
-                    text=_counted(came, pair.count, reads[unit, place]),
-                    values=list(pair.came.values),
-                    count=pair.count,
+                    text=_with_count(answered, result.count, reads[unit, key]),
+                    values=list(result.answered.values),
+                    count=result.count,
                 ),
             )
 
     def _reads(self) -> Counter[tuple[int, ValueKey]]:
-        """How often each register that differed was asked for."""
-        differed = {(unit, place) for unit, _, place in self._registers}
+        """How often each register that differed was read."""
+        differed = {(unit, key) for unit, _, key in self._registers}
         reads: Counter[tuple[int, ValueKey]] = Counter()
-        for asked in self._asked.values():
-            step = asked.step
-            reach = register_access(parse_pdu(step.pdu, Direction.REQUEST))
-            if reach is None:
+        for result in self._results.values():
+            step = result.step
+            access = register_access(parse_pdu(step.pdu, Direction.REQUEST))
+            if access is None:
                 continue
-            for address in reach.reads:
-                key = step.unit, ValueKey(reach.table, address, is_written=False)
+            for address in access.reads:
+                key = step.unit, ValueKey(access.table, address, is_written=False)
                 if key in differed:
-                    reads[key] += asked.count
+                    reads[key] += result.count
         return reads
 
-    def _words(self, device: str | None) -> DeviceWording:
-        if device not in self._of_devices:
-            profile = self._profiles.get(device) if device is not None else None
-            self._of_devices[device] = DeviceWording(profile)
-        return self._of_devices[device]
+    def _wording(self, device: str | None) -> DeviceWording:
+        if device not in self._wordings:
+            self._wordings[device] = DeviceWording.of_device(device, self._profiles)
+        return self._wordings[device]
 
     def _latencies(self) -> Iterable[Difference]:
         if self._tolerance is None:
             return
-        for asked in self._asked.values():
-            if not asked.recorded.values:
+        for result in self._results.values():
+            if not result.recorded.values:
                 continue
-            recorded, came = latency_side(asked.recorded), latency_side(asked.answered)
-            medians = recorded.median_ns or 0, came.median_ns or 0
-            tails = recorded.p95_ns or 0, came.p95_ns or 0
+            recorded, answered = latency_side(result.recorded), latency_side(result.answered)
+            medians = recorded.median_ns or 0, answered.median_ns or 0
+            tails = recorded.p95_ns or 0, answered.p95_ns or 0
             if any(after > self._tolerance.latest_ns(before) for before, after in (medians, tails)):
-                yield _about(asked, Kind.LATENCY, recorded, came)
+                yield _difference(result, Kind.LATENCY, recorded, answered)
 
 
-def _about(asked: _Judged, kind: Kind, a: Side, b: Side) -> Difference:
-    step = asked.step
+def _difference(result: _RequestResult, kind: Kind, a: Side, b: Side) -> Difference:
+    step = result.step
     return Difference(
         kind=kind,
         unit=step.unit,
@@ -284,8 +293,8 @@ def _about(asked: _Judged, kind: Kind, a: Side, b: Side) -> Difference:
     )
 
 
-def _counted(text: str, count: int, total: int) -> str:
-    """What came, and how often where it did not come always."""
+def _with_count(text: str, count: int, total: int) -> str:
+    """A text, followed by "(3 of 7)" unless count and total are equal."""
     return text if count == total else f"{text} ({count:,} of {total:,})"
 
 
@@ -306,8 +315,8 @@ def _length(pdu: bytes) -> str:
     return f"{len(pdu) - 2} bytes of values"
 
 
-def _apart(pdu: bytes, other: bytes) -> tuple[str, str]:
-    """The bytes of both, from the beginning or, where that would hide it, what differs."""
+def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
+    """The first bytes of both; if these are equal, the bytes from the first difference on."""
     first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
     if first is None or first < SHOWN_BYTES:
         return _shown(pdu), _shown(other)

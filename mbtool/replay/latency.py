@@ -1,8 +1,8 @@
-"""How long an answer takes that a recording gives."""
+"""Decides how long a slave that plays a recording takes for each response."""
 
-# A latency is in recorded time, which the rate of the clock divides, or as it is. An answer that
-# was made up, from the register image or by a device, has none of its own: it gets what its unit
-# and function usually took.
+# A latency is in recorded time, which is divided by the clock's rate, or in real time. A response
+# from the register image or a device has no recorded latency; it gets one that is usual for its
+# unit and function.
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
 
 
 class LatencyModel(Protocol):
-    """Says how long the answer to a request takes."""
+    """Decides the latency of a response."""
 
     @property
     def is_recorded_time(self) -> bool:
-        """Whether the clock's rate divides it."""
+        """True if the latency is divided by the clock's rate."""
         ...
 
     def ns(self, unit: int, function: int, own_ns: int | None) -> int:
-        """The latency of an answer; `own_ns` is the recorded one's own, where there is one."""
+        """The latency of a response; `own_ns` is its recorded latency, if it has one."""
         ...
 
 
 class RecordedLatency:
-    """Each answer takes as long as it took, or the median of its unit and function."""
+    """Each response's recorded latency, else the median of its unit and function."""
 
     is_recorded_time = True
 
@@ -40,7 +40,7 @@ class RecordedLatency:
 
 
 class FixedLatency:
-    """Each answer takes equally long."""
+    """The same latency for all responses."""
 
     is_recorded_time = False
 
@@ -52,12 +52,12 @@ class FixedLatency:
 
 
 class SampledLatency:
-    """Each answer takes as long as some recorded one of its unit and function, drawn by chance."""
+    """A random recorded latency of the response's unit and function."""
 
     is_recorded_time = True
 
     def __init__(self, recording: Recording, chance: Callable[[], float]) -> None:
-        """`chance` gives numbers from 0 to less than 1."""
+        """`chance` returns random numbers of at least 0 and less than 1."""
         self._recording = recording
         self._chance = chance
 

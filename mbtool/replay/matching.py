@@ -1,19 +1,20 @@
-"""Finds in a recording what answers a request."""
+"""Finds the recorded answer to a request."""
 
-# Each way to look has its own idea of where in the recording we are:
+# Each matcher keeps the position in the recording in its own way:
 #
-#     KeyMatcher        how many answers each request got: the next one is its own
-#     SequenceMatcher   one place for all: only the request that comes next there is answered
-#     TimeMatcher       the clock: of the answers to the same request the one asked nearest to it;
-#                       else, of those to the same function and address, an exception or silence as
-#                       it was, and for a good one the register image
-#     ImageMatcher      the register image for all that reaches registers; the rest by key
+#     KeyMatcher        by request: each request gets its next recorded answer
+#     SequenceMatcher   one for all: only the request that comes next in the recording is answered
+#     TimeMatcher       by the clock: the answer to the same request that was asked nearest to the
+#                       clock's time. If there is none, the nearest one to the same function and
+#                       address: its exception or silence, but instead of its values those of the
+#                       register image
+#     ImageMatcher      the register image for functions that access registers or bits; the others
+#                       as KeyMatcher
 #
-# Where the recorded answers are over (OnEnd), `last` of a request is its last one that was no
-# silence, since a capture often ends before an answer.
+# OnEnd tells what follows after the last recorded answer. OnEnd.LAST repeats the last response that
+# is not silence, as a capture often ends before a response.
 #
-# While the player stands still (`holds`), a request gets the answer that it got last, and nothing
-# is used up.
+# While the player stands still (`is_paused`), a request gets its previous answer again.
 
 from __future__ import annotations
 
@@ -33,39 +34,39 @@ _EXCEPTION_BIT = 0x80
 
 
 class MatchStrategy(StrEnum):
-    """How the answer to a request is found."""
+    """How to find the answer to a request."""
 
     AUTO = "auto"
-    """By key, then from the register image, then by what the device's profile says."""
+    """As KEY, then from the register image, then from the device's profile."""
     SEQUENCE = "sequence"
-    """The recording's exact order."""
+    """The exact order of the recording."""
     KEY = "key"
     """The next answer to the same unit, function, addresses and values."""
     TIME = "time"
-    """The answer that was given nearest to the moment of the recording."""
+    """The answer nearest to the clock's time."""
     IMAGE = "image"
-    """The register image at the moment of the recording."""
+    """The register image at the clock's time."""
 
     @property
     def by_clock(self) -> bool:
-        """Whether the clock says where in the recording we are; else the requests do."""
+        """True if the clock gives the position in the recording, False if the requests do."""
         return self in (MatchStrategy.TIME, MatchStrategy.IMAGE)
 
 
 class OnEnd(StrEnum):
-    """What comes when the recorded answers are over."""
+    """What follows after the last recorded answer."""
 
     LAST = "last"
-    """The last one, again and again."""
+    """The last answer again."""
     LOOP = "loop"
-    """All of it from the beginning."""
+    """The recording from its beginning."""
     IMAGE = "image"
-    """The registers as they were last."""
+    """The last values of the registers."""
     SILENT = "silent"
 
 
 class NoAnswer(Enum):
-    """What there is in place of a recorded answer."""
+    """A matcher's result if it has no recorded answer: a miss, the register image, silence."""
 
     MISS = "miss"
     IMAGE = "image"
@@ -76,17 +77,16 @@ _AT_END = {OnEnd.IMAGE: NoAnswer.IMAGE, OnEnd.SILENT: NoAnswer.SILENCE}
 
 
 class Moment(NamedTuple):
-    """Where in the recording we are."""
+    """A time in the recording, and the state of the player."""
 
     at_ns: int
     is_over: bool = False
-    """The clock has come to the end."""
-    holds: bool = False
-    """The player stands still."""
+    """True if the clock has reached the end."""
+    is_paused: bool = False
 
 
 class Matcher(Protocol):
-    """Finds the answer to each request."""
+    """Finds the recorded answers to requests."""
 
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer: ...
 
@@ -104,32 +104,32 @@ def matcher_for(match: MatchStrategy, recording: Recording, on_end: OnEnd) -> Ma
 
 
 class KeyMatcher:
-    """Each request has a sequence of its own."""
+    """Each request has a sequence of answers of its own."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """How many answers were given to a request."""
+        """By request, how many answers it has had."""
 
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         answers = self._answers.get(key)
         if answers is None:
             return NoAnswer.MISS
-        place = self._given.get(key, 0)
-        if moment.holds:
-            place = max(place - 1, 0)
-        elif place < len(answers) or self._on_end is OnEnd.LOOP:
-            self._given[key] = place + 1
-        if place < len(answers):
-            return answers[place]
+        index = self._given.get(key, 0)
+        if moment.is_paused:
+            index = max(index - 1, 0)
+        elif index < len(answers) or self._on_end is OnEnd.LOOP:
+            self._given[key] = index + 1
+        if index < len(answers):
+            return answers[index]
         if self._on_end is OnEnd.LOOP:
-            return answers[place % len(answers)]
+            return answers[index % len(answers)]
         return _AT_END.get(self._on_end) or _last(answers)
 
 
 class SequenceMatcher:
-    """All requests have one sequence; one that is not the next is a miss."""
+    """All requests are one sequence; a request that is not the next one is a miss."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._order = recording.order
@@ -139,7 +139,7 @@ class SequenceMatcher:
         self._last: dict[Key, RecordedAnswer] = {}
 
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
-        if moment.holds:
+        if moment.is_paused:
             return self._last.get(key, NoAnswer.MISS)
         if self._next >= len(self._order) and self._on_end is not OnEnd.LOOP:
             if key not in self._answers:
@@ -154,16 +154,16 @@ class SequenceMatcher:
 
 
 class TimeMatcher:
-    """The clock says which of the answers to a request it gets."""
+    """A request gets the answer that is nearest to the clock's time."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._answers = recording.answers
         self._on_end = on_end
-        self._alike: dict[bytes, list[RecordedAnswer]] = {}
+        self._by_address: dict[bytes, list[RecordedAnswer]] = {}
         for key, answer in recording.order:
-            alike = _likeness(key)
-            if alike is not None:
-                self._alike.setdefault(alike, []).append(answer)
+            address_key = _address_key(key)
+            if address_key is not None:
+                self._by_address.setdefault(address_key, []).append(answer)
 
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         if moment.is_over and self._on_end in _AT_END:
@@ -171,16 +171,16 @@ class TimeMatcher:
         answers = self._answers.get(key)
         if answers is not None:
             return _nearest(answers, moment.at_ns)
-        alike = self._alike.get(_likeness(key) or b"")
-        if alike is None:
+        similar = self._by_address.get(_address_key(key) or b"")
+        if similar is None:
             return NoAnswer.MISS
-        answer = _nearest(alike, moment.at_ns)
+        answer = _nearest(similar, moment.at_ns)
         is_good = answer.pdu is not None and not answer.pdu[0] & _EXCEPTION_BIT
         return NoAnswer.IMAGE if is_good else answer
 
 
 class ImageMatcher:
-    """The register image answers."""
+    """Requests for registers or bits are answered from the register image."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._others = KeyMatcher(recording, on_end)
@@ -199,13 +199,13 @@ def _last(answers: Sequence[RecordedAnswer]) -> RecordedAnswer:
 
 
 def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
-    """The one asked nearest to a moment, of two equally near the earlier."""
-    place = bisect_left(answers, at_ns, key=lambda one: one.asked_ns)
-    return min(answers[max(place - 1, 0) : place + 1], key=lambda one: abs(one.asked_ns - at_ns))
+    """The answer whose request was nearest to a time; of two equally near, the earlier one."""
+    index = bisect_left(answers, at_ns, key=lambda one: one.asked_ns)
+    return min(answers[max(index - 1, 0) : index + 1], key=lambda one: abs(one.asked_ns - at_ns))
 
 
-def _likeness(key: Key) -> bytes | None:
-    """What requests have in common that reach the same place by the same function."""
+def _address_key(key: Key) -> bytes | None:
+    """Unit, function and first address of a request; None if it accesses no registers or bits."""
     unit, pdu = key
     if not pdu or pdu[0] not in TABLE_FUNCTIONS:
         return None

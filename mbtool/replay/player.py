@@ -1,24 +1,25 @@
 """Plays the slaves of a recording."""
 
-# For each request, in this order:
+# A request is answered by the first of these that applies:
 #
-#     1  what the matcher finds (matching.py): a recorded answer, silence included
-#     2  of a unit that the recording does not have: silence, as the request is another slave's
-#     3  under OnMiss.IMAGE: the register image as of this moment of the recording; and where that
-#        knows too little, the device that the workflow gives for the unit
-#     4  else an exception response, or silence under OnMiss.SILENT
+#     1  the recorded answer that the matcher finds (matching.py); it may be silence
+#     2  silence, if the recording does not have the unit: the request is for another slave
+#     3  with OnMiss.IMAGE, the register image: the values of registers and bits at the player's
+#        time in the recording. If it lacks an address, the device that is given for the unit
+#     4  an exception response, or silence with OnMiss.SILENT: 03 for a malformed request or one
+#        beyond the standard's limits, 02 for an address that was never seen, 01 for a function that
+#        accesses no register or bit
 #
-# The moment is the clock's, where the matcher goes by it. Else it is the recorded time of the
-# answer that was played last, so one rare request does not throw the others forward for good;
-# silence leaves it, and before the first answer it is the beginning. Until an address is first seen
-# it holds its first known value. The clock starts with the first request.
+# The player's time is the clock's if the matcher uses it. Otherwise it is the recorded time of the
+# last response that was played, so a request that is rare in the recording moves it forward only
+# until the next response. Silence does not move it. Before the first response it is the beginning.
+# An address has its first known value from the beginning on. The clock starts with the first
+# request.
 #
-# A write that is acknowledged lies over the image until the recording has a change there; recorded
-# answers stay as they are. One never seen is acknowledged where the recording knows its addresses.
-# When the clock begins anew, writes are gone. A broadcast on a serial line writes to every unit.
-#
-# What nothing answers gets an exception response: 03 for a request that breaks its form or the
-# standard's limits, 02 for an address never seen, 01 for a function that reaches no register.
+# An acknowledged write replaces the image's value until the value changes in the recording;
+# recorded answers stay as they are. A write that was never recorded is acknowledged if the
+# recording knows all its addresses. When the clock starts a new lap, all writes are dropped. A
+# broadcast on a serial line writes to every unit.
 
 from __future__ import annotations
 
@@ -54,29 +55,29 @@ if TYPE_CHECKING:
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
-"""Between the end and the next beginning of a recording that has no length."""
+"""In a loop, the time between end and next beginning of a recording of a single instant."""
 
 
 class OnMiss(StrEnum):
-    """What a request gets that the recording does not have."""
+    """The answer to a request that the recording does not have."""
 
     IMAGE = "image"
-    """An answer from the register image, where it knows one, else an exception response."""
+    """A response from the register image or the device, else an exception response."""
     EXCEPTION = "exception"
     SILENT = "silent"
 
 
 class Device(Protocol):
-    """Answers for a unit what its recording does not know."""
+    """A simulated device that answers requests that the recording cannot answer."""
 
     def learn(self, table: Table, address: int, value: int) -> None:
-        """Take over what the recording knows."""
+        """Take a value that the recording knows."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None: ...
 
 
 class RecordedSlave:
-    """A Responder that answers as a recording did."""
+    """A Responder that answers like the slaves of a recording."""
 
     def __init__(
         self,
@@ -91,10 +92,12 @@ class RecordedSlave:
         transport: Transport = Transport.RTU,
         with_damage: bool = False,
     ) -> None:
-        """`rate` is that of the clock, and divides recorded latencies; None leaves them out.
+        """Prepare to play a recording.
 
-        `transport` is how requests come; `with_damage` plays answers that were damaged, too.
-        Raises ValueError for a rate that is not more than 0, or none where a clock is needed.
+        `rate` is the clock's, and divides recorded latencies; with None there are no latencies.
+        `devices` answer for their units. `transport` is that of the requests. `with_damage` plays
+        damaged responses too. Raises ValueError if the rate is not above 0, or None although
+        `match` needs a clock.
         """
         if rate is None and match.by_clock:
             raise ValueError(f"{match} goes by the clock, which needs a rate")
@@ -114,14 +117,16 @@ class RecordedSlave:
         )
         self._steering = Steering(self._clock, self._step)
         self._steps = 0
-        """How many answers may be used up although the player stands still."""
-        self._moment_ns = recording.begin_ns
+        """How many more answers may be played while the player stands still."""
+        self._time_ns = recording.begin_ns
+        """The player's time, as a time in the recording."""
         self._lap = 0
         self._written: dict[tuple[int, Table, int], tuple[int, int]] = {}
-        """Live writes: by unit, table and address the value, and the moment it was written."""
+        """By unit, table and address, the value that a master wrote and the player's time then."""
         self.asked = 0
+        """How many requests there were."""
         self.missed = 0
-        """How many requests the recording has no answer for."""
+        """How many of them the recording has no answer for."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._steering.begin(now_ns)
@@ -132,7 +137,7 @@ class RecordedSlave:
             for each in self._recording.units:
                 self._keep_write(each, request)
             if isinstance(found, RecordedAnswer):
-                self._pass_by(found)
+                self._go_to(found)
             return None
         if isinstance(found, RecordedAnswer):
             return self._play(unit, pdu, found)
@@ -143,40 +148,42 @@ class RecordedSlave:
         return self._make_up(unit, pdu, found, now_ns)
 
     def control(self, control: Control, now_ns: int) -> None:
-        """Do what someone at the keyboard wants."""
+        """Apply a user's control."""
         self._steering.apply(control, now_ns)
 
     def progress(self, now_ns: int) -> Progress:
-        by_clock = self._match.by_clock
-        since_ns = self._moment_ns - self._recording.begin_ns
+        """The player's state."""
+        position_ns = self._time_ns - self._recording.begin_ns
+        if self._match.by_clock:
+            position_ns = self._clock.position(now_ns)
         done = f"{self.asked:,} asked"
         if self.missed:
             done = f"{done}, {self.missed:,} not in the recording"
-        return self._steering.progress(self._clock.place(now_ns) if by_clock else since_ns, done)
+        return self._steering.progress(position_ns, done)
 
     def _moment(self, now_ns: int) -> Moment:
-        """Where in the recording we are now."""
+        """Update the player's time in the recording."""
         if not self._match.by_clock:
-            holds = self._steering.is_paused and not self._steps
+            is_paused = self._steering.is_paused and not self._steps
             self._steps = max(self._steps - 1, 0)
-            return Moment(self._moment_ns, holds=holds)
-        place_ns = self._clock.place(now_ns)
-        lap = self._clock.lap(place_ns)
+            return Moment(self._time_ns, is_paused=is_paused)
+        position_ns = self._clock.position(now_ns)
+        lap = self._clock.lap(position_ns)
         if lap != self._lap:
             self._lap = lap
             self._written.clear()
-        self._moment_ns = self._recording.begin_ns + self._clock.in_recording(place_ns)
-        return Moment(self._moment_ns, is_over=self._clock.is_over(now_ns))
+        self._time_ns = self._recording.begin_ns + self._clock.in_recording(position_ns)
+        return Moment(self._time_ns, is_over=self._clock.is_over(now_ns))
 
     def _step(self, now_ns: int) -> None:
-        """Go on to what was asked next, or use up one answer more."""
+        """Go on to the next recorded request, or allow one more answer."""
         if not self._match.by_clock:
             self._steps += 1
             return
-        place_ns = self._clock.place(now_ns)
+        position_ns = self._clock.position(now_ns)
         begin_ns = self._recording.begin_ns
-        next_ns = self._recording.next_ns(begin_ns + self._clock.in_recording(place_ns))
-        lap = self._clock.lap(place_ns)
+        next_ns = self._recording.next_ns(begin_ns + self._clock.in_recording(position_ns))
+        lap = self._clock.lap(position_ns)
         if next_ns is None and self._clock.is_loop:
             lap, next_ns = lap + 1, self._recording.next_ns(begin_ns - 1)
         if next_ns is not None:
@@ -192,15 +199,15 @@ class RecordedSlave:
                 return None
             delay_ns = self._delay_ns(unit, pdu[0], recorded.damaged.latency_ns)
             return recorded.damaged.again(self._transport, delay_ns)
-        self._pass_by(recorded)
+        self._go_to(recorded)
         if recorded.pdu[0] == pdu[0]:
             self._keep_write(unit, parse_pdu(pdu, Direction.REQUEST))
         return Response(recorded.pdu, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
-    def _pass_by(self, played: RecordedAnswer) -> None:
-        """The answers say where in the recording we are, where the clock does not."""
+    def _go_to(self, played: RecordedAnswer) -> None:
+        """Set the player's time to that of a played answer, unless the clock gives it."""
         if not self._match.by_clock:
-            self._moment_ns = played.at_ns
+            self._time_ns = played.at_ns
 
     def _delay_ns(self, unit: int, function: int, own_ns: int | None) -> int:
         latency_ns = self._latency.ns(unit, function, own_ns)
@@ -209,68 +216,67 @@ class RecordedSlave:
         return 0 if self._clock.rate is None else round(latency_ns / self._clock.rate)
 
     def _make_up(self, unit: int, pdu: bytes, found: NoAnswer, now_ns: int) -> Response | None:
-        """An answer to what was never recorded."""
+        """The answer to a request that has no recorded one."""
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = register_access(request)
+        access = register_access(request)
         if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:
             delay_ns = self._delay_ns(unit, pdu[0], None)
-            response = self._from_image(unit, request, reach, pdu)
-            if response is not None:
-                return Response(response, delay_ns)
+            from_image = self._from_image(unit, request, access, pdu)
+            if from_image is not None:
+                return Response(from_image, delay_ns)
             if unit in self._devices:
-                answer = self._from_device(unit, request, reach, pdu, now_ns)
-                return None if answer is None else replace(answer, delay_ns=delay_ns)
+                response = self._from_device(unit, request, access, pdu, now_ns)
+                return None if response is None else replace(response, delay_ns=delay_ns)
         if self._on_miss is OnMiss.SILENT:
             return None
-        refusal = _Code.ILLEGAL_DATA_ADDRESS
-        if reach is None:
-            reaching = request.code in TABLE_FUNCTIONS
-            refusal = _Code.ILLEGAL_DATA_VALUE if reaching else _Code.ILLEGAL_FUNCTION
-        refused = exception_pdu(request.code, refusal)
-        return Response(refused, self._delay_ns(unit, pdu[0], None))
+        code = _Code.ILLEGAL_DATA_ADDRESS
+        if access is None:
+            has_table = request.code in TABLE_FUNCTIONS
+            code = _Code.ILLEGAL_DATA_VALUE if has_table else _Code.ILLEGAL_FUNCTION
+        return Response(exception_pdu(request.code, code), self._delay_ns(unit, pdu[0], None))
 
     def _from_image(
-        self, unit: int, request: Pdu, reach: RegisterAccess | None, pdu: bytes
+        self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes
     ) -> bytes | None:
-        """The response, or None where one of its addresses was never seen."""
-        if reach is None:
+        """The response from the register image; None if one of the addresses was never seen."""
+        if access is None:
             return None
-        for span in (reach.reads, reach.writes):
-            if any(self._value(unit, reach.table, address) is None for address in span):
+        for span in (access.reads, access.writes):
+            if any(self._value(unit, access.table, address) is None for address in span):
                 return None
         self._keep_write(unit, request)
-        values = [self._value(unit, reach.table, address) or 0 for address in reach.reads]
+        values = [self._value(unit, access.table, address) or 0 for address in access.reads]
         return response_to(request, pdu, values)
 
     def _from_device(
-        self, unit: int, request: Pdu, reach: RegisterAccess | None, pdu: bytes, now_ns: int
+        self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes, now_ns: int
     ) -> Response | None:
-        """The device's own answer, given the values that the recording knows."""
+        """The device's response, after it was given the values that the recording knows."""
         device = self._devices[unit]
-        if reach is not None:
-            for address in (*reach.reads, *reach.writes):
-                value = self._value(unit, reach.table, address)
+        if access is not None:
+            for address in (*access.reads, *access.writes):
+                value = self._value(unit, access.table, address)
                 if value is not None:
-                    device.learn(reach.table, address, value)
-        answer = device.respond(unit, pdu, now_ns)
-        if answer is not None and answer.pdu[0] == pdu[0]:
+                    device.learn(access.table, address, value)
+        response = device.respond(unit, pdu, now_ns)
+        if response is not None and response.pdu[0] == pdu[0]:
             self._keep_write(unit, request)
-        return answer
+        return response
 
     def _keep_write(self, unit: int, request: Pdu) -> None:
-        """Lay what an acknowledged request wrote over the image, where that knows the address."""
-        reach = register_access(request)
-        if reach is None or not reach.writes:
+        """Keep the values of an acknowledged write at the addresses that the recording knows."""
+        access = register_access(request)
+        if access is None or not access.writes:
             return
-        before = [self._value(unit, reach.table, address) for address in reach.writes]
+        before = [self._value(unit, access.table, address) for address in access.writes]
         after = values_after(request, [value or 0 for value in before])
-        for address, known, value in zip(reach.writes, before, after, strict=True):
+        for address, known, value in zip(access.writes, before, after, strict=True):
             if known is not None:
-                self._written[unit, reach.table, address] = value, self._moment_ns
+                self._written[unit, access.table, address] = value, self._time_ns
 
     def _value(self, unit: int, table: Table, address: int) -> int | None:
-        """What an address holds at this moment, or None where it was never seen."""
-        recorded = self._recording.timeline(unit, table).at(address, self._moment_ns)
+        """The value of an address at the player's time; None if it was never seen."""
+        recorded = self._recording.timeline(unit, table).at(address, self._time_ns)
         if recorded is None:
             return None
         value, since_ns = recorded

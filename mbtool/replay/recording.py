@@ -1,20 +1,20 @@
-"""A recording made ready to be played as the slave: its answers by request, its values by time."""
+"""Prepares a recording to be played as the slave: answers by request, and values by time."""
 
 # Two views of the same transactions:
 #
-#     answers   by unit and request PDU, so by function, addresses and written values; in the order
-#               of the requests, each with its recorded time and latency, silence among them; and
-#               all together in that order
-#     values    by unit and table a Timeline, from every read that was answered well and every write
-#               that was acknowledged; a broadcast write counts for every unit
+#     answers   by unit and request PDU, that is by function, addresses and written values. They are
+#               in the order of the requests, each with its recorded time and latency; silence is an
+#               answer too. `order` has the answers to all requests in one sequence
+#     values    by unit and table, a Timeline of every successful read and every acknowledged write;
+#               a broadcast write counts for every unit
 #
-# Units are all that a slave is known by: from a capture of several links with equal units the
-# caller picks one link's transactions. Answers that no request asked for are left out.
+# Slaves are identified by their unit only: if several links have the same units, the caller passes
+# the transactions of one link. Unsolicited responses are left out.
 #
-# Of a window the answers are those to the requests in it; values are known from all of the
-# recording, so that the window begins with what stood there.
+# With a time range, the answers are those to the requests inside it. Values come from the whole
+# recording, so that registers begin the range with the values that they had then.
 #
-# Memory grows with the recording: one entry for each transaction, one for each change of a value.
+# Memory grows with the recording: one entry for each transaction and for each change of a value.
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Self
 from mbtool.core import Direction
 from mbtool.modbus import Outcome, Table, parse_pdu, register_access, values_after, whole_pdu
 from mbtool.replay.damaged import DamagedAnswer, damaged_answers
+from mbtool.replay.time_range import TimeRange
 from mbtool.replay.timeline import Timeline
-from mbtool.replay.window import TimeRange
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -42,17 +42,17 @@ Key = tuple[int, bytes]
 
 @dataclass(frozen=True, slots=True)
 class RecordedAnswer:
-    """What came back for one request."""
+    """The recorded response to one request, or its silence."""
 
     pdu: bytes | None
-    """None where the slave stayed silent."""
+    """None if there was no response."""
     at_ns: int
-    """When it was complete on the wire; for silence, when the request was."""
+    """When the response was complete on the wire; for silence, when the request was."""
     latency_ns: int
     asked_ns: int = 0
-    """When its request was complete on the wire."""
+    """When the request was complete on the wire."""
     damaged: DamagedAnswer | None = None
-    """What came in place of an answer, where that was known to be one."""
+    """The damaged response, if the silence was one."""
 
 
 _ALL = TimeRange()
@@ -63,52 +63,52 @@ class Recording:
 
     def __init__(self) -> None:
         self.units: set[int] = set()
-        """The units that were asked, broadcasts apart."""
+        """The units that got requests, without broadcasts."""
         self.answers: dict[Key, list[RecordedAnswer]] = {}
         self.order: list[tuple[Key, RecordedAnswer]] = []
         self._values: dict[tuple[int, Table], Timeline] = {}
         self._latencies: dict[tuple[int, int | None], array[int]] = {}
         self._medians: dict[tuple[int, int | None], int] = {}
         self.begin_ns = 0
-        """The time of the first request, or of the window's beginning."""
+        """The time of the first request, or of the beginning of the time range."""
         self.length_ns = 0
-        """From there to the last answer, or the window's end."""
+        """From there to the last answer, or to the end of the time range."""
 
     @classmethod
     def of(
         cls,
         transactions: Iterable[Transaction],
-        window: TimeRange = _ALL,
+        part: TimeRange = _ALL,
         events: Iterable[WireEvent] = (),
     ) -> Self:
         """Build a recording; the transactions may come in any order.
 
-        `events` of the same links say which answers were damaged.
+        `events` of the same links have the bytes of damaged responses.
         """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
         first_ns = asked[0].start_ns if asked else 0
-        recording.begin_ns = first_ns + window.start_ns
+        recording.begin_ns = first_ns + part.start_ns
         recording.units = {one.unit for one in asked if one.outcome is not Outcome.BROADCAST}
         damaged = damaged_answers(asked, events)
         keys: dict[Key, Key] = {}
-        for place, transaction in enumerate(asked):
-            if transaction.start_ns - first_ns in window:
-                recording._add_answer(transaction, damaged.get(place), keys)
+        for index, transaction in enumerate(asked):
+            if transaction.start_ns - first_ns in part:
+                recording._add_answer(transaction, damaged.get(index), keys)
         for transaction in sorted(asked, key=_answered_ns):
             recording._add_values(transaction)
         recording._add_latencies(asked)
         last_ns = max((answer.at_ns for _, answer in recording.order), default=0)
-        end_ns = last_ns if window.end_ns is None else first_ns + window.end_ns
+        end_ns = last_ns if part.end_ns is None else first_ns + part.end_ns
         recording.length_ns = max(end_ns - recording.begin_ns, 0)
         return recording
 
     def timeline(self, unit: int, table: Table) -> Timeline:
-        """What is known of one table of a unit."""
+        """The known values of one table of a unit."""
         return self._values.get((unit, table), _NOTHING)
 
     def latency_ns(self, unit: int, function: int) -> int:
-        """The median latency of a unit for a function, else of the unit; 0 where none is known."""
+        """The median latency of a unit for a function, else of the unit, else 0."""
         of_unit = self._medians.get((unit, None), 0)
         return self._medians.get((unit, function), of_unit)
 
@@ -118,14 +118,14 @@ class Recording:
         return seen or ()
 
     def next_ns(self, at_ns: int) -> int | None:
-        """When something was asked first behind a moment."""
-        place = bisect_right(self.order, at_ns, key=lambda each: each[1].asked_ns)
-        return self.order[place][1].asked_ns if place < len(self.order) else None
+        """The time of the first request after `at_ns`; None if there is none."""
+        index = bisect_right(self.order, at_ns, key=lambda each: each[1].asked_ns)
+        return self.order[index][1].asked_ns if index < len(self.order) else None
 
     def _add_answer(
         self, transaction: Transaction, damaged: DamagedAnswer | None, keys: dict[Key, Key]
     ) -> None:
-        """Add an answer; `keys` are those that there are, as one asked often is kept once."""
+        """Add an answer; `keys` are the known keys, so that equal requests share one object."""
         request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
             return
@@ -154,19 +154,20 @@ class Recording:
         if pdu is None or transaction.outcome not in (Outcome.OK, Outcome.BROADCAST):
             return
         request = parse_pdu(pdu, Direction.REQUEST)
-        reach = register_access(request)
-        if reach is None:
+        access = register_access(request)
+        if access is None:
             return
         is_broadcast = transaction.outcome is Outcome.BROADCAST
         at_ns = _answered_ns(transaction)
         for unit in self.units if is_broadcast else (transaction.unit,):
-            timeline = self._values.setdefault((unit, reach.table), Timeline())
-            before = timeline.last(reach.writes) if request.code == 0x16 else []
-            if reach.writes and before is not None:
-                timeline.note(at_ns, reach.writes.start, values_after(request, before))
-            if reach.reads and not is_broadcast:
-                values = (transaction.response_values or [])[: len(reach.reads)]
-                timeline.note(at_ns, reach.reads.start, values)
+            timeline = self._values.setdefault((unit, access.table), Timeline())
+            # A mask write changes bits of the register's last value.
+            before = timeline.last(access.writes) if request.code == 0x16 else []
+            if access.writes and before is not None:
+                timeline.note(at_ns, access.writes.start, values_after(request, before))
+            if access.reads and not is_broadcast:
+                values = (transaction.response_values or [])[: len(access.reads)]
+                timeline.note(at_ns, access.reads.start, values)
 
 
 _NOTHING = Timeline()

@@ -1,15 +1,15 @@
-"""A recording made ready to be played as the master: what to ask, when, and what came back."""
+"""Prepares a recording to be played as the master: its requests, their times and responses."""
 
-# A step is one recorded request. It is asked when its recorded time comes, and not before those
-# that it came after in the recording: a step waits for each earlier one whose answer the recorded
-# master had when it asked. Those that were still open then may be open again, so a master that
-# asked several at once does it again, and one that did not, does not. Requests that were never
-# answered are waited for by nobody.
+# A step is one recorded request. It is sent at its recorded time, but not before each earlier step
+# is over whose response the recorded master had when it sent this request. Steps that were still
+# open then may be open again. So a master that had several requests open at once has them open
+# again, and one that waited for each response waits. No step waits for a request that was never
+# answered.
 #
-# Unsolicited answers have no request and are left out; a retry is a request like any other.
+# Unsolicited responses have no request and are left out; a retry is a request like any other.
 #
-# Memory grows with the recording: a step for each request. `open_before` holds as many numbers as
-# there were requests open at once.
+# Memory grows with the recording: one step for each request. `open_before` has as many numbers as
+# requests were open at once.
 
 from __future__ import annotations
 
@@ -31,27 +31,28 @@ class Step:
     """One request of the recording."""
 
     number: int
-    """Its place, from 0."""
-    place_ns: int
-    """When it was complete, since the first request."""
+    """Its index in the script."""
+    position_ns: int
+    """When its last byte was sent, counted from the first request."""
     unit: int
     pdu: bytes
     expected: bytes | None
-    """The PDU that came back; None where there was none."""
+    """The PDU of the recorded response; None if there was none."""
     latency_ns: int | None
+    """The recorded latency."""
     is_broadcast: bool
     reference: str
-    """What it addresses, in the notation of its device."""
+    """Its addresses in the notation of the device."""
     function_name: str
     device: str | None
     """The name of the profile, if there is one."""
     open_before: tuple[int, ...] = ()
-    """The earlier steps that were answered later; all others that were answered must be over."""
+    """Numbers of earlier steps that were still open; all other answered steps must be over."""
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """The steps, in the order of their requests."""
+    """The steps in the order in which they were sent."""
 
     steps: tuple[Step, ...]
 
@@ -67,9 +68,9 @@ class Script:
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
         pdus: dict[bytes, bytes] = {}
-        """What is asked again and again is kept once."""
+        """Equal PDUs share one object."""
         open_until: dict[int, int] = {}
-        """By number, the steps that are open, and until when."""
+        """The numbers of open steps, and when their responses came."""
         for number, (request_ns, pdu, one) in enumerate(asked):
             for each in [each for each, end in open_until.items() if end <= request_ns]:
                 del open_until[each]
@@ -78,7 +79,7 @@ class Script:
             steps.append(
                 Step(
                     number=number,
-                    place_ns=request_ns - asked[0][0],
+                    position_ns=request_ns - asked[0][0],
                     unit=one.unit,
                     pdu=pdus.setdefault(pdu, pdu),
                     expected=whole_pdu(one.transport, one.response_raw),
@@ -97,9 +98,9 @@ class Script:
     @property
     def length_ns(self) -> int:
         """From the first request to the last."""
-        return self.steps[-1].place_ns if self.steps else 0
+        return self.steps[-1].position_ns if self.steps else 0
 
     @property
     def units(self) -> frozenset[int]:
-        """The units that are asked, broadcasts apart."""
+        """The units that get requests, without broadcasts."""
         return frozenset(step.unit for step in self.steps if not step.is_broadcast)

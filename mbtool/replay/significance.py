@@ -1,16 +1,17 @@
-"""Whether two samples differ by more than chance: a rank test and a test of two shares."""
+"""Tests whether two samples differ significantly: a rank test and a test of two shares."""
 
-# Latencies have long tails and heaps at a timer's ticks, so nothing is assumed of their form:
+# Latencies have long tails and clusters at a timer's ticks, so no distribution is assumed:
 #
-#     rank_sum    Mann and Whitney's U with the correction for ties, by its normal approximation.
-#                 From SMALLEST values on each side; for fewer it is too rough, and gives 1.
-#     same_share  Fisher's exact test, two-sided: k of n here against l of m there.
+#     rank_sum    the Mann-Whitney U test with correction for ties, in its normal approximation. It
+#                 needs MIN_VALUES values on each side; with fewer the approximation is too rough,
+#                 and p is 1.
+#     same_share  Fisher's exact test, two-sided, for k of n against l of m.
 #
-# With many values the smallest shift is beyond chance, so `rank_sum` also gives the chance that a
-# value from b exceeds one from a (Vargha and Delaney's A): 0.5 is none, and from 0.64 on (or 0.36
-# down) it is of medium size by their scale.
+# With many values the smallest shift is significant. So `rank_sum` also gives the probability that
+# a value from b exceeds one from a (Vargha and Delaney's A): 0.5 means no shift. From 0.64 up or
+# 0.36 down the shift is at least medium on their scale.
 #
-# Cost: rank_sum sorts, same_share sums at most k + l terms.
+# Cost: rank_sum sorts all values; same_share sums at most k + l terms.
 
 from __future__ import annotations
 
@@ -22,21 +23,22 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-SMALLEST = 8
+MIN_VALUES = 8
 MEDIUM = 0.14
-"""How far from 0.5 a medium chance is."""
+"""Distance of `exceeds` from 0.5 from which a shift is of medium size."""
 
 _ROUNDING = 1e-9
+"""Tables whose log probabilities differ by less count as equally likely."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """How b stands to a."""
+    """The result of a rank test of samples a and b."""
 
     p: float
-    """How likely a difference like this is where there is none."""
+    """The probability of such a difference if both have the same distribution."""
     exceeds: float
-    """The chance that a value of b is more than one of a; equal ones count half."""
+    """The probability that a value of b exceeds one of a; equal values count half."""
 
     @property
     def is_medium(self) -> bool:
@@ -44,8 +46,8 @@ class Shift:
 
 
 def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
-    """Whether the values of b tend to be more, or less, than those of a."""
-    if min(len(a), len(b)) < SMALLEST:
+    """Test whether the values of b tend to be greater or less than those of a."""
+    if min(len(a), len(b)) < MIN_VALUES:
         return Shift(1.0, 0.5)
     both = sorted([(value, 0) for value in a] + [(value, 1) for value in b])
     ranks_of_b, ties, before = 0.0, 0, 0
@@ -65,7 +67,7 @@ def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
 
 
 def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
-    """How likely shares as far apart as k of n and other_k of other_n are where there is one."""
+    """The probability of shares as different as k of n and other_k of other_n if they are equal."""
     hits, lowest = k + other_k, max(0, k + other_k - other_n)
     logs = [_log_chance(each, n, hits, n + other_n) for each in range(lowest, min(hits, n) + 1)]
     here = logs[k - lowest] + _ROUNDING
@@ -73,7 +75,7 @@ def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
 
 
 def _log_chance(k: int, n: int, hits: int, whole: int) -> float:
-    """The logarithm of the chance that k of all `hits` fall among n of the `whole`."""
+    """The log probability that k of all `hits` are among the first n of `whole` items."""
     return _log_choices(n, k) + _log_choices(whole - n, hits - k) - _log_choices(whole, hits)
 
 

@@ -1,8 +1,7 @@
-"""What someone at the keyboard does to a recording that is played: pause, step, faster, slower."""
+"""Applies the keys of a user to a recording that is played: pause, step, faster, slower."""
 
-# Keys come in as Controls and act on the player's clock. A step goes on by one and stands still
-# again: by one request, one piece, or the next moment that was recorded, whichever the player
-# plays; so what a step is, the player says.
+# Keys arrive as Controls and act on the player's clock. A step plays one more item and stands still
+# again. The player defines the item: a request, a run of bytes, or the next recorded request time.
 
 from __future__ import annotations
 
@@ -18,87 +17,56 @@ if TYPE_CHECKING:
 
 
 class Control(StrEnum):
-    """One key."""
+    """The function of a key."""
 
     PAUSE = "pause"
-    """Stand still; the next time, go on."""
+    """Stand still, or go on if it does already."""
     STEP = "step"
-    """One more, then stand still."""
+    """Play one more item, then stand still."""
     FASTER = "faster"
     SLOWER = "slower"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Where a player is."""
+    """The state of a player."""
 
-    place_ns: int
-    """Since the beginning of what is played."""
+    position_ns: int
+    """Recorded time from the beginning of the part that is played."""
     length_ns: int
     lap: int
-    """How often the end was passed."""
+    """How often the end was passed, from 0."""
     rate: Fraction | None
+    """Recorded time per real time; None: as fast as possible."""
     is_paused: bool
     is_waiting: bool
-    """Whether it has yet to be asked something."""
+    """True until the clock has been started."""
     done: str
-    """What was done so far, for a reader."""
+    """A text about what was played so far."""
 
 
 class PlayerControls(Protocol):
-    """Where someone sits who steers a player, and sees where it is. It is asked very often."""
+    """The keyboard and display of a player's user. It is called many times a second."""
 
     def controls(self) -> Sequence[Control]:
-        """What was wanted since it was asked last."""
+        """The controls that were used since the last call."""
         ...
 
     def show(self, progress: Progress) -> None: ...
 
 
-class Gate:
-    """Lets what comes next pass when its time comes or, while the clock stands, step by step."""
-
-    def __init__(self, clock: PlayClock) -> None:
-        self._clock = clock
-        self._steps = 0
-
-    def let_go(self) -> None:
-        """Have one more pass while the clock stands."""
-        self._steps += 1
-
-    def opens_ns(self, place_ns: int, now_ns: int) -> int | None:
-        """When what stands at a place may pass; None while the clock stands and nothing is let go.
-
-        When the clock goes on, steps that nothing was there for are forgotten.
-        """
-        due_ns = self._clock.when(place_ns)
-        if due_ns is not None:
-            self._steps = 0
-        elif self._steps:
-            due_ns = now_ns
-        return due_ns
-
-    def passes(self, place_ns: int, now_ns: int) -> bool:
-        """Learn that it passes: whether by the clock, which else stands at its place then."""
-        if not self._steps:
-            return True
-        self._steps -= 1
-        self._clock.jump(max(place_ns, self._clock.place(now_ns)), now_ns)
-        return False
-
-
 class Steering:
-    """Applies controls to the clock of a player. What the clock is asked for stays its own."""
+    """Applies controls to the clock of a player."""
 
     def __init__(self, clock: PlayClock, on_step: Callable[[int], None]) -> None:
-        """`on_step` gets the moment of a step; the clock stands then."""
+        """`on_step` is called with the time of a step, when the clock stands still."""
         self._clock = clock
         self._on_step = on_step
         self.is_paused = False
         self.has_begun = False
 
     def begin(self, now_ns: int) -> None:
-        """Start the clock with the first sign of life, unless it is to stand still."""
+        """Start the clock at the first call, unless it is paused."""
         if not self.has_begun:
             self.has_begun = True
             if not self.is_paused:
@@ -120,23 +88,23 @@ class Steering:
             case Control.SLOWER:
                 self._clock.slower(now_ns)
 
-    def attend(self, desk: PlayerControls, now_ns: int, done: str) -> None:
-        """Do what is wanted at a desk, and show there where the player is."""
-        for control in desk.controls():
+    def update(self, user: PlayerControls, now_ns: int, done: str) -> None:
+        """Apply the user's controls, and show the player's progress to the user."""
+        for control in user.controls():
             self.apply(control, now_ns)
-        desk.show(self.progress(self._clock.place(now_ns), done))
+        user.show(self.progress(self._clock.position(now_ns), done))
 
     def _pause(self, now_ns: int) -> None:
         self.is_paused = True
         self._clock.pause(now_ns)
 
-    def progress(self, place_ns: int, done: str) -> Progress:
-        """Where the player is, all laps together."""
+    def progress(self, position_ns: int, done: str) -> Progress:
+        """The player's state at a position that counts over all laps."""
         clock = self._clock
         return Progress(
-            place_ns=clock.in_recording(place_ns),
+            position_ns=clock.in_recording(position_ns),
             length_ns=clock.length_ns,
-            lap=clock.lap(place_ns),
+            lap=clock.lap(position_ns),
             rate=clock.rate,
             is_paused=self.is_paused,
             is_waiting=not self.has_begun,

@@ -1,8 +1,8 @@
-"""What the registers or bits of one table held at each moment of a recording."""
+"""Keeps the values of a table's registers or bits over the time of a recording."""
 
-# For each address that was ever seen: the moments at which its value became another, and the
-# values. The first known value counts as held from the beginning, moment 0. A lookup is a
-# bisection. Observations come in the order of their time.
+# For each address that was seen: the times at which its value changed, and the values. The first
+# known value counts from time 0. Observations are added in the order of time. A lookup bisects the
+# times.
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ if TYPE_CHECKING:
 
 
 class Timeline:
-    """The values of one table, by address and moment."""
+    """The values of one table, by address and time."""
 
     __slots__ = ("_history",)
 
     def __init__(self) -> None:
         self._history: dict[int, tuple[list[int], list[int]]] = {}
-        """By address: when its value changed, and to what."""
+        """By address: the times of changes, and the value from each of them on."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
-        """Values were seen, or written, at a moment that is not before the last noted one."""
-        for place, value in enumerate(values, start=address):
-            moments, known = self._history.setdefault(place, ([], []))
+        """Add values from `address` on that were read or written, not before the last noted."""
+        for each, value in enumerate(values, start=address):
+            times, known = self._history.setdefault(each, ([], []))
             if not known or known[-1] != value:
-                moments.append(at_ns if known else 0)
+                times.append(at_ns if known else 0)
                 known.append(value)
 
-    def at(self, address: int, moment_ns: int) -> tuple[int, int] | None:
-        """The value at a moment and when it became so; None for an address never seen."""
+    def at(self, address: int, at_ns: int) -> tuple[int, int] | None:
+        """The value at a time, and since when it is so; None for an address never seen."""
         history = self._history.get(address)
         if history is None:
             return None
-        moments, known = history
-        place = bisect_right(moments, moment_ns) - 1
-        return known[place], moments[place]
+        times, known = history
+        index = bisect_right(times, at_ns) - 1
+        return known[index], times[index]
 
     def last(self, addresses: range) -> list[int] | None:
-        """The values noted last, or None where an address was never seen."""
+        """The last values of addresses, or None if one of them was never seen."""
         if not all(address in self._history for address in addresses):
             return None
         return [self._history[address][1][-1] for address in addresses]

@@ -1,20 +1,19 @@
-"""What one capture says, put together so that two of them can be compared."""
+"""Summarises the transactions of a capture, so that two captures can be compared."""
 
 # For each slave of a capture:
 #
-#     asked      by function, addresses and quantities (not ids, order, time or values): how often,
-#                how it ended, and the latencies
-#     registers  by table, address and whether it was read or written: the values it had. Reads
-#                count where they were answered well, writes where they were acknowledged; masks
-#                (16H) are no values
+#     requests   by function, addresses and quantities (not transaction ids, order, times or
+#                values): their number, outcomes and latencies
+#     registers  by table, address, and read or written: the values. Only reads with outcome ok and
+#                acknowledged writes count; the masks of mask write (16H) are no values
 #
-# A slave is a unit on a link. Links are called otherwise in every capture, so where a unit is on
-# one link only, its number is enough to find it in another capture.
+# A slave is a unit on a link. Links have other names in every capture, so a unit that is on one
+# link only is identified by its number alone.
 #
-# Memory grows with what is different, not with the length of a capture: of each register at most
-# MAX_VALUES values are kept, and then how many more there were, its least and its greatest; of the
-# latencies of one poll MAX_LATENCIES, evenly chosen; and MAX_ASKED requests and MAX_REGISTERS
-# registers of a slave, beyond which `is_whole` is False.
+# Memory grows with the number of different requests and values, not with the length of a capture.
+# Limits: MAX_VALUES values of a register, beyond which only its least and greatest value are
+# updated; MAX_LATENCIES latencies of a request, evenly chosen; MAX_REQUESTS requests and
+# MAX_REGISTERS registers of a slave, and MAX_SLAVES slaves, beyond which `is_complete` is False.
 
 from __future__ import annotations
 
@@ -28,11 +27,11 @@ from mbtool.modbus import FUNCTIONS, Outcome, Table
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices import NamedTransaction, Span
 
 MAX_VALUES = 256
 MAX_LATENCIES = 1 << 15
-MAX_ASKED = 1 << 16
+MAX_REQUESTS = 1 << 16
 MAX_REGISTERS = 1 << 18
 MAX_SLAVES = 1 << 12
 
@@ -42,7 +41,7 @@ _MASK_WRITE = 0x16
 
 
 class SlaveKey(NamedTuple):
-    """A slave; without a link where its unit is on one link only."""
+    """A slave; the link is None if its unit is on one link only."""
 
     unit: int
     link: str | None
@@ -52,7 +51,7 @@ class SlaveKey(NamedTuple):
 
 
 class RequestKey(NamedTuple):
-    """What a request asks for, its values apart; -1 where a function has no such field."""
+    """A request without its values; -1 if a function has no such field."""
 
     function: int
     sub_function: int
@@ -63,28 +62,34 @@ class RequestKey(NamedTuple):
 
 
 class ValueKey(NamedTuple):
-    """A register or bit, as it is read or as it is written."""
+    """A register or bit; its read values are kept apart from its written values."""
 
     table: Table
     address: int
     is_written: bool
 
+    def is_in(self, spans: Iterable[Span]) -> bool:
+        """True if one of the spans has this register or bit."""
+        return any(span.table is self.table and self.address in span for span in spans)
+
 
 class Sample:
-    """Latencies, at most MAX_LATENCIES: when they are too many, every other one goes."""
+    """An evenly chosen sample of times in ns; at MAX_LATENCIES every second one is dropped."""
 
-    __slots__ = ("_left", "_stride", "values")
+    __slots__ = ("_skip", "_stride", "values")
 
     def __init__(self) -> None:
         self.values = array("q")
         self._stride = 1
-        self._left = 1
+        """Every how many-th value is kept."""
+        self._skip = 1
+        """The number of the next value to keep, counted from now."""
 
     def add(self, value: int) -> None:
-        self._left -= 1
-        if self._left:
+        self._skip -= 1
+        if self._skip:
             return
-        self._left = self._stride
+        self._skip = self._stride
         self.values.append(value)
         if len(self.values) >= MAX_LATENCIES:
             self.values = self.values[::2]
@@ -92,27 +97,27 @@ class Sample:
 
 
 @dataclass(slots=True)
-class Asked:
-    """What became of one request and its repetitions."""
+class RequestTraffic:
+    """A request and its repetitions."""
 
     function_name: str
     reference: str
-    """What it addresses, in the notation of its device."""
+    """The addresses in the notation of the device."""
     count: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
-    """`ok`, `exception 02`, `no answer`, `malformed`, `broadcast`, `unsolicited`: how often."""
+    """How often: `ok`, `exception 02`, `no answer`, `malformed`, `broadcast`, `unsolicited`."""
     latencies: Sample = field(default_factory=Sample)
-    """Of answers, in nanoseconds; of exceptions too."""
+    """Of responses and exception responses, in ns."""
 
 
 @dataclass(slots=True)
-class Held:
+class ObservedValues:
     """The values that a register or bit had."""
 
     values: dict[int, None] = field(default_factory=dict)
-    """In the order in which they were first seen."""
+    """The values in the order in which they were first seen, as keys."""
     is_all: bool = True
-    """Whether `values` has all of them."""
+    """False if there were more than MAX_VALUES."""
     least: int = 0xFFFF
     greatest: int = 0
 
@@ -127,38 +132,38 @@ class Held:
 
 
 class SlaveTraffic:
-    """What one slave was asked and said."""
+    """The requests to one slave, and the values of its registers and bits."""
 
     def __init__(self) -> None:
         self.count = 0
         self.device: str | None = None
         """The name of its profile, if it has one."""
-        self.asked: dict[RequestKey, Asked] = {}
-        self.registers: dict[ValueKey, Held] = {}
-        self.is_whole = True
-        """Whether no bound left anything out."""
+        self.requests: dict[RequestKey, RequestTraffic] = {}
+        self.registers: dict[ValueKey, ObservedValues] = {}
+        self.is_complete = True
+        """False if a limit left something out."""
 
     def add(self, transaction: NamedTransaction) -> None:
         self.count += 1
         self.device = transaction.device
-        asked = self._asked(transaction)
-        if asked is not None:
-            asked.count += 1
-            asked.outcomes[_outcome(transaction)] += 1
+        request = self._request(transaction)
+        if request is not None:
+            request.count += 1
+            request.outcomes[_outcome(transaction)] += 1
             if transaction.latency_ns is not None:
-                asked.latencies.add(transaction.latency_ns)
+                request.latencies.add(transaction.latency_ns)
         self._add_values(transaction)
 
-    def _asked(self, transaction: NamedTransaction) -> Asked | None:
-        ask = _ask(transaction)
-        asked = self.asked.get(ask)
-        if asked is None:
-            if len(self.asked) >= MAX_ASKED:
-                self.is_whole = False
+    def _request(self, transaction: NamedTransaction) -> RequestTraffic | None:
+        key = _request_key(transaction)
+        request = self.requests.get(key)
+        if request is None:
+            if len(self.requests) >= MAX_REQUESTS:
+                self.is_complete = False
                 return None
-            asked = Asked(transaction.function_name, transaction.reference or "")
-            self.asked[ask] = asked
-        return asked
+            request = RequestTraffic(transaction.function_name, transaction.reference or "")
+            self.requests[key] = request
+        return request
 
     def _add_values(self, transaction: NamedTransaction) -> None:
         known = FUNCTIONS.get(transaction.function)
@@ -167,26 +172,27 @@ class SlaveTraffic:
         table, address = known.table, transaction.address
         if known.writes and transaction.function != _MASK_WRITE:
             where = address if transaction.write_address is None else transaction.write_address
-            self._hold(table, where, transaction.request_values, is_written=True)
+            self._observe(table, where, transaction.request_values, is_written=True)
         if transaction.outcome is Outcome.OK and (
             not known.writes or transaction.write_address is not None
         ):
             values = (transaction.response_values or [])[: transaction.quantity]
-            self._hold(table, address, values, is_written=False)
+            self._observe(table, address, values, is_written=False)
 
-    def _hold(
+    def _observe(
         self, table: Table, address: int | None, values: Sequence[int] | None, *, is_written: bool
     ) -> None:
         if address is None or not values:
             return
         for at, value in enumerate(values, start=address):
-            held = self.registers.get(ValueKey(table, at, is_written))
-            if held is None:
+            key = ValueKey(table, at, is_written)
+            observed = self.registers.get(key)
+            if observed is None:
                 if len(self.registers) >= MAX_REGISTERS:
-                    self.is_whole = False
+                    self.is_complete = False
                     return
-                held = self.registers[ValueKey(table, at, is_written)] = Held()
-            held.add(value)
+                observed = self.registers[key] = ObservedValues()
+            observed.add(value)
 
 
 class Traffic:
@@ -194,7 +200,7 @@ class Traffic:
 
     def __init__(self) -> None:
         self.count = 0
-        self._left_out = False
+        self._has_all_slaves = True
         self._slaves: dict[tuple[str, int], SlaveTraffic] = {}
 
     @classmethod
@@ -210,29 +216,29 @@ class Traffic:
         slave = self._slaves.get(key)
         if slave is None:
             if len(self._slaves) >= MAX_SLAVES:
-                self._left_out = True
+                self._has_all_slaves = False
                 return
             slave = self._slaves[key] = SlaveTraffic()
         slave.add(transaction)
 
     @property
-    def is_whole(self) -> bool:
-        """Whether no bound left anything out."""
-        return not self._left_out and all(slave.is_whole for slave in self._slaves.values())
+    def is_complete(self) -> bool:
+        """False if a limit left something out."""
+        return self._has_all_slaves and all(slave.is_complete for slave in self._slaves.values())
 
-    def slaves(self, alone: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
-        """By unit, where that is among `alone`, else by unit and link."""
+    def slaves(self, unique: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
+        """The slaves; those with a `unique` unit by their unit alone, the others by link too."""
         return {
-            SlaveKey(unit, None if unit in alone else link): slave
+            SlaveKey(unit, None if unit in unique else link): slave
             for (link, unit), slave in self._slaves.items()
         }
 
     def links_of_units(self) -> Counter[int]:
-        """On how many links each unit is."""
+        """For each unit, the number of links that it is on."""
         return Counter(unit for _, unit in self._slaves)
 
 
-def _ask(transaction: NamedTransaction) -> RequestKey:
+def _request_key(transaction: NamedTransaction) -> RequestKey:
     def number(value: int | None) -> int:
         return -1 if value is None else value
 

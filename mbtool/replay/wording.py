@@ -1,23 +1,31 @@
-"""The words in which differences are told, wherever they come from."""
+"""Formats the names and values of differences, for comparing and judging alike."""
 
 from __future__ import annotations
 
 from statistics import median_low
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from mbtool.devices import Side, write_reference
-from mbtool.devices.values import PointInstance as NamedPlace
+from mbtool.devices.values import PointInstance
 from mbtool.modbus import Table, short_name
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbtool.devices import Profile
-    from mbtool.replay.traffic import Held, Sample, ValueKey
+    from mbtool.replay.traffic import ObservedValues, Sample, ValueKey
 
 SHOWN_VALUES = 4
+"""If a register had more values than this, only their range is shown."""
 
 
 class DeviceWording:
-    """The words of a device for its registers."""
+    """The names and notation of a device for its registers."""
+
+    @classmethod
+    def of_device(cls, device: str | None, profiles: Mapping[str, Profile]) -> Self:
+        """The wording of the profile with this name; the standard's if there is none."""
+        return cls(profiles.get(device) if device is not None else None)
 
     def __init__(self, profile: Profile | None) -> None:
         self._profile = profile
@@ -30,28 +38,29 @@ class DeviceWording:
     def reference(self, table: Table, address: int, quantity: int = 1) -> str:
         return write_reference(self._profile, table, address, quantity)
 
-    def of(self, place: ValueKey) -> tuple[str | None, NamedPlace | None]:
-        """The name of a register, and what puts its value into words where it is one word."""
-        point = self._points.get((place.table, place.address))
+    def of(self, key: ValueKey) -> tuple[str | None, PointInstance | None]:
+        """The name of a register; and its point, to format values, if it is one register long."""
+        point = self._points.get((key.table, key.address))
         if point is None:
             return None, None
-        named = NamedPlace(point, place.address, self.reference(place.table, place.address))
+        named = PointInstance(point, key.address, self.reference(key.table, key.address))
         return named.name, named if named.words == 1 else None
 
 
 def function_text(function: int, name: str, sub_function: int = -1) -> str:
-    """The code in hexadecimal and the function's short name, or the maker's own."""
+    """The function code in hexadecimal and its short name; `name` if the code is a vendor's."""
     sub = f" {sub_function:02X}" if sub_function >= 0 else ""
     return f"{function:02X} {short_name(function, name)}{sub}"
 
 
-def held_text(held: Held, named: NamedPlace | None) -> str:
-    count = len(held.values)
-    if count > SHOWN_VALUES or not held.is_all:
-        more = "" if held.is_all else "more than "
-        return f"{held.least}..{held.greatest}, {more}{count} values"
+def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
+    """A few values in the device's words, or the range of many."""
+    count = len(observed.values)
+    if count > SHOWN_VALUES or not observed.is_all:
+        more = "" if observed.is_all else "more than "
+        return f"{observed.least}..{observed.greatest}, {more}{count} values"
     return ", ".join(
-        named.value([value]).text if named is not None else str(value) for value in held.values
+        point.value([value]).text if point is not None else str(value) for value in observed.values
     )
 
 

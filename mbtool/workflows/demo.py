@@ -25,7 +25,7 @@ from mbtool.core import (
 )
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.master.poll import Poller, TcpPoller
 from mbtool.modbus import Table, encode_pdu
 from mbtool.replay import RecordedSlave, Recording
@@ -94,7 +94,7 @@ class Demo:
                 ]
             )
             decoder = Decoder(Namer(self.assignments), lines=serial_lines(links))
-            begin = partial(begin_log, self._log_path, links, self.assignments)
+            begin = partial(create_log, self._log_path, links, self.assignments)
             sniffer = stack.enter_context(Sniffer(links, decoder, begin_log=begin))
             (tap,) = (source for source in sniffer.sources if isinstance(source, TapSource))
             masters = threading.Thread(

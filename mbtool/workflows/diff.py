@@ -62,7 +62,7 @@ def compare(
         b=b,
         a_transactions=traffic[0].count,
         b_transactions=traffic[1].count,
-        is_whole=all(each.is_whole for each in traffic),
+        is_whole=all(each.is_complete for each in traffic),
         differences=differences(traffic[0], traffic[1], profiles, ignored),
     )
 

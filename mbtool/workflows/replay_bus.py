@@ -85,7 +85,7 @@ class BusRun:
         window = self._options.window
         if window.end_ns is not None:
             return window.end_ns - window.start_ns
-        return self.pieces[-1].place_ns
+        return self.pieces[-1].position_ns
 
     def play(
         self, *, stops: Callable[[], bool] = lambda: False, desk: PlayerControls | None = None
@@ -104,14 +104,14 @@ class BusRun:
             character_ns=link.format.character_ns,
             silence_ns=link.format.t3_5_ns,
         )
-        steering = Steering(clock, player.let_go)
+        steering = Steering(clock, player.allow_step)
         with closing(open_port(link, timeout_s=0)) as port, port_in_use(link):
             steering.begin(time.monotonic_ns())
             while not player.has_ended and not stops():
                 now_ns = time.monotonic_ns()
                 if desk is not None:
-                    steering.attend(desk, now_ns, f"{player.bytes:,} bytes")
-                piece = player.next_piece(now_ns)
+                    steering.update(desk, now_ns, f"{player.bytes:,} bytes")
+                piece = player.next_run(now_ns)
                 if piece is not None:
                     port.write(piece.data)
                     continue
@@ -133,6 +133,6 @@ def _report(player: BusPlayer, options: BusOptions) -> BusReport:
     return BusReport(
         pieces=player.sent,
         bytes=player.bytes,
-        held=player.held if options.rate else 0,
+        held=player.delayed if options.rate else 0,
         lateness_p99_ns=late[len(late) * 99 // 100] if late and options.rate else None,
     )

@@ -136,21 +136,21 @@ class MasterRun:
         )
         with open_master(link, options.timeout_ns, self._on_remark) as master:
             conductor = Conductor(self.script, clock, judge, master.limits)
-            steering = Steering(clock, conductor.let_go)
+            steering = Steering(clock, conductor.allow_step)
             look_ns = _LOOK_NS if desk is None else _STEERED_NS
             steering.begin(time.monotonic_ns())
             while not conductor.has_ended and not stops():
                 now_ns = time.monotonic_ns()
                 if desk is not None:
                     done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
-                    steering.attend(desk, now_ns, done)
+                    steering.update(desk, now_ns, done)
                 for number in master.lost():
                     for gone, is_right in conductor.give_up(number, now_ns):
                         on_answer(gone, None, is_right)
                 step = conductor.next_step(now_ns)
                 if step is not None:
                     master.send(step.number, step.unit, step.pdu)
-                    conductor.has_left(step, time.monotonic_ns())
+                    conductor.note_sent(step, time.monotonic_ns())
                     continue
                 for late, is_right in conductor.expire(now_ns):
                     on_answer(late, None, is_right)
@@ -169,7 +169,7 @@ class MasterRun:
             link=str(link),
             requests=conductor.sent,
             different=judge.wrong,
-            unsolicited=conductor.strays,
+            unsolicited=conductor.unsolicited,
             lateness_p99_ns=late[len(late) * 99 // 100] if late and self._options.rate else None,
             asked=judge.requests(),
             differences=judge.differences(),

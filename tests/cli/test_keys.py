@@ -47,7 +47,7 @@ def _terminal() -> Iterator[tuple[int, int]]:
 
 def _progress(**changes: object) -> Progress:
     given = {
-        "place_ns": 12_340_000_000,
+        "position_ns": 12_340_000_000,
         "length_ns": 3_700_000_000_000,
         "lap": 0,
         "rate": Fraction(1),

@@ -1,4 +1,4 @@
-"""One link's bytes in, its transactions out."""
+"""Decoding of one serial line or one TCP connection."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ READ = bytes.fromhex("03 006B 0001")
 ANSWER = bytes.fromhex("03 02 022B")
 
 
-def conversation(*, rtu: bool = False) -> ConnectionDecoder:
+def connection(*, rtu: bool = False) -> ConnectionDecoder:
     return ConnectionDecoder(Connection(MASTER, SLAVE), rtu=rtu)
 
 
-def test_conversation_gives_each_adu_and_the_transaction_when_it_is_complete() -> None:
-    talk = conversation()
+def test_each_adu_and_each_complete_transaction_is_returned() -> None:
+    talk = connection()
     (request,) = talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
     response, transaction = talk.feed(RESPONSE, mbap_adu(1, 5, ANSWER), 200)
     assert isinstance(request, Adu)
@@ -37,8 +37,8 @@ def test_conversation_gives_each_adu_and_the_transaction_when_it_is_complete() -
     assert transaction.request_raw == mbap_adu(1, 5, READ)
 
 
-def test_conversation_may_be_rtu_over_tcp() -> None:
-    talk = conversation(rtu=True)
+def test_a_connection_can_carry_rtu_over_tcp() -> None:
+    talk = connection(rtu=True)
     decoded = talk.feed(REQUEST, rtu_adu(5, READ), 100)
     decoded += talk.feed(RESPONSE, rtu_adu(5, exception_pdu(3, 2)), 200)
     (transaction,) = transactions(decoded)
@@ -46,8 +46,8 @@ def test_conversation_may_be_rtu_over_tcp() -> None:
     assert transaction.transaction_id is None
 
 
-def test_bytes_that_cannot_be_read_say_who_sent_them() -> None:
-    talk = conversation()
+def test_skipped_bytes_name_their_sender() -> None:
+    talk = connection()
     decoded = talk.feed(RESPONSE, b"\xff" * 9, 100) + talk.close()
     assert b"".join(event.raw for event in wire_events(decoded)) == b"\xff" * 9
     first = wire_events(decoded)[0]
@@ -56,8 +56,8 @@ def test_bytes_that_cannot_be_read_say_who_sent_them() -> None:
     assert first.message == "3 bytes: no Modbus/TCP header"
 
 
-def test_gap_is_told_and_ends_the_adu_that_it_hit() -> None:
-    talk = conversation()
+def test_a_gap_is_an_event_and_ends_the_incomplete_adu() -> None:
+    talk = connection()
     talk.feed(REQUEST, mbap_adu(1, 5, READ)[:9], 100)
     held, gap = wire_events(talk.gap(REQUEST, 100, 200))
     assert held.raw == mbap_adu(1, 5, READ)[:9]
@@ -68,8 +68,8 @@ def test_gap_is_told_and_ends_the_adu_that_it_hit() -> None:
     assert len(adus(decoded)) == 1
 
 
-def test_gap_of_one_direction_leaves_the_other_alone() -> None:
-    talk = conversation()
+def test_a_gap_in_one_direction_does_not_affect_the_other() -> None:
+    talk = connection()
     talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
     talk.gap(REQUEST, 12, 150)
     decoded = talk.feed(RESPONSE, mbap_adu(1, 5, ANSWER), 200)
@@ -77,7 +77,7 @@ def test_gap_of_one_direction_leaves_the_other_alone() -> None:
 
 
 def test_open_request_stays_unanswered_when_the_connection_ends_or_time_passes() -> None:
-    talk = conversation()
+    talk = connection()
     talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
     assert [one.outcome for one in transactions(talk.close())] == [Outcome.NO_ANSWER]
     talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
@@ -86,7 +86,7 @@ def test_open_request_stays_unanswered_when_the_connection_ends_or_time_passes()
     assert [one.outcome for one in transactions(decoded)] == [Outcome.NO_ANSWER]
 
 
-def test_bus_joins_what_one_tap_hears() -> None:
+def test_a_bus_pairs_requests_and_responses_of_one_tap() -> None:
     sent = Line(FORMAT).send(rtu_adu(5, READ)).frame(rtu_adu(5, ANSWER), before_ns=8_000_000)
     decoded = feed_all(Bus("rs485", FORMAT), sent.reads())
     (transaction,) = transactions(decoded)
@@ -95,7 +95,7 @@ def test_bus_joins_what_one_tap_hears() -> None:
     assert transaction.latency_ns == 8_000_000
 
 
-def test_bus_may_be_ascii() -> None:
+def test_a_bus_can_be_ascii() -> None:
     line = SerialFormat(9600, 7, "E", 1)
     sent = Line(line).send(ascii_adu(5, READ)).frame(ascii_adu(5, ANSWER))
     decoded = feed_all(Bus("rs485", line, ascii=True), sent.reads())
@@ -104,7 +104,7 @@ def test_bus_may_be_ascii() -> None:
     ]  # fmt: skip
 
 
-def test_bus_tells_bytes_that_cannot_be_read() -> None:
+def test_a_bus_reports_skipped_bytes() -> None:
     sent = Line(FORMAT).send(b"\xff" * 9)
     (event,) = feed_all(Bus("rs485", FORMAT), sent.reads())
     assert isinstance(event, WireEvent)
@@ -112,7 +112,7 @@ def test_bus_tells_bytes_that_cannot_be_read() -> None:
     assert event.message == "9 bytes: no frame with a correct CRC begins here"
 
 
-def test_silence_ends_a_frame_and_later_the_request_that_waits() -> None:
+def test_silence_ends_a_frame_and_later_the_pending_request() -> None:
     bus = Bus("rs485", FORMAT)
     assert bus.feed(rtu_adu(5, READ), START_NS) == []
     assert [type(one) for one in bus.advance(START_NS + FORMAT.t3_5_ns)] == [Adu]
@@ -131,7 +131,7 @@ def test_request_does_not_time_out_while_its_response_is_on_the_wire() -> None:
     assert [one.outcome for one in transactions(decoded)] == [Outcome.OK]
 
 
-def test_noise_tells_that_time_has_passed() -> None:
+def test_skipped_bytes_can_time_out_the_pending_request() -> None:
     bus = Bus("rs485", FORMAT)
     bus.feed(rtu_adu(5, READ), START_NS)
     noise_ns = START_NS + 2 * BUS_TIMEOUT_NS

@@ -92,13 +92,13 @@ def test_the_reads_of_a_serial_line_become_transactions() -> None:
     assert third.request_values == [7]
 
 
-def test_transactions_have_the_words_of_their_device() -> None:
+def test_transactions_are_named_by_their_device() -> None:
     (one,) = _decoded(exchange(0), _decoder("1=idec-ft1a-touch"))
     assert isinstance(one, NamedTransaction)
     assert (one.device, one.reference) == ("idec-ft1a-touch", "HR400001..400002")
 
 
-def test_a_serial_line_that_nobody_described_is_rtu() -> None:
+def test_a_serial_line_without_settings_is_rtu() -> None:
     (one,) = _decoded([heard(0, READ, link="other"), heard(20, VALUES, link="other")])
     assert (one.link, _outcomes([one])) == ("other", ["ok"])
 
@@ -132,7 +132,7 @@ def test_the_bytes_of_a_relay_become_transactions_however_they_are_cut() -> None
     assert (whole.source, whole.destination) == ("10.0.0.1:50211", "10.0.0.9:502")
 
 
-def test_a_relay_of_rtu_frames_is_told_by_its_slaves_port() -> None:
+def test_the_slaves_port_makes_a_relay_rtu_over_tcp() -> None:
     connection = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 4001))
     decoder = Decoder(Namer(), rtu_ports=(4001,))
     items = [
@@ -156,7 +156,7 @@ def test_packets_become_transactions_and_connection_events() -> None:
     assert records[0].link == "10.0.0.2"
 
 
-def test_packets_of_other_ports_are_left_alone() -> None:
+def test_packets_of_other_ports_are_ignored() -> None:
     decoder = Decoder(Namer(), ports=(1502,))
     assert _decoded(captured(2), decoder) == []
 
@@ -178,7 +178,7 @@ def test_two_connections_to_one_slave_are_kept_apart() -> None:
     ] == [("10.0.0.2:50300", 6, "ok"), ("10.0.0.1:50211", 3, "ok")]
 
 
-def test_a_gap_of_a_relay_is_an_event_and_nothing_is_joined_over_it() -> None:
+def test_a_gap_of_a_relay_is_an_event_and_bytes_around_it_are_not_joined() -> None:
     half = relayed(0, REQUEST, READ)
     records = _decoded(
         [
@@ -208,14 +208,14 @@ def test_the_end_of_a_connection_ends_its_open_requests() -> None:
     assert _outcomes(records) == ["opened", "no-answer", "closed"]
 
 
-def test_a_connection_that_a_bound_closed_is_discarded() -> None:
+def test_a_connection_closed_by_a_limit_is_reported_as_discarded() -> None:
     (record,) = _decoded([StreamClosed(START_NS, CONNECTION, CloseReason.DISCARDED)])
     assert isinstance(record, WireEvent)
     assert record.kind == "discarded"
     assert "silent longest of more than 4096" in record.message
 
 
-def test_a_stranger_that_a_bound_closed_is_no_loss() -> None:
+def test_a_foreign_connection_closed_by_a_limit_is_no_loss() -> None:
     said = Chunk(
         ts_ns=START_NS,
         link=CONNECTION.link,
@@ -227,7 +227,7 @@ def test_a_stranger_that_a_bound_closed_is_no_loss() -> None:
     assert _outcomes(records) == ["foreign", "closed"]
 
 
-def test_what_a_line_lost_breaks_off_what_it_held() -> None:
+def test_a_loss_on_a_line_ends_its_incomplete_frame() -> None:
     first, second = heard(0, READ), heard(1, VALUES)
     lost = WireEvent(
         ts_ns=START_NS + MS // 2,
@@ -242,20 +242,20 @@ def test_what_a_line_lost_breaks_off_what_it_held() -> None:
     assert _outcomes(records)[-1] == "ok"
 
 
-def test_a_hole_in_a_log_breaks_off_what_every_link_held() -> None:
-    hole = WireEvent(ts_ns=START_NS + 2 * MS, link="", kind=EventKind.GAP, message="damaged")
+def test_a_damaged_place_in_a_log_ends_everything_incomplete_on_all_links() -> None:
+    damaged = WireEvent(ts_ns=START_NS + 2 * MS, link="", kind=EventKind.GAP, message="damaged")
     half = heard(0, READ)
     half = Chunk(ts_ns=half.ts_ns, link=LINE.name, data=half.data[:4])
     asked = relayed(1, REQUEST, READ)
     answered = relayed(3, RESPONSE, VALUES)
-    records = _decoded([half, asked, hole, heard(3, VALUES), answered, *exchange(100)])
-    assert _outcomes(records[: records.index(hole)]) == ["no-answer", "skipped"]
-    assert sorted(_outcomes(records[records.index(hole) :])) == [
+    records = _decoded([half, asked, damaged, heard(3, VALUES), answered, *exchange(100)])
+    assert _outcomes(records[: records.index(damaged)]) == ["no-answer", "skipped"]
+    assert sorted(_outcomes(records[records.index(damaged) :])) == [
         "gap", "ok", "unsolicited", "unsolicited",
     ]  # fmt: skip
 
 
-def test_an_event_of_a_source_passes() -> None:
+def test_an_event_of_a_source_is_passed_on() -> None:
     event = WireEvent(ts_ns=START_NS, link="eth0", kind=EventKind.DISCARDED, message="", missing=3)
     assert _decoded([event]) == [event]
 
@@ -269,22 +269,22 @@ def test_silence_on_a_line_ends_a_frame() -> None:
     assert decoder.close() == []
 
 
-def test_silence_on_one_line_is_none_on_another() -> None:
+def test_silence_on_one_line_does_not_affect_another() -> None:
     decoder = _decoder()
     for chunk in exchange(0):
         decoder.feed(chunk)
     assert decoder.feed(Quiet(START_NS + 40 * MS, "eth0")) == []
 
 
-def test_closing_twice_gives_nothing_more() -> None:
+def test_closing_twice_returns_nothing_more() -> None:
     decoder = _decoder()
     decoder.feed(heard(0, READ))
     assert _outcomes(decoder.close()) == ["no-answer"]
     assert decoder.close() == []
 
 
-def test_holds_a_bounded_number_of_conversations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decoding, "MAX_CONVERSATIONS", 3)
+def test_the_number_of_connections_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decoding, "MAX_CONNECTIONS", 3)
     decoder = _decoder()
     connections = [
         Connection(Endpoint("10.0.0.1", 50000 + number), CONNECTION.slave) for number in range(5)
@@ -302,8 +302,8 @@ def test_holds_a_bounded_number_of_conversations(monkeypatch: pytest.MonkeyPatch
     assert _outcomes(decoder.close()) == ["no-answer"] * 3
 
 
-def test_what_is_used_stays_when_room_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decoding, "MAX_CONVERSATIONS", 2)
+def test_the_connection_silent_for_longest_is_closed_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decoding, "MAX_CONNECTIONS", 2)
     other, third = (
         Connection(Endpoint("10.0.0.2", port), CONNECTION.slave) for port in (50300, 50301)
     )
@@ -498,7 +498,7 @@ def test_packets_with_bytes_of_a_serial_line_are_decoded_as_a_line() -> None:
         assert one.latency_ns == other.latency_ns
 
 
-def test_what_the_user_says_of_a_line_is_what_an_unknown_one_is_like() -> None:
+def test_the_users_line_settings_hold_for_unknown_lines() -> None:
     decoder = Decoder(Namer(Assignments()), line=parse_line("ascii@9600-7E1"))
     packets = _packets(147, ascii_adu(1, READ), ascii_adu(1, VALUES))
     (one,) = [record for packet in packets for record in decoder.feed(packet)]
@@ -506,7 +506,7 @@ def test_what_the_user_says_of_a_line_is_what_an_unknown_one_is_like() -> None:
     assert one.transport is Transport.ASCII
 
 
-def test_other_user_link_types_are_a_line_where_the_user_says_so() -> None:
+def test_other_user_link_types_are_a_line_if_the_user_gives_its_settings() -> None:
     packets = _packets(150, *(chunk.data for chunk in exchange(0)))
     decoder = Decoder(Namer(Assignments()))
     (event,) = [record for packet in packets for record in decoder.feed(packet)]
@@ -519,7 +519,7 @@ def test_other_user_link_types_are_a_line_where_the_user_says_so() -> None:
     assert isinstance(one, NamedTransaction)
 
 
-def test_a_packet_that_was_cut_ends_what_was_held() -> None:
+def test_a_truncated_packet_ends_the_incomplete_frame() -> None:
     decoder = Decoder(Namer(Assignments()))
     (whole,) = _packets(147, rtu_adu(1, READ))
     short = Packet(
@@ -536,7 +536,7 @@ def test_a_packet_that_was_cut_ends_what_was_held() -> None:
     assert (cut.kind, cut.missing) == (EventKind.CUT, 3)
 
 
-def test_a_line_that_ended_leaves_nothing_to_the_next_of_its_name() -> None:
+def test_a_line_that_ended_does_not_affect_the_next_line_of_its_name() -> None:
     decoder = Decoder(Namer(Assignments()))
     request, response = exchange(0)
     decoder.begin_line(SerialLink(request.link, SerialFormat()))
@@ -555,7 +555,7 @@ ELSEWHERE = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 1502), 
 TLS = bytes.fromhex("16 0301 0200 01 0001fc 0303")
 
 
-def test_at_any_port_a_connection_is_told_once_it_is_modbus() -> None:
+def test_at_any_port_a_connection_is_reported_once_it_is_modbus() -> None:
     decoder = Decoder(Namer(), any_port=True)
     opened = StreamOpened(START_NS, ELSEWHERE, joined=False)
     request = relayed(0, REQUEST, READ, connection=ELSEWHERE)
@@ -566,14 +566,14 @@ def test_at_any_port_a_connection_is_told_once_it_is_modbus() -> None:
     assert _outcomes([*records, *decoder.feed(closed)]) == ["opened", "ok", "closed"]
 
 
-def test_what_is_known_of_a_connection_is_told_with_its_opening() -> None:
+def test_a_note_about_a_connection_is_part_of_its_opening() -> None:
     opened = StreamOpened(START_NS, ELSEWHERE, joined=False, note="master TLS 1.3, CN=master")
     (told,) = _decoder().feed(opened)
     assert isinstance(told, WireEvent)
     assert told.message == "connection opened: master TLS 1.3, CN=master"
 
 
-def test_at_any_port_what_is_no_modbus_is_told_once_for_each_slave() -> None:
+def test_at_any_port_foreign_connections_are_reported_once_for_each_slave() -> None:
     decoder = Decoder(Namer(), any_port=True)
     records: list[Record] = []
     for number in range(3):
@@ -594,7 +594,9 @@ def test_at_any_port_what_is_no_modbus_is_told_once_for_each_slave() -> None:
 
 
 @pytest.mark.parametrize("port", [9000, 60000], ids=["slave lower", "master lower"])
-def test_at_any_port_strangers_joined_in_the_middle_are_told_once_for_each_slave(port: int) -> None:
+def test_at_any_port_foreign_connections_without_beginning_are_reported_once_for_each_slave(
+    port: int,
+) -> None:
     decoder = Decoder(Namer(), any_port=True)
     records: list[Record] = []
     for number in range(20):
@@ -604,7 +606,7 @@ def test_at_any_port_strangers_joined_in_the_middle_are_told_once_for_each_slave
     assert _outcomes([*records, *decoder.close()]) == ["foreign"]
 
 
-def test_a_foreign_connection_to_a_port_that_is_named_is_one_event() -> None:
+def test_each_foreign_connection_to_a_named_port_is_one_event() -> None:
     decoder = _decoder()
     records = decoder.feed(StreamOpened(START_NS, CONNECTION, joined=False))
     for way in (REQUEST, RESPONSE, REQUEST, RESPONSE):
@@ -641,7 +643,7 @@ def _twice(packet: Packet, old: bytes, new: bytes) -> list[Packet]:
 
 @pytest.mark.parametrize("in_parts", [False, True], ids=["segments", "fragments"])
 @pytest.mark.parametrize("joined", [False, True])
-def test_at_any_port_copies_that_differ_are_told_of_modbus_only(
+def test_at_any_port_differing_retransmissions_of_modbus_are_reported(
     in_parts: bool, joined: bool
 ) -> None:
     talk = _of_port(1502)
@@ -663,7 +665,9 @@ def test_at_any_port_copies_that_differ_are_told_of_modbus_only(
 
 
 @pytest.mark.parametrize("in_parts", [False, True], ids=["segments", "fragments"])
-def test_at_any_port_copies_that_differ_are_not_told_of_others(in_parts: bool) -> None:
+def test_at_any_port_differing_retransmissions_of_other_protocols_are_not_reported(
+    in_parts: bool,
+) -> None:
     talk = _of_port(443)
     begun = [*talk.handshake(), talk.request(TLS), talk.response(TLS)]
     first, second = _twice(talk.request(bytes(30) + b"secret"), b"secret", b"forged")
@@ -679,7 +683,7 @@ def test_at_any_port_copies_that_differ_are_not_told_of_others(in_parts: bool) -
     assert {"overlap", "unreadable"} <= set(named)
 
 
-def test_where_a_slave_turns_out_to_be_the_master_its_bytes_are_still_its_own() -> None:
+def test_swapped_roles_do_not_change_the_sender_of_bytes() -> None:
     """Joined in the middle, with the master at the port that was taken for the slave's."""
     talk = Talk(End("10.0.0.1", 1024, 1000), End("10.0.0.2", 50000, 5000))
     answer = talk.response(mbap_adu(0, 1, VALUES))  # The first segment: its sender seems to ask.
@@ -693,7 +697,7 @@ def test_where_a_slave_turns_out_to_be_the_master_its_bytes_are_still_its_own() 
     assert overlap.link == "10.0.0.2:50000"
 
 
-def test_what_a_bound_cost_of_a_connection_nobody_knows_is_told_at_any_port() -> None:
+def test_at_any_port_data_lost_to_a_limit_is_reported_for_an_unrecognised_connection() -> None:
     decoder = Decoder(Namer(), any_port=True)
     lost, twice = (
         StreamEvent(ELSEWHERE, WireEvent(ts_ns=START_NS, link="if0", kind=kind, message=""))
@@ -702,7 +706,7 @@ def test_what_a_bound_cost_of_a_connection_nobody_knows_is_told_at_any_port() ->
     assert _outcomes(decoder.feed(lost) + decoder.feed(twice)) == ["discarded"]
 
 
-def test_the_end_of_a_connection_tells_how_many_keep_alive_probes_there_were() -> None:
+def test_the_end_of_a_connection_reports_the_number_of_keep_alive_probes() -> None:
     talk = Talk()
     packets = talk.handshake()
     packets += [talk.request(mbap_adu(1, 1, READ)), talk.response(mbap_adu(1, 1, VALUES))]
@@ -725,7 +729,7 @@ def _in_time(packets: Iterable[Packet]) -> list[Packet]:
     return sorted(packets, key=lambda one: one.ts_ns)
 
 
-def test_a_flow_that_two_interfaces_saw_is_two() -> None:
+def test_a_connection_on_two_interfaces_is_decoded_twice() -> None:
     both = _in_time([*_seen_by("eth0", captured(2)), *_seen_by("eth1", captured(2), 1000)])
     records = _decoded(both)
     assert _outcomes(records) == [
@@ -733,12 +737,12 @@ def test_a_flow_that_two_interfaces_saw_is_two() -> None:
     ]
 
 
-def test_across_interfaces_a_flow_that_two_saw_is_one() -> None:
+def test_across_interfaces_a_connection_on_two_interfaces_is_decoded_once() -> None:
     both = _in_time([*_seen_by("eth0", captured(2)), *_seen_by("eth1", captured(2), 1000)])
     assert _decoded(both, _across()) == _decoded(_seen_by("eth0", captured(2)))
 
 
-def test_across_interfaces_the_two_ways_of_a_flow_may_be_seen_by_one_each() -> None:
+def test_across_interfaces_each_interface_may_have_one_direction() -> None:
     """As a network tap has it, with a monitor port for each direction."""
     ways = [
         replace(one, link="eth0" if one.data[36:38] == SLAVE_PORT.to_bytes(2) else "eth1")
@@ -748,7 +752,7 @@ def test_across_interfaces_the_two_ways_of_a_flow_may_be_seen_by_one_each() -> N
     assert "ok" not in _outcomes(_decoded(ways))
 
 
-def test_fragments_that_two_interfaces_saw_are_put_together_apart() -> None:
+def test_fragments_of_two_interfaces_are_reassembled_separately() -> None:
     talk = Talk()
     begun = talk.handshake()
     whole = in_fragments(talk.request(mbap_adu(1, 1, READ)), 24)

@@ -1,4 +1,4 @@
-"""Which silences hold on a line."""
+"""The choice of t1.5 and t3.5 for a serial line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mbtool.core.link_spec import SerialLink
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.modbus import Verdict, rtu_adu
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.workflows.evidence import LINE, WRITE, heard
@@ -50,12 +50,12 @@ def _devices(folder: Path, *said: tuple[str, str, str]) -> Assignments:
     return Assignments(assignments)
 
 
-def test_without_a_word_the_standard_holds() -> None:
+def test_without_options_and_profiles_the_standard_gives_the_silences() -> None:
     line = _line("rtu:/dev/a@9600-8E1")
     assert LineTiming().format_of(line) == line.format
 
 
-def test_a_device_on_the_line_says_its_silences(tmp_path: Path) -> None:
+def test_a_device_on_the_line_gives_the_silences(tmp_path: Path) -> None:
     timing = LineTiming(_devices(tmp_path, ("5", "rtu", 't3_5 = "28bits"')))
     assert str(timing.format_of(_line("rtu:/dev/a@9600-8E1"))) == "9600-8E1,t3.5=28bits"
 
@@ -63,7 +63,7 @@ def test_a_device_on_the_line_says_its_silences(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("who", "transport"), [("10.0.0.9", "rtu"), ("5", "tcp"), ("all", "ascii")]
 )
-def test_a_device_that_cannot_be_on_the_line_has_no_say(
+def test_a_device_that_cannot_be_on_the_line_does_not_count(
     tmp_path: Path, who: str, transport: str
 ) -> None:
     timing = LineTiming(_devices(tmp_path, (who, transport, 't3_5 = "28bits"')))
@@ -83,7 +83,7 @@ def test_of_several_devices_the_shortest_silence_between_frames_counts(tmp_path:
     assert str(timing.format_of(_line("rtu:/dev/a@9600"))) == "9600-8E1,t1.5=2ms,t3.5=28bits"
 
 
-def test_the_link_is_heard_before_a_device_and_an_option_before_the_link(tmp_path: Path) -> None:
+def test_the_link_outweighs_a_device_and_an_option_outweighs_the_link(tmp_path: Path) -> None:
     devices = _devices(tmp_path, ("5", "rtu", 't3_5 = "28bits"'))
     line = _line("rtu:/dev/a@9600-8E1,t3.5=5ms")
     assert LineTiming(devices).format_of(line) == line.format
@@ -111,7 +111,7 @@ def test_silences_that_contradict_the_link_are_the_users_mistake() -> None:
         timing.given([_line("rtu:/dev/a@9600-8E1,t1.5=2ms")])
 
 
-def test_a_line_is_decoded_by_the_silences_that_hold_on_it() -> None:
+def test_a_line_is_decoded_with_its_own_silences() -> None:
     # 3 ms inside a frame: more than t3.5 at 19200 baud, less than what is given.
     frame = rtu_adu(1, WRITE)
     halves = [replace(heard(0, WRITE), data=frame[:4]), replace(heard(5, WRITE), data=frame[4:])]
@@ -131,10 +131,10 @@ def test_a_line_is_decoded_by_the_silences_that_hold_on_it() -> None:
     assert verdicts(line, LineTiming()) == []
 
 
-def test_a_log_is_decoded_by_other_silences_only_afresh(tmp_path: Path) -> None:
+def test_a_log_is_decoded_with_other_silences_only_from_its_raw_bytes(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     link = _line("rtu:/dev/rs485@19200-8E1,t3.5=9ms")
-    log = begin_log(str(path), [link], Assignments())
+    log = create_log(str(path), [link], Assignments())
     frame = rtu_adu(1, WRITE)
     log.write(replace(heard(0, WRITE), data=frame[:4]))
     log.write(replace(heard(5, WRITE), data=frame[4:]))

@@ -1,4 +1,4 @@
-"""Requests and responses, joined into transactions."""
+"""Pairing of requests with responses."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def outcomes(transactions: list[Transaction]) -> list[Outcome]:
 # On a network.
 
 
-def test_response_is_joined_to_its_request() -> None:
+def test_a_response_is_paired_with_its_request() -> None:
     (done,) = joined(network(), asked(READ, 10, 7), told(ANSWER, 15, 7))
     assert done.outcome is Outcome.OK
     assert (done.source, done.destination) == ("10.0.0.1:40000", "10.0.0.9:502")
@@ -74,14 +74,14 @@ def test_response_is_joined_to_its_request() -> None:
     assert (done.retries, done.verdicts) == (0, [])
 
 
-def test_answers_out_of_order_find_their_requests_by_id() -> None:
+def test_responses_out_of_order_find_their_requests_by_id() -> None:
     done = joined(
         network(), asked(READ, 0, 1), asked(READ, 1, 2), told(ANSWER, 5, 2), told(ANSWER, 6, 1)
     )
     assert [(one.transaction_id, one.request_ns) for one in done] == [(2, 2 * MS), (1, MS)]
 
 
-def test_equal_ids_are_answered_oldest_first() -> None:
+def test_with_equal_ids_the_oldest_request_is_answered_first() -> None:
     done = joined(
         network(),
         asked(READ, 0, 0), asked("03 0000 0001", 1, 0),
@@ -90,7 +90,7 @@ def test_equal_ids_are_answered_oldest_first() -> None:
     assert [(one.address, one.response_values) for one in done] == [(0x6B, [0x22B]), (0, [1])]
 
 
-def test_equal_ids_of_different_units_are_told_apart() -> None:
+def test_equal_ids_of_different_units_are_distinguished() -> None:
     done = joined(
         network(),
         asked(READ, 0, 0, unit=1), asked(READ, 1, 0, unit=2),
@@ -99,7 +99,7 @@ def test_equal_ids_of_different_units_are_told_apart() -> None:
     assert [(one.unit, one.request_ns) for one in done] == [(2, 2 * MS), (1, MS)]
 
 
-def test_equal_ids_of_different_functions_are_told_apart() -> None:
+def test_equal_ids_of_different_functions_are_distinguished() -> None:
     done = joined(
         network(), asked(READ, 0, 0), asked(WRITE, 1, 0), told(WRITE, 5, 0), told("83 02", 6, 0)
     )
@@ -108,25 +108,25 @@ def test_equal_ids_of_different_functions_are_told_apart() -> None:
     ]  # fmt: skip
 
 
-def test_answer_with_another_id_belongs_to_the_only_open_request() -> None:
+def test_a_response_with_another_id_belongs_to_the_only_open_request() -> None:
     (done,) = joined(network(), asked(READ, 0, 0), told(ANSWER, 5, 4))
     assert (done.outcome, done.transaction_id) == (Outcome.OK, 0)
     assert done.verdicts == [Verdict.OTHER_TRANSACTION_ID]
 
 
-def test_answer_with_another_id_belongs_to_nobody_where_it_does_not_fit() -> None:
+def test_a_response_with_another_id_that_does_not_fit_is_unsolicited() -> None:
     done = joined(network(), asked(READ, 0, 1), told("03 04 0000 0000", 5, 4))
     assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER]
     done = joined(network(), asked(READ, 0, 1), told(ANSWER, 5, 4, unit=2))
     assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER]
 
 
-def test_answer_with_another_id_belongs_to_nobody_where_several_wait() -> None:
+def test_a_response_with_another_id_is_unsolicited_if_several_requests_are_open() -> None:
     done = joined(network(), asked(READ, 0, 1), asked(READ, 1, 2), told(ANSWER, 5, 4))
     assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER, Outcome.NO_ANSWER]
 
 
-def test_answer_without_a_request_is_unsolicited() -> None:
+def test_a_response_without_a_request_is_unsolicited() -> None:
     (done,) = joined(network(), told("06 0001 0003", 5, 9))
     assert (done.outcome, done.request_ns, done.request_raw) == (Outcome.UNSOLICITED, None, None)
     assert (done.address, done.response_values, done.response_ns) == (1, [3], 6 * MS)
@@ -141,7 +141,7 @@ def test_request_that_stays_open_is_given_up_after_a_while() -> None:
     assert outcomes(pairing.feed(late)) == [Outcome.UNSOLICITED]
 
 
-def test_next_adu_tells_the_time_too() -> None:
+def test_the_next_adu_can_time_out_a_request() -> None:
     done = joined(network(), asked(READ, 0, 1), asked(WRITE, 61_000, 2))
     assert [(one.function, one.outcome) for one in done] == [
         (3, Outcome.NO_ANSWER), (6, Outcome.NO_ANSWER),
@@ -179,19 +179,19 @@ def test_clock_that_ran_backwards_leaves_no_latency() -> None:
 # On a bus.
 
 
-def test_bus_joins_request_and_response_of_one_unit() -> None:
+def test_a_bus_pairs_request_and_response_of_one_unit() -> None:
     (done,) = joined(bus(), asked(READ, 0), told(ANSWER, 5))
     assert (done.outcome, done.source, done.transaction_id) == (Outcome.OK, None, None)
 
 
-def test_next_request_ends_the_one_that_waits() -> None:
+def test_on_a_bus_the_next_request_ends_the_open_one() -> None:
     done = joined(bus(), asked(READ, 0), asked(WRITE, 300), told(WRITE, 305))
     assert [(one.function, one.outcome) for one in done] == [
         (3, Outcome.NO_ANSWER), (6, Outcome.OK),
     ]  # fmt: skip
 
 
-def test_retries_are_counted_until_the_answer() -> None:
+def test_retries_are_counted_until_the_response() -> None:
     done = joined(
         bus(),
         asked(READ, 0), asked(READ, 300), asked(READ, 600), told(ANSWER, 605), asked(READ, 900),
@@ -201,14 +201,14 @@ def test_retries_are_counted_until_the_answer() -> None:
     ]  # fmt: skip
 
 
-def test_answer_from_another_unit_leaves_the_request_open() -> None:
+def test_a_response_of_another_unit_leaves_the_request_open() -> None:
     done = joined(bus(), asked(READ, 0), told(ANSWER, 5, unit=2), told(ANSWER, 9))
     assert [(one.unit, one.outcome) for one in done] == [
         (2, Outcome.UNSOLICITED), (1, Outcome.OK),
     ]  # fmt: skip
 
 
-def test_broadcast_is_complete_at_once_and_ends_the_request_that_waits() -> None:
+def test_a_broadcast_is_complete_at_once_and_ends_the_open_request() -> None:
     pairing = bus()
     pairing.feed(asked(READ, 0))
     done = pairing.feed(asked(WRITE, 300, unit=0))

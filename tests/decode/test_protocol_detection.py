@@ -1,4 +1,4 @@
-"""Modbus told from other protocols by what a connection says."""
+"""Detection of Modbus and of other protocols on TCP connections."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 
 from mbtool.core import Connection, Direction, Endpoint, EventKind, WireEvent
 from mbtool.decode import Decoded, ProtocolDetector, ProtocolState
-from mbtool.decode.protocol_detection import ENOUGH, ENOUGH_BYTES, GAP_COUNTS, MAX_TOLD, NOISE
+from mbtool.decode.protocol_detection import (
+    ENOUGH_ADUS,
+    GAP_BYTES,
+    MAX_HELD_EVENTS,
+    MAX_NOISE,
+    MAX_UNDECIDED_BYTES,
+)
 from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
 from tests.modbus.reading import adus, transactions, wire_events
 
@@ -59,11 +65,11 @@ def anywhere(*, joined: bool = False) -> ProtocolDetector:
     return ProtocolDetector(CONNECTION, joined=joined, expected=False, rtu=True)
 
 
-def fed(recognition: ProtocolDetector, pieces: list[Piece]) -> list[Decoded]:
+def fed(detector: ProtocolDetector, pieces: list[Piece]) -> list[Decoded]:
     return [
         one
         for place, (direction, data) in enumerate(pieces)
-        for one in recognition.feed(direction, data, place)
+        for one in detector.feed(direction, data, place)
     ]
 
 
@@ -82,38 +88,38 @@ def is_one_event(decoded: list[Decoded]) -> bool:
 
 
 def test_an_expected_connection_is_modbus_with_its_first_adu() -> None:
-    recognition = expected()
-    assert len(adus(fed(recognition, TCP_PAIR[:1]))) == 1
-    assert recognition.state is ProtocolState.MODBUS
+    detector = expected()
+    assert len(adus(fed(detector, TCP_PAIR[:1]))) == 1
+    assert detector.state is ProtocolState.MODBUS
 
 
-def test_an_expected_function_that_no_table_knows_is_modbus() -> None:
+def test_an_unknown_function_at_an_expected_port_is_modbus() -> None:
     assert len(adus(fed(expected(), [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))]))) == 1
 
 
 @pytest.mark.parametrize("pair", [TCP_PAIR, RTU_PAIR], ids=["tcp", "rtu"])
-def test_elsewhere_a_request_waits_for_its_answer_and_nothing_is_lost(pair: list[Piece]) -> None:
-    recognition = anywhere()
-    assert fed(recognition, pair[:1]) == []
-    decoded = fed(recognition, pair[1:])
+def test_elsewhere_a_request_is_held_until_its_response(pair: list[Piece]) -> None:
+    detector = anywhere()
+    assert fed(detector, pair[:1]) == []
+    decoded = fed(detector, pair[1:])
     assert len(adus(decoded)) == 2
     (one,) = transactions(decoded)
     assert one.response_values == [0x1234, 0x5678]
-    assert len(transactions(fed(recognition, pair))) == 1
+    assert len(transactions(fed(detector, pair))) == 1
 
 
 @pytest.mark.parametrize("kind", [mbap_adu(1, 1, READ), rtu_adu(1, READ)], ids=["tcp", "rtu"])
 def test_elsewhere_enough_requests_in_a_row_are_modbus(kind: bytes) -> None:
-    recognition = anywhere()
-    assert fed(recognition, [(REQUEST, kind)] * (ENOUGH - 1)) == []
-    assert len(adus(fed(recognition, [(REQUEST, kind)]))) == ENOUGH
+    detector = anywhere()
+    assert fed(detector, [(REQUEST, kind)] * (ENOUGH_ADUS - 1)) == []
+    assert len(adus(fed(detector, [(REQUEST, kind)]))) == ENOUGH_ADUS
 
 
-def test_elsewhere_functions_that_no_table_knows_prove_nothing() -> None:
-    recognition = anywhere()
-    assert fed(recognition, [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))] * 9) == []
-    assert recognition.close() != []
-    assert recognition.state is ProtocolState.FOREIGN
+def test_elsewhere_unknown_functions_prove_nothing() -> None:
+    detector = anywhere()
+    assert fed(detector, [(REQUEST, mbap_adu(1, 1, OWN_FUNCTION))] * 9) == []
+    assert detector.close() != []
+    assert detector.state is ProtocolState.FOREIGN
 
 
 @pytest.mark.parametrize(
@@ -132,24 +138,24 @@ def test_another_protocol_is_one_event_that_names_it(
     name: str,
     port: Port,
 ) -> None:
-    recognition = port()
-    decoded = [*fed(recognition, pieces), *fed(recognition, pieces * 9), *recognition.close()]
+    detector = port()
+    decoded = [*fed(detector, pieces), *fed(detector, pieces * 9), *detector.close()]
     assert is_one_event(decoded)
     assert name in wire_events(decoded)[0].message
 
 
-def test_another_protocol_that_was_joined_is_one_event_too() -> None:
-    recognition = expected(joined=True)
-    decoded = [*fed(recognition, [(REQUEST, TLS)] * 200), *recognition.close()]
+def test_another_protocol_without_its_beginning_is_one_event_too() -> None:
+    detector = expected(joined=True)
+    decoded = [*fed(detector, [(REQUEST, TLS)] * 200), *detector.close()]
     assert is_one_event(decoded)
 
 
 @pytest.mark.parametrize("size", [1, 3, 500])
-def test_tls_joined_in_the_middle_is_told_with_the_first_record_of_each_side(size: int) -> None:
-    recognition = expected(joined=True)
+def test_tls_without_its_beginning_is_detected_by_the_first_record_of_each_side(size: int) -> None:
+    detector = expected(joined=True)
     said = in_pieces([(REQUEST, TLS_DATA)] * 3, size)
-    assert fed(recognition, said) == []
-    decoded = fed(recognition, in_pieces([(RESPONSE, TLS_DATA), (REQUEST, TLS_DATA)], size))
+    assert fed(detector, said) == []
+    decoded = fed(detector, in_pieces([(RESPONSE, TLS_DATA), (REQUEST, TLS_DATA)], size))
     assert is_one_event(decoded)
     assert wire_events(decoded)[0].message == (
         "the connection is TLS: only its ends can read it; "
@@ -158,49 +164,49 @@ def test_tls_joined_in_the_middle_is_told_with_the_first_record_of_each_side(siz
 
 
 def test_tls_that_lost_a_segment_is_still_tls() -> None:
-    recognition = expected(joined=True)
-    assert fed(recognition, [(REQUEST, TLS_DATA)]) == []
-    assert recognition.gap(RESPONSE, 500, 0) == []
-    assert is_one_event([*fed(recognition, [(RESPONSE, TLS_DATA)]), *recognition.close()])
+    detector = expected(joined=True)
+    assert fed(detector, [(REQUEST, TLS_DATA)]) == []
+    assert detector.gap(RESPONSE, 500, 0) == []
+    assert is_one_event([*fed(detector, [(RESPONSE, TLS_DATA)]), *detector.close()])
 
 
-def test_rtu_that_looks_like_records_of_tls_is_rtu() -> None:
+def test_rtu_that_looks_like_tls_records_is_rtu() -> None:
     request = rtu_adu(0x17, bytes.fromhex("03 0100 0001"))
     answer = rtu_adu(0x17, bytes.fromhex("03 02 1234"))
-    recognition = ProtocolDetector(CONNECTION, joined=True, tcp=False, rtu=True)
+    detector = ProtocolDetector(CONNECTION, joined=True, tcp=False, rtu=True)
     begun: list[Piece] = [(REQUEST, request[:5]), (RESPONSE, answer[:5])]
-    decoded = fed(recognition, [*begun, (REQUEST, request[5:]), (RESPONSE, answer[5:])])
+    decoded = fed(detector, [*begun, (REQUEST, request[5:]), (RESPONSE, answer[5:])])
     assert [one.unit for one in adus(decoded)] == [0x17, 0x17]
 
 
-def test_a_client_that_nobody_answers_is_one_event_when_it_ends() -> None:
-    recognition = expected()
-    assert fed(recognition, [(REQUEST, TLS)]) == []
-    assert is_one_event(recognition.close())
+def test_a_connection_with_one_silent_side_is_one_event_at_its_end() -> None:
+    detector = expected()
+    assert fed(detector, [(REQUEST, TLS)]) == []
+    assert is_one_event(detector.close())
 
 
-def test_where_it_is_expected_one_side_alone_may_speak_modbus() -> None:
+def test_if_modbus_is_expected_one_side_alone_is_enough() -> None:
     noise: Piece = (REQUEST, b"\x00\x01\x00\x00\x88\x04\x05\x07")
     decoded = fed(expected(), [noise, TCP_PAIR[1]])
     assert [one.pdu for one in adus(decoded)] == [VALUES]
 
 
-def test_where_it_is_expected_adus_of_a_wrong_length_are_told_when_it_ends_at_the_latest() -> None:
+def test_if_modbus_is_expected_malformed_adus_are_returned_at_the_end_at_the_latest() -> None:
     long: Piece = (REQUEST, mbap_adu(1, 1, LONG_READ))
-    recognition = expected()
-    assert fed(recognition, [long]) == []
-    assert len(adus(recognition.close())) == 1
+    detector = expected()
+    assert fed(detector, [long]) == []
+    assert len(adus(detector.close())) == 1
     assert len(adus(fed(expected(), [long] * 3))) == 3
 
 
-def test_where_it_is_expected_missing_bytes_speak_for_nothing_else() -> None:
-    recognition = expected()
-    (gap,) = recognition.gap(REQUEST, 12, 0)
+def test_if_modbus_is_expected_a_gap_does_not_speak_against_it() -> None:
+    detector = expected()
+    (gap,) = detector.gap(REQUEST, 12, 0)
     assert isinstance(gap, WireEvent)
-    assert (gap.kind, recognition.state) == (EventKind.GAP, ProtocolState.MODBUS)
+    assert (gap.kind, detector.state) == (EventKind.GAP, ProtocolState.MODBUS)
 
 
-def test_rtu_at_a_port_of_modbus_tcp_is_told_with_the_option_that_reads_it() -> None:
+def test_rtu_at_a_modbus_tcp_port_is_reported_with_the_option_for_it() -> None:
     # Unit 1, function 03, address 300H: no protocol id.
     request, response = bytes.fromhex("03 0300 0001"), bytes.fromhex("03 02 0007")
     decoded = fed(expected(), [(REQUEST, rtu_adu(1, request)), (RESPONSE, rtu_adu(1, response))])
@@ -215,37 +221,37 @@ def test_a_frame_that_is_also_an_adu_is_a_frame_because_of_its_crc() -> None:
     assert [one.pdu for one in adus(decoded)] == [READ, VALUES]
 
 
-def test_an_adu_that_is_also_a_frame_is_an_adu_where_the_answer_is_one() -> None:
+def test_an_adu_that_is_also_a_frame_is_an_adu_if_its_response_is_one() -> None:
     request = RTU_PAIR[0]
     answer = bytes.fromhex("0103 0000 0006 C4 0B 0000 0000")  # Its counter stands at 0.
     (one,) = transactions(
         [
-            *fed(recognition := at_its_own_port(), [request, (RESPONSE, answer)]),
-            *recognition.close(),
+            *fed(detector := at_its_own_port(), [request, (RESPONSE, answer)]),
+            *detector.close(),
         ]
     )
     assert (one.function, one.unit) == (0x0B, 0xC4)
 
 
-def test_one_frame_by_chance_is_no_modbus_where_modbus_tcp_is_expected() -> None:
+def test_one_rtu_frame_by_chance_does_not_outweigh_expected_modbus_tcp() -> None:
     chance = rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
     for joined in (False, True):
-        recognition = at_its_own_port(joined=joined)
+        detector = at_its_own_port(joined=joined)
         said = [(REQUEST, b"\xff" * 90 + chance + b"\xff" * 90)]
-        assert is_one_event([*fed(recognition, said), *recognition.close()])
+        assert is_one_event([*fed(detector, said), *detector.close()])
 
 
-def test_one_frame_before_a_gap_is_no_modbus_where_modbus_tcp_is_expected() -> None:
-    recognition = at_its_own_port(joined=True)
+def test_one_rtu_frame_before_a_gap_does_not_outweigh_expected_modbus_tcp() -> None:
+    detector = at_its_own_port(joined=True)
     chance = b"\xff" * 90 + rtu_adu(0x54, bytes.fromhex("06 0203 0405"))
-    decoded = fed(recognition, [(REQUEST, chance)]) + recognition.gap(REQUEST, 9, 0)
-    assert is_one_event([*decoded, *recognition.close()])
+    decoded = fed(detector, [(REQUEST, chance)]) + detector.gap(REQUEST, 9, 0)
+    assert is_one_event([*decoded, *detector.close()])
 
 
-def test_where_modbus_tcp_is_expected_frames_are_shown_as_elsewhere() -> None:
+def test_if_modbus_tcp_is_expected_rtu_needs_the_same_evidence_as_elsewhere() -> None:
     assert len(transactions(fed(at_its_own_port(), RTU_PAIR))) == 1
-    recognition = at_its_own_port()
-    assert len(adus(fed(recognition, [(REQUEST, rtu_adu(1, WRITE_ONE))] * ENOUGH))) == ENOUGH
+    detector = at_its_own_port()
+    assert len(adus(fed(detector, [(REQUEST, rtu_adu(1, WRITE_ONE))] * ENOUGH_ADUS))) == ENOUGH_ADUS
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu", "any"])
@@ -253,11 +259,11 @@ def test_where_modbus_tcp_is_expected_frames_are_shown_as_elsewhere() -> None:
 def test_bytes_of_another_protocol_are_one_event_when_the_connection_ends(
     kind: str, noise: bytes
 ) -> None:
-    recognition = ProtocolDetector(CONNECTION, joined=True, tcp=kind != "rtu", rtu=kind != "tcp")
-    assert is_one_event([*fed(recognition, [(REQUEST, noise)]), *recognition.close()])
+    detector = ProtocolDetector(CONNECTION, joined=True, tcp=kind != "rtu", rtu=kind != "tcp")
+    assert is_one_event([*fed(detector, [(REQUEST, noise)]), *detector.close()])
 
 
-def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends() -> None:
+def test_an_incomplete_adu_and_a_wrong_crc_are_reported_at_the_end() -> None:
     tcp = expected(joined=True)
     assert fed(tcp, [(REQUEST, mbap_adu(1, 1, READ)[:7])]) == []
     assert [one.kind for one in wire_events(tcp.close())] == [EventKind.SKIPPED]
@@ -269,18 +275,18 @@ def test_a_beginning_of_an_adu_and_a_wrong_crc_are_told_when_the_connection_ends
     assert [one.kind for one in wire_events(rtu.close())] == [EventKind.BAD_CHECK]
 
 
-@pytest.mark.parametrize(("before", "found"), [(NOISE - 8, 2), (NOISE - 7, 0)])
-def test_elsewhere_a_frame_is_looked_for_in_the_first_bytes_only(before: int, found: int) -> None:
+@pytest.mark.parametrize(("before", "found"), [(MAX_NOISE - 8, 2), (MAX_NOISE - 7, 0)])
+def test_elsewhere_only_the_first_bytes_are_searched_for_a_frame(before: int, found: int) -> None:
     for size in (1, 7, 1000):
-        recognition = anywhere(joined=True)
+        detector = anywhere(joined=True)
         said = [(REQUEST, b"\xff" * before + RTU_PAIR[0][1]), RTU_PAIR[1]]
-        decoded = fed(recognition, in_pieces(said, size)) + recognition.close()
+        decoded = fed(detector, in_pieces(said, size)) + detector.close()
         assert len(adus(decoded)) == found
 
 
-def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
-    recognition = anywhere(joined=True)
-    recognition.hold(
+def test_the_master_of_a_connection_without_beginning_is_detected() -> None:
+    detector = anywhere(joined=True)
+    detector.hold(
         WireEvent(
             ts_ns=0,
             link=CONNECTION.link,
@@ -291,27 +297,29 @@ def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
         )
     )
     exchanged = [(RESPONSE, TCP_PAIR[0][1]), (REQUEST, TCP_PAIR[1][1])]
-    decoded = fed(recognition, exchanged)
+    decoded = fed(detector, exchanged)
     (one,) = transactions(decoded)
     assert (one.source, one.destination) == ("10.0.0.9:1502", "10.0.0.1:50211")
     (opened,) = wire_events(decoded)
     assert (opened.source, opened.destination) == (one.source, one.destination)
-    assert len(transactions(fed(recognition, exchanged))) == 1
+    assert len(transactions(fed(detector, exchanged))) == 1
 
 
 @given(st.lists(st.tuples(st.sampled_from([REQUEST, RESPONSE]), st.binary(max_size=300))))
-def test_what_is_held_is_bounded(pieces: list[Piece]) -> None:
-    recognition = anywhere(joined=True)
-    given_out = fed(recognition, pieces)
+def test_held_results_are_bounded(pieces: list[Piece]) -> None:
+    detector = anywhere(joined=True)
+    given_out = fed(detector, pieces)
     size = sum(len(data) for _, data in pieces)
-    if recognition.state is ProtocolState.UNDECIDED:
+    if detector.state is ProtocolState.UNDECIDED:
         assert not given_out
-        assert size < ENOUGH_BYTES
+        assert size < MAX_UNDECIDED_BYTES
 
 
 def test_gaps_without_end_are_bounded() -> None:
-    recognition = anywhere()
-    gaps = [recognition.gap(REQUEST, 1, 7 + place) for place in range(ENOUGH_BYTES // GAP_COUNTS)]
+    detector = anywhere()
+    gaps = [
+        detector.gap(REQUEST, 1, 7 + place) for place in range(MAX_UNDECIDED_BYTES // GAP_BYTES)
+    ]
     assert not any(gaps[:-1])
     assert is_one_event(gaps[-1])
     assert [event.ts_ns for event in wire_events(gaps[-1])] == [7]
@@ -352,13 +360,17 @@ def test_where_segments_end_does_not_matter(
     assert transactions(found) == transactions(wanted)
 
 
-def test_what_is_told_of_a_connection_is_held_within_bounds() -> None:
-    recognition = anywhere()
-    for ts_ns in range(2 * MAX_TOLD):
+def test_held_events_are_bounded() -> None:
+    detector = anywhere()
+    for ts_ns in range(2 * MAX_HELD_EVENTS):
         overlap = WireEvent(
-            ts_ns=ts_ns, link="x", kind=EventKind.OVERLAP, message="", raw=bytes(3 * ENOUGH_BYTES)
+            ts_ns=ts_ns,
+            link="x",
+            kind=EventKind.OVERLAP,
+            message="",
+            raw=bytes(3 * MAX_UNDECIDED_BYTES),
         )
-        recognition.hold(overlap)
-    told = wire_events(fed(recognition, TCP_PAIR))
-    assert [event.ts_ns for event in told] == list(range(MAX_TOLD))
-    assert {len(event.raw) for event in told} == {ENOUGH_BYTES}
+        detector.hold(overlap)
+    told = wire_events(fed(detector, TCP_PAIR))
+    assert [event.ts_ns for event in told] == list(range(MAX_HELD_EVENTS))
+    assert {len(event.raw) for event in told} == {MAX_UNDECIDED_BYTES}

@@ -1,4 +1,4 @@
-"""Which response belongs to which request."""
+"""Alignment of the requests of one tap with the responses of another."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
-from mbtool.decode.tap_alignment import MOST, SKEW_NS, TapRequest, asker_of_first, can_answer
+from mbtool.decode.tap_alignment import (
+    MAX_ALIGNED,
+    SKEW_NS,
+    TapRequest,
+    can_answer,
+    request_of_first,
+)
 from mbtool.modbus.adu import Adu, DirectionBy, Transport
 
 MS = 1_000_000
@@ -60,59 +66,59 @@ def test_the_first_response_belongs_to(
 ) -> None:
     requests = [asked(at_ms) for at_ms in request_at_ms]
     responses = [answered(at_ms) for at_ms in responses_at_ms]
-    assert asker_of_first(requests, responses, END_NS) == asker
+    assert request_of_first(requests, responses, END_NS) == asker
 
 
-def test_only_the_same_unit_and_function_can_answer() -> None:
+def test_only_the_same_unit_and_function_can_be_aligned() -> None:
     request = asked(0).adu
     assert can_answer(request, answered(10))
     assert can_answer(request, answered(10, REFUSED))
     assert not can_answer(request, answered(10, unit=2))
     assert not can_answer(request, answered(10, bytes.fromhex("04 02 0007")))
-    assert asker_of_first([asked(0), asked(20, unit=2)], [answered(10, unit=2)], END_NS) == 1
+    assert request_of_first([asked(0), asked(20, unit=2)], [answered(10, unit=2)], END_NS) == 1
 
 
 def test_a_response_of_the_right_size_goes_before_one_of_another() -> None:
     longer = asked(200, bytes.fromhex("03 0000 0002"))
-    assert asker_of_first([asked(0), longer], [answered(195, TOO_LONG)], END_NS) == 1
-    assert asker_of_first([asked(0), asked(200, unit=2)], [answered(10, TOO_LONG)], END_NS) == 0
+    assert request_of_first([asked(0), longer], [answered(195, TOO_LONG)], END_NS) == 1
+    assert request_of_first([asked(0), asked(200, unit=2)], [answered(10, TOO_LONG)], END_NS) == 0
 
 
-def test_more_than_the_skew_is_too_much() -> None:
+def test_a_response_earlier_than_the_skew_is_not_aligned() -> None:
     skew_ms = SKEW_NS / MS
-    assert asker_of_first([asked(skew_ms)], [answered(LENGTH_MS)], END_NS) == 0
-    assert asker_of_first([asked(skew_ms)], [answered(LENGTH_MS - 1)], END_NS) is None
+    assert request_of_first([asked(skew_ms)], [answered(LENGTH_MS)], END_NS) == 0
+    assert request_of_first([asked(skew_ms)], [answered(LENGTH_MS - 1)], END_NS) is None
 
 
-def test_a_request_does_not_wait_longer_than_the_bus() -> None:
+def test_a_request_times_out_as_on_a_bus() -> None:
     after_ms = LENGTH_MS + BUS_TIMEOUT_NS / MS
-    assert asker_of_first([asked(0)], [answered(after_ms)], END_NS) == 0
-    assert asker_of_first([asked(0)], [answered(after_ms + 1)], END_NS) is None
+    assert request_of_first([asked(0)], [answered(after_ms)], END_NS) == 0
+    assert request_of_first([asked(0)], [answered(after_ms + 1)], END_NS) is None
 
 
-def test_polls_behind_a_lone_response_are_not_shifted_only_at_the_start() -> None:
+def test_a_response_without_request_shifts_later_polls_unless_at_the_start() -> None:
     requests = [asked(10 + 20 * number) for number in range(6)]
     responses = [answered(20 * number) for number in range(6)]
-    assert asker_of_first(requests, responses, END_NS, at_start=True) is None
-    assert asker_of_first(requests, responses, END_NS) == 0
+    assert request_of_first(requests, responses, END_NS, at_start=True) is None
+    assert request_of_first(requests, responses, END_NS) == 0
 
 
-def test_what_is_known_of_delays_is_no_strain() -> None:
+def test_a_known_delay_costs_nothing() -> None:
     # A request, 300 ms of silence, then polls whose responses seem 7 ms early.
     requests = [asked(0), asked(300), asked(320)]
     responses = [answered(297), answered(317)]
-    assert asker_of_first(requests, responses, END_NS) == 0
-    assert asker_of_first(requests, responses, END_NS, ahead_ns=7 * MS) == 1
+    assert request_of_first(requests, responses, END_NS) == 0
+    assert request_of_first(requests, responses, END_NS, ahead_ns=7 * MS) == 1
 
 
-def test_its_request_may_be_still_to_come() -> None:
+def test_the_request_of_a_late_response_may_be_missing_yet() -> None:
     # Nobody knows what the master says behind 120 ms; the slave may have been quicker to be read.
     requests, responses = [asked(0), asked(60)], [answered(10), answered(105), answered(110)]
-    assert asker_of_first(requests, responses, 120 * MS) == 0
-    assert asker_of_first([], [answered(110)], 120 * MS) is None
+    assert request_of_first(requests, responses, 120 * MS) == 0
+    assert request_of_first([], [answered(110)], 120 * MS) is None
 
 
-def test_looks_at_no_more_than_it_says() -> None:
-    requests = [asked(number) for number in range(100 * MOST)]
-    responses = [answered(number) for number in range(100 * MOST)]
-    assert asker_of_first(requests, responses, END_NS) is not None
+def test_the_number_of_aligned_requests_is_limited() -> None:
+    requests = [asked(number) for number in range(100 * MAX_ALIGNED)]
+    responses = [answered(number) for number in range(100 * MAX_ALIGNED)]
+    assert request_of_first(requests, responses, END_NS) is not None

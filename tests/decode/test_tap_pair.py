@@ -12,7 +12,7 @@ from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
 from mbtool.decode import Decoded, TapPair
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
-from mbtool.decode.tap_pair import LOOK_NS, MAX_HELD, SURE
+from mbtool.decode.tap_pair import LOOKAHEAD_NS, MAX_HELD, MISPLACED_FRAMES
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.adu_bytes import ascii_adu, rtu_adu
 from mbtool.modbus.pdu import pdu_length
@@ -190,7 +190,7 @@ def test_a_transaction_comes_out_when_both_sides_are_known_to_be_silent() -> Non
     for read in wires.reads:
         assert taps.feed(*read) == []
     assert transactions(taps.advance(wires.now_ns + 5 * MS)) == []
-    assert len(transactions(taps.advance(wires.now_ns + LOOK_NS))) == 1
+    assert len(transactions(taps.advance(wires.now_ns + LOOKAHEAD_NS))) == 1
 
 
 def test_a_request_that_waits_times_out_in_silence() -> None:
@@ -210,7 +210,7 @@ def test_a_side_that_says_nothing_holds_the_other_up_for_a_second() -> None:
         wires.ask(after_ms=100)
         decoded += taps.feed(*wires.reads[-1])
     held_ns = wires.now_ns - adus(decoded)[-1].end_ns
-    assert held_ns <= MAX_CLOCK_STEP_NS + LOOK_NS + 200 * MS
+    assert held_ns <= MAX_CLOCK_STEP_NS + LOOKAHEAD_NS + 200 * MS
 
 
 def stepped(wires: Wires, at: int, by_ns: int = 3600 * SECOND) -> list[Read]:
@@ -276,7 +276,7 @@ def test_memory_is_bounded_whatever_the_times_say() -> None:
 
 def test_ports_that_are_exchanged_are_told_once() -> None:
     wires = Wires()
-    for _ in range(3 * SURE):
+    for _ in range(3 * MISPLACED_FRAMES):
         wires.say(RESPONSE, rtu_adu(5, READ)).say(REQUEST, rtu_adu(5, ANSWER))
     events = [event for event in wire_events(wires.decoded()) if event.kind is EventKind.MISPLACED]
     assert len(events) == 1
@@ -285,7 +285,7 @@ def test_ports_that_are_exchanged_are_told_once() -> None:
 
 def test_ports_that_are_not_exchanged_are_left_alone_whatever_the_noise() -> None:
     wires = Wires().ask().answer()
-    for _ in range(3 * SURE):
+    for _ in range(3 * MISPLACED_FRAMES):
         wires.say(REQUEST, rtu_adu(5, ANSWER))
     assert EventKind.MISPLACED not in [event.kind for event in wire_events(wires.decoded())]
 

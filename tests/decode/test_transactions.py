@@ -8,13 +8,13 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.decode.transactions import (
-    MAX_KNOWN,
+    MAX_CACHED_REQUESTS,
     Ends,
-    _asked,
+    _request_facts,
     broadcast,
     no_answer,
-    together,
     unsolicited,
+    with_response,
 )
 from mbtool.modbus.adu import Adu, DirectionBy, Transport, Verdict
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -47,7 +47,7 @@ def response(pdu: str, *verdicts: Verdict) -> Adu:
 
 
 def exchange(asked: str, told: str) -> Transaction:
-    return together(ENDS, request(asked), response(told), 0, ())
+    return with_response(ENDS, request(asked), response(told), 0, ())
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_coil_value_that_is_neither_on_nor_off_is_no_value() -> None:
 
 
 def test_verdicts_of_both_frames_are_kept_once() -> None:
-    done = together(
+    done = with_response(
         ENDS,
         request("07", Verdict.GLUED),
         response("07 00", Verdict.SPLIT, Verdict.GLUED),
@@ -198,6 +198,6 @@ def test_values_of_a_transaction_are_its_own() -> None:
 
 
 def test_requests_remembered_are_bounded() -> None:
-    for number in range(2 * MAX_KNOWN):
+    for number in range(2 * MAX_CACHED_REQUESTS):
         assert exchange(f"06 0001 {number:04X}", "83 02").request_values == [number]
-    assert _asked.cache_info().currsize == MAX_KNOWN
+    assert _request_facts.cache_info().currsize == MAX_CACHED_REQUESTS

@@ -14,7 +14,7 @@ from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.modbus import rtu_adu
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.sniff import Sniffer, serial_lines
@@ -57,7 +57,7 @@ def test_master_and_slave_talk_through_the_tap_which_logs_both(tmp_path: Path) -
         (one, master), (other, slave) = (bench.line(folder) for folder in folders)
         link = SerialLink(one.port, FAST, slave_port=other.port, is_relay=True)
         decoder = Decoder(Namer(), lines=serial_lines([link]))
-        begin = partial(begin_log, str(path), [link], Assignments())
+        begin = partial(create_log, str(path), [link], Assignments())
         with Sniffer([link], decoder, begin_log=begin) as sniffer:
             stations = [
                 Thread(target=_answer, args=(slave,)),

@@ -15,7 +15,7 @@ from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.modbus import rtu_adu
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.sniff import Sniffer, serial_lines
@@ -51,7 +51,7 @@ def wires(tmp_path: Path) -> Iterator[tuple[SerialLink, int, int]]:
 
 def _sniffer(link: SerialLink, log: Path) -> Sniffer:
     decoder = Decoder(Namer(), lines=serial_lines([link]))
-    return Sniffer([link], decoder, begin_log=partial(begin_log, str(log), [link], Assignments()))
+    return Sniffer([link], decoder, begin_log=partial(create_log, str(log), [link], Assignments()))
 
 
 def _transactions(records: list[Record]) -> list[NamedTransaction]:

@@ -112,7 +112,7 @@ def test_a_full_disk_leaves_what_was_written_before() -> None:
         assert count_messages(disk.getvalue()) == before
 
 
-def test_a_log_that_failed_stays_as_it_is_and_says_why_to_its_end() -> None:
+def test_after_an_error_a_log_stays_as_it_is_and_repeats_the_error() -> None:
     disk = Disk()
     container = Container(CompleteFile(disk, "x.mcap", HEAD))
     disk.room = len(disk.getvalue())

@@ -145,7 +145,7 @@ def test_records_keep_the_order_in_which_they_were_added(log: Log) -> None:
 
 
 @pytest.mark.parametrize(("given", "written"), [(-1, 0), (MAX_TIME + 1, MAX_TIME)])
-def test_a_time_that_mcap_cannot_say_is_the_nearest_that_it_can(
+def test_a_time_outside_the_range_of_mcap_is_set_to_the_limit(
     log: Log, given: int, written: int
 ) -> None:
     topic = log.container.add_topic("/one", "s", SCHEMA)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mbtool.core import OutputError, UsageError
-from mbtool.logs.creating import create_file, demand_place
+from mbtool.logs.creating import check_path, create_file
 from mbtool.logs.reader import read_log
 from mbtool.logs.rotation import RotatingLog, Rotation
 from mbtool.logs.writer import LogWriter
@@ -42,19 +42,19 @@ def test_a_file_that_cannot_be_created_is_the_users_mistake(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("replace", [False, True])
-def test_a_folder_is_said_to_be_one(tmp_path: Path, replace: bool) -> None:
+def test_a_folder_is_an_error_that_says_so(tmp_path: Path, replace: bool) -> None:
     with pytest.raises(UsageError, match=r"a directory; name a file in it, for example .*x\.mcap"):
         create_file(tmp_path, replace=replace)
 
 
-def test_a_place_can_be_looked_at_before(tmp_path: Path) -> None:
-    demand_place(tmp_path / "a.mcap")
+def test_a_path_can_be_checked_before(tmp_path: Path) -> None:
+    check_path(tmp_path / "a.mcap")
     (tmp_path / "b.mcap").touch()
-    demand_place(tmp_path / "b.mcap", replace=True)
+    check_path(tmp_path / "b.mcap", replace=True)
     with pytest.raises(UsageError, match="the file exists"):
-        demand_place(tmp_path / "b.mcap")
+        check_path(tmp_path / "b.mcap")
     with pytest.raises(UsageError, match="the log cannot be created: No such file"):
-        demand_place(tmp_path / "absent" / "a.mcap")
+        check_path(tmp_path / "absent" / "a.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
 

@@ -11,10 +11,10 @@ def _at(offset: int) -> DamageError:
 def test_no_damage_is_false_and_has_no_hole() -> None:
     damage = Damage("x.mcap")
     assert not damage
-    assert damage.hole(1) == []
+    assert damage.take_gap(1) == []
 
 
-def test_one_damaged_place_is_told_with_what_it_costs() -> None:
+def test_one_damaged_place_is_reported_with_the_skipped_bytes() -> None:
     damage = Damage("x.mcap")
     damage.add(_at(530), 812)
     assert damage
@@ -22,10 +22,10 @@ def test_one_damaged_place_is_told_with_what_it_costs() -> None:
         "x.mcap: damaged at byte 530: a chunk whose CRC does not match; "
         "812 bytes of the log are left out, all else was read"
     )
-    assert damage.hole(1) == []
+    assert damage.take_gap(1) == []
 
 
-def test_what_costs_nothing_is_told_alone() -> None:
+def test_damage_without_skipped_bytes_is_reported_alone() -> None:
     damage = Damage("x.mcap")
     damage.add(_at(530))
     assert str(damage.error()) == str(_at(530))
@@ -40,20 +40,20 @@ def test_further_places_are_counted() -> None:
     assert ", and at 2 more places; 60 bytes of the log" in str(damage.error())
 
 
-def test_a_hole_is_told_once_at_the_time_of_what_follows() -> None:
+def test_a_gap_is_reported_once_with_the_given_time() -> None:
     damage = Damage("x.mcap")
     damage.add_hole(_at(20), 20, 100)
     damage.add_hole(_at(130), 130, 50)
-    (hole,) = damage.hole(7)
+    (hole,) = damage.take_gap(7)
     assert (hole.ts_ns, hole.link, hole.kind) == (7, "", EventKind.GAP)
     assert hole.message == "150 bytes of the log, from byte 20 on, are damaged and left out"
-    assert damage.hole(8) == []
+    assert damage.take_gap(8) == []
 
 
-def test_another_end_is_told_with_the_damage_before_it() -> None:
+def test_another_error_at_the_end_is_reported_with_the_damage_before_it() -> None:
     damage = Damage("x.mcap")
     damage.add(_at(20), 100)
-    end = damage.joined_to(CutError("x.mcap: cut off at byte 900"))
+    end = damage.added_to(CutError("x.mcap: cut off at byte 900"))
     assert isinstance(end, CutError)
     assert str(end) == (
         "x.mcap: cut off at byte 900; before that, damaged at byte 20: "

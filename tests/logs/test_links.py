@@ -1,4 +1,4 @@
-"""What a log says of its links, read back."""
+"""Settings of links and devices, read from a log."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_ports_and_lines_of_all_links_are_given(tmp_path: Path) -> None:
     assert [*lines] == ["ttyUSB0"]
 
 
-def test_a_log_may_say_nothing_or_what_cannot_be_read(tmp_path: Path) -> None:
+def test_a_log_may_have_no_link_specs_or_invalid_ones(tmp_path: Path) -> None:
     log = _log(tmp_path / "a.mcap", eth0={SPEC: "net:eth0", PORTS: "502"})
     assert not names_any_port(log)
     assert serial_lines(log) == {}

@@ -1,4 +1,4 @@
-"""What a log says of its run."""
+"""The settings that a new log records."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from mbtool.core import Direction, Endpoint, ListenTls, TapLink, TargetTls, UsageError, parse_link
 from mbtool.devices import Assignments, NamedTransaction, parse_assignment, profile_from_json
 from mbtool.logs import LogReader, Rotation
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.modbus import Transport, rtu_adu
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.workflows.evidence import CONNECTION, READ, VALUES, captured, relayed
@@ -39,9 +39,9 @@ DEVICES = Assignments(
 )
 
 
-def test_a_log_says_all_that_decoding_it_again_needs(tmp_path: Path) -> None:
+def test_a_log_has_all_settings_to_decode_it_again(tmp_path: Path) -> None:
     path = str(tmp_path / "a.mcap")
-    begin_log(path, LINKS, DEVICES, ports=[502, 1502], rtu_ports=[4001]).close()
+    create_log(path, LINKS, DEVICES, ports=[502, 1502], rtu_ports=[4001]).close()
     with LogReader.open(path) as log:
         assert list(log.items()) == []
         assert log.links == {
@@ -58,14 +58,14 @@ def test_a_log_says_all_that_decoding_it_again_needs(tmp_path: Path) -> None:
         assert {"host", "system", "command", "clock", "version"} <= set(log.capture)
 
 
-def test_all_that_a_log_says_is_documented(tmp_path: Path) -> None:
+def test_all_metadata_of_a_log_is_documented(tmp_path: Path) -> None:
     rows = {
         cells[1].strip(" `"): cells[2]
         for cells in (line.split("|") for line in FORMAT.read_text().splitlines())
         if len(cells) == 4
     }
     path = str(tmp_path / "a.mcap")
-    begin_log(path, LINKS, DEVICES, ports=[502], rtu_ports=[4001]).close({"discarded_bytes": "0"})
+    create_log(path, LINKS, DEVICES, ports=[502], rtu_ports=[4001]).close({"discarded_bytes": "0"})
     with LogReader.open(path) as log:
         list(log.items())
         said = {
@@ -76,10 +76,10 @@ def test_all_that_a_log_says_is_documented(tmp_path: Path) -> None:
         assert {key for key in keys if f"`{key}`" not in rows[record]} == set()
 
 
-def test_evidence_alone_is_decoded_again_by_it(tmp_path: Path) -> None:
+def test_evidence_alone_is_decoded_again_with_the_logs_settings(tmp_path: Path) -> None:
     path = str(tmp_path / "a.mcap")
     links = [parse_link("net:eth0"), parse_link("tap:127.0.0.1:0=10.0.0.9:4001")]
-    log = begin_log(path, links, DEVICES, ports=[1502, 502], rtu_ports=[4001])
+    log = create_log(path, links, DEVICES, ports=[1502, 502], rtu_ports=[4001])
     for packet in captured(1):
         log.write(packet)
     connection = replace(CONNECTION, slave=Endpoint("10.0.0.9", 4001))
@@ -95,9 +95,9 @@ def test_evidence_alone_is_decoded_again_by_it(tmp_path: Path) -> None:
     ]
 
 
-def test_a_log_rotates_where_it_is_asked_to(tmp_path: Path) -> None:
+def test_a_log_rotates_if_the_user_wants_it(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    log = begin_log(str(path), LINKS, DEVICES, rotation=Rotation.parse("1s"))
+    log = create_log(str(path), LINKS, DEVICES, rotation=Rotation.parse("1s"))
     for second in range(3):
         for packet in captured(1):
             log.write(packet)
@@ -112,11 +112,11 @@ def test_a_log_rotates_where_it_is_asked_to(tmp_path: Path) -> None:
             assert len(reader.profiles) == 2
 
 
-def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
+def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_text("mine")
     with pytest.raises(UsageError, match=r"a\.mcap: the file exists"):
-        begin_log(str(path), LINKS, DEVICES)
+        create_log(str(path), LINKS, DEVICES)
     assert path.read_text() == "mine"
 
 
@@ -129,11 +129,9 @@ def test_a_log_that_is_there_stays(tmp_path: Path) -> None:
         ("x.csv", "x.mcap"),
     ],
 )
-def test_a_name_that_says_another_kind_of_file_is_refused(
-    tmp_path: Path, name: str, right: str
-) -> None:
+def test_a_suffix_of_another_format_is_an_error(tmp_path: Path, name: str, right: str) -> None:
     with pytest.raises(UsageError) as caught:
-        begin_log(str(tmp_path / name), LINKS, DEVICES)
+        create_log(str(tmp_path / name), LINKS, DEVICES)
     assert str(caught.value) == (
         f"{tmp_path / name}: a log is an MCAP file: name it {tmp_path / right}"
     )
@@ -142,12 +140,12 @@ def test_a_name_that_says_another_kind_of_file_is_refused(
 
 @pytest.mark.parametrize("name", ["x.mcap", "x", "x.log", "2026.11.21"])
 def test_a_log_may_have_any_other_name(tmp_path: Path, name: str) -> None:
-    begin_log(str(tmp_path / name), LINKS, DEVICES).close()
+    create_log(str(tmp_path / name), LINKS, DEVICES).close()
     assert (tmp_path / name).exists()
 
 
 @pytest.mark.parametrize("rotation", ["often", "0MB", "100", ""])
 def test_a_wrong_rotation_leaves_no_log(tmp_path: Path, rotation: str) -> None:
     with pytest.raises(UsageError, match="for example 100MB or 1h"):
-        begin_log(str(tmp_path / "a.mcap"), LINKS, DEVICES, rotation=Rotation.parse(rotation))
+        create_log(str(tmp_path / "a.mcap"), LINKS, DEVICES, rotation=Rotation.parse(rotation))
     assert list(tmp_path.iterdir()) == []

@@ -9,7 +9,7 @@ from mbtool.modbus import Outcome
 from tests.logs.samples import transaction
 
 
-def test_a_value_is_told_when_it_changes() -> None:
+def test_a_point_is_returned_when_its_value_changes() -> None:
     changes = PointChanges()
     seen = [told(changes, value) for value in (1.0, 1.0, 2.0, 2.0, 1.0)]
     assert seen == [[1.0], [], [2.0], [], [1.0]]
@@ -42,14 +42,14 @@ def test_the_same_name_elsewhere_is_another_point() -> None:
     assert told(changes, 1.0) == []
 
 
-def test_what_the_device_refused_changes_nothing() -> None:
+def test_a_write_that_the_device_refused_changes_no_point() -> None:
     changes = PointChanges()
     assert told(changes, 1.0, outcome=Outcome.EXCEPTION) == []
     assert told(changes, 1.0, outcome=Outcome.NO_ANSWER) == []
     assert told(changes, 1.0, outcome=Outcome.BROADCAST) == [1.0]
 
 
-def test_what_is_remembered_is_bounded() -> None:
+def test_the_number_of_points_is_bounded() -> None:
     changes = PointChanges(limit=2)
     for unit in (1, 2, 3):
         assert told(changes, 1.0, unit=unit) == [1.0]

@@ -50,14 +50,14 @@ def test_a_log_gives_only_transactions_or_only_evidence(tmp_path: Path) -> None:
         assert list(log.evidence()) == [ONE_OF_EACH[0], ONE_OF_EACH[3], ONE_OF_EACH[4]]
 
 
-def test_what_is_known_beforehand_is_known_before_the_first_item(tmp_path: Path) -> None:
+def test_metadata_before_the_first_item_is_known_at_once(tmp_path: Path) -> None:
     with LogReader.open(write_log(tmp_path / "x.mcap", ONE_OF_EACH)) as log:
         assert log.capture["host"] == "bench"
         assert log.links == {"rs485": {"spec": "rtu:/dev/ttyUSB0@19200-8E1"}}
         assert log.profiles == {"idec-ft1a-touch": b'{"name": "idec-ft1a-touch"}'}
 
 
-def test_a_link_that_is_added_later_is_learned_on_the_way(tmp_path: Path) -> None:
+def test_a_link_that_is_added_later_is_known_when_it_is_reached(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "x.mcap", capture={}) as writer:
         writer.write(chunk(1))
         writer.add_link("late", {})
@@ -70,7 +70,7 @@ def test_a_link_that_is_added_later_is_learned_on_the_way(tmp_path: Path) -> Non
         assert "late" in log.links
 
 
-def test_a_pipe_will_do(tmp_path: Path) -> None:
+def test_a_log_can_be_read_from_a_pipe(tmp_path: Path) -> None:
     data = write_log(tmp_path / "x.mcap", ONE_OF_EACH).read_bytes()
     reading, writing = os.pipe()
 
@@ -116,7 +116,7 @@ def test_a_log_that_was_never_closed_is_whole(tmp_path: Path) -> None:
         assert isinstance(read(data[:size])[1], CutError)
 
 
-def test_a_log_with_any_byte_damaged_gives_nothing_wrong_and_says_so(tmp_path: Path) -> None:
+def test_a_log_with_any_byte_damaged_returns_no_wrong_item_and_an_error(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)
     summary_at = int.from_bytes(data[-FOOTER_SIZE + 9 : -FOOTER_SIZE + 17], "little")
@@ -130,7 +130,7 @@ def test_a_log_with_any_byte_damaged_gives_nothing_wrong_and_says_so(tmp_path: P
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_a_damaged_chunk_costs_what_it_holds_and_no_more(tmp_path: Path, number: int) -> None:
+def test_a_damaged_chunk_costs_only_its_own_items(tmp_path: Path, number: int) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)
     offset, size = records_of(data, Opcode.CHUNK)[number]
@@ -152,7 +152,7 @@ def test_a_damaged_chunk_costs_what_it_holds_and_no_more(tmp_path: Path, number:
     assert str(error).endswith(f"; {size} bytes of the log are left out, all else was read")
 
 
-def test_damaged_chunks_side_by_side_are_one_hole(tmp_path: Path) -> None:
+def test_adjacent_damaged_chunks_are_one_gap(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)
     first, second, _ = records_of(data, Opcode.CHUNK)
@@ -164,7 +164,7 @@ def test_damaged_chunks_side_by_side_are_one_hole(tmp_path: Path) -> None:
     assert "and at 1 more place" in str(error)
 
 
-def test_a_hole_stands_among_the_evidence_and_not_among_the_transactions(tmp_path: Path) -> None:
+def test_a_gap_is_among_the_evidence_and_not_among_the_transactions(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     offset, size = records_of(data, Opcode.CHUNK)[1]
     data = changed(data, offset + 9 + size - 20)
@@ -199,7 +199,7 @@ def test_damage_between_the_records_of_items_costs_none(tmp_path: Path) -> None:
     assert "the bytes before are not those that were written" in str(error)
 
 
-def test_a_damaged_log_that_is_cut_too_tells_both(tmp_path: Path) -> None:
+def test_a_damaged_and_truncated_log_reports_both(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     first, _, third = records_of(data, Opcode.CHUNK)
     data = changed(data, first[0] + 9 + first[1] - 20)[: third[0] + 20]
@@ -209,7 +209,7 @@ def test_a_damaged_log_that_is_cut_too_tells_both(tmp_path: Path) -> None:
     assert f"; before that, damaged at byte {first[0]}: a chunk" in str(error)
 
 
-def test_a_log_whose_lengths_are_damaged_ends_there_and_says_so(tmp_path: Path) -> None:
+def test_a_log_with_a_damaged_length_ends_there_with_an_error(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)
     offset, _ = records_of(data, Opcode.CHUNK)[1]
@@ -273,7 +273,7 @@ def test_a_log_that_the_stock_writer_made_is_read() -> None:
 @pytest.mark.parametrize(
     "message", [b"", b"{}", b'{"ts_ns":null,"link":"a","data":""}', b'{"ts_ns":1', b"\xff"]
 )
-def test_a_message_that_is_none_is_damage(message: bytes) -> None:
+def test_an_invalid_message_is_damage(message: bytes) -> None:
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start(profile="mbtool")
@@ -335,7 +335,7 @@ def test_following_gives_each_item_once_as_it_reaches_the_disk(tmp_path: Path) -
     assert next(steps) == 13  # The closed log ended it.
 
 
-def test_following_ends_when_told(tmp_path: Path) -> None:
+def test_following_ends_when_wait_returns_false(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path / "x.mcap", capture={})
     writer.write(chunk())
     writer.tick(10**18)

@@ -13,7 +13,7 @@ from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD, Opcode, data_end,
 from mbtool.logs.records import McapRecord, RecordStream
 
 
-def test_records_come_with_their_place() -> None:
+def test_records_have_their_file_offset() -> None:
     stream = opened(MAGIC + packed(Metadata("a", {})) + data_end(0))
     stream.read_magic()
     assert stream.read()[:2] == (8, Opcode.METADATA)

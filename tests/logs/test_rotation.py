@@ -73,7 +73,7 @@ def test_the_log_goes_on_in_the_next_file_by_time(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 4
 
 
-def test_a_number_that_is_taken_is_left_out(tmp_path: Path) -> None:
+def test_a_number_whose_file_exists_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "x-0002.mcap").write_bytes(b"evidence")
     with RotatingLog(tmp_path / "x.mcap", Rotation(size=1_000), capture={}) as log:
         log.add_profile("pump", bytes(1_000))

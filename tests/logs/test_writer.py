@@ -113,7 +113,7 @@ def test_an_open_log_has_topics_and_schemas_for_the_stock_reader(tmp_path: Path)
     log.close()
 
 
-def test_nothing_waits_longer_than_the_limit(tmp_path: Path) -> None:
+def test_nothing_stays_in_memory_longer_than_the_limit(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     log = LogWriter(path, capture={})
     log.tick(START_NS)
@@ -140,7 +140,7 @@ def test_a_clock_that_goes_back_flushes(tmp_path: Path) -> None:
     log.close()
 
 
-def test_what_only_the_end_shows_is_added_at_the_end(tmp_path: Path) -> None:
+def test_metadata_of_the_end_is_added_at_the_end(tmp_path: Path) -> None:
     log = LogWriter(tmp_path / "x.mcap", capture={"host": "bench"})
     log.write(chunk())
     log.close({"dropped": "3"})
@@ -163,7 +163,7 @@ def test_two_writers_cannot_share_a_file(tmp_path: Path) -> None:
     assert list(read_log(path)) == [chunk()]
 
 
-def test_a_command_line_that_is_no_text_can_be_told(tmp_path: Path) -> None:
+def test_a_command_line_that_is_no_text_can_be_recorded(tmp_path: Path) -> None:
     command = os.fsdecode(b"sniff -w \xff.mcap")
     with LogWriter(tmp_path / "x.mcap", capture={"command": command}) as log:
         log.add_profile(os.fsdecode(b"\xffpump"), b"{}")

@@ -1,4 +1,4 @@
-"""What a filter can speak of."""
+"""The names of the --where language."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mbtool.modbus import Outcome
-from mbtool.query.terms import NAMES, ValueKind, complaint
+from mbtool.query.terms import NAMES, ValueKind, why_never_true
 from tests.logs.samples import NAMED, transaction
 
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -25,24 +25,24 @@ PYTHON = {ValueKind.NUMBER: int | float, ValueKind.TEXT: str, ValueKind.LIST: li
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_name_is_of_the_kind_that_it_says_or_does_not_apply(name: str) -> None:
+def test_a_value_has_the_kind_of_its_name_or_does_not_apply(name: str) -> None:
     term = NAMES[name]
     for one in (NAMED, EMPTY):
         value = term.value(one)
         assert value is None or isinstance(value, PYTHON[term.kind])
         for item in value if isinstance(value, list) else ():
             assert isinstance(item, PYTHON[term.items[0].kind])
-        if term.words and value is not None:
-            assert value in term.words
+        if term.choices and value is not None:
+            assert value in term.choices
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_can_be_compared_with_itself(name: str) -> None:
-    assert complaint(NAMES[name], NAMES[name], membership=False) is None
+    assert why_never_true(NAMES[name], NAMES[name], membership=False) is None
 
 
-def test_the_words_of_an_outcome_are_all_of_them() -> None:
-    assert NAMES["outcome"].words == tuple(Outcome)
+def test_outcome_can_be_compared_with_each_of_its_values() -> None:
+    assert NAMES["outcome"].choices == tuple(Outcome)
 
 
 def test_the_readme_has_every_name_and_no_other() -> None:

@@ -65,20 +65,20 @@ REFUSED = transaction(
         (" unit == 1\n", True, True),
     ],
 )
-def test_chooses_transactions(expression: str, read: bool, refused: bool) -> None:
+def test_an_expression_selects_transactions(expression: str, read: bool, refused: bool) -> None:
     wanted = parse_where(expression)
     assert (wanted(READ), wanted(REFUSED)) == (read, refused)
 
 
 @pytest.mark.parametrize("operator", ["==", "!=", "<", ">", "in", "not in"])
-def test_what_does_not_apply_compares_as_false(operator: str) -> None:
+def test_a_name_that_does_not_apply_compares_as_false(operator: str) -> None:
     group = "(40, 41)" if "in" in operator else "40"
     assert not parse_where(f"address {operator} {group}")(REFUSED)
     if operator != "in":
         assert not parse_where(f"40 {operator.replace('not in', '!=')} address")(REFUSED)
 
 
-def test_a_name_in_a_list_that_does_not_apply_is_neither_more_nor_less() -> None:
+def test_a_name_in_a_list_that_does_not_apply_cannot_be_ordered() -> None:
     for operator in ("<", ">"):
         assert parse_where(f"(1, address) {operator} (1, 2)")(REFUSED) is False
 
@@ -115,7 +115,7 @@ def test_a_name_in_a_list_that_does_not_apply_is_neither_more_nor_less() -> None
         ("not (unit == 1 or unit == 'a')", "unit is a number and 'a' is a text"),
     ],
 )
-def test_a_comparison_that_can_never_hold_is_refused_with_what_would_be_right(
+def test_a_comparison_that_is_never_true_is_an_error_with_a_correction(
     expression: str, why: str
 ) -> None:
     with pytest.raises(UsageError, match=re.escape(why)) as caught:
@@ -138,7 +138,7 @@ def test_a_comparison_that_can_never_hold_is_refused_with_what_would_be_right(
         '"HR" in "HR1"',
     ],
 )
-def test_a_comparison_that_can_hold_is_taken(expression: str) -> None:
+def test_a_comparison_that_can_be_true_is_accepted(expression: str) -> None:
     assert parse_where(expression)(READ) in (True, False)
 
 
@@ -166,7 +166,7 @@ def test_a_comparison_that_can_hold_is_taken(expression: str) -> None:
         ("__import__ == 5", "there is no '__import__'"),
     ],
 )
-def test_refuses_what_is_no_comparison_and_says_what_would_be(
+def test_everything_but_comparisons_is_an_error_with_an_example(
     expression: str, problem: str
 ) -> None:
     with pytest.raises(UsageError, match=re.escape(problem)) as caught:
@@ -188,14 +188,14 @@ def test_refuses_what_is_no_comparison_and_says_what_would_be(
     ],
     ids=lambda text: text[:16],
 )
-def test_refuses_what_is_too_deep_or_too_long_in_one_short_line(expression: str) -> None:
+def test_too_deep_or_too_long_expressions_are_a_short_error(expression: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_where(expression)
     assert len(str(caught.value)) < 500
     assert "\n" not in str(caught.value)
 
 
-def test_takes_as_much_as_it_says() -> None:
+def test_expressions_up_to_the_limits_are_accepted() -> None:
     assert parse_where("not " * (MAX_DEPTH - 1) + "unit == 2")(READ) is True
     many = "unit in (" + "2, " * (MAX_LENGTH // 3 - 10) + "1)"
     assert parse_where(many)(READ) is True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
 from mbtool.modbus import Adu, Transport, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy
 
@@ -31,7 +31,7 @@ def answered(
     at_ns = at_ms * MS
     asked = _adu(request, unit, at_ns, Direction.REQUEST, transport)
     answer = _adu(response, unit, at_ns + latency_ns, Direction.RESPONSE, transport)
-    return together(_ENDS, asked, answer, 0, ())
+    return with_response(_ENDS, asked, answer, 0, ())
 
 
 def unanswered(at_ms: int, request: str, *, unit: int = 1) -> Transaction:

@@ -87,19 +87,19 @@ def test_values_that_may_differ_are_not_compared() -> None:
     assert _told(found) == [("value", "holding 12", "1", "2")]
 
 
-def test_what_only_one_was_asked_for_is_told() -> None:
+def test_a_request_in_one_capture_only_is_reported() -> None:
     both = [_poll(0, "0001")]
     found = _compared([*both, answered(9, "06 0001 0002", "06 0001 0002")], both)
     assert _told(found) == [("request", "holding 1", "1 transaction", "")]
     assert found[0].what == "06 write register"
 
 
-def test_a_slave_that_is_in_one_only_is_told_once() -> None:
+def test_a_slave_in_one_capture_only_is_reported_once() -> None:
     found = _compared([_poll(0, "0001")], [_poll(0, "0001"), _poll(9, "0001", unit=7)])
     assert [(one.kind, one.unit, one.b.count) for one in found] == [(Kind.SLAVE, 7, 1)]
 
 
-def test_an_exception_that_the_other_never_gave_is_told() -> None:
+def test_an_exception_in_one_capture_only_is_reported() -> None:
     a = [_poll(at, "0001") for at in range(5)]
     found = _compared(a, [*a, answered(99, "03 000A 0001", "83 06")])
     assert _told(found) == [("outcome", "holding 10", "ok", "ok 5 of 6, exception 06 1 of 6")]
@@ -110,7 +110,7 @@ def test_one_missing_answer_in_hundreds_is_chance() -> None:
     assert _compared(a, [*a, unanswered(999, "03 000A 0001")]) == []
 
 
-def test_many_missing_answers_are_none() -> None:
+def test_many_missing_answers_are_a_difference() -> None:
     a = [_poll(at, "0001") for at in range(60)]
     b = [*a[:30], *(unanswered(at, "03 000A 0001") for at in range(900, 930))]
     (found,) = _compared(a, b)
@@ -120,7 +120,7 @@ def test_many_missing_answers_are_none() -> None:
     assert found.b.text == "no answer 30 of 60, ok 30 of 60"
 
 
-def test_a_latency_that_is_shifted_is_told_with_its_chance() -> None:
+def test_a_shift_of_latencies_is_reported_with_its_p_value() -> None:
     a = [_poll(at, "0001", 5 + at % 7) for at in range(100)]
     b = [_poll(at, "0001", 9 + at % 7) for at in range(100)]
     (found,) = _compared(a, b)
@@ -134,13 +134,13 @@ def test_a_latency_that_is_shifted_is_told_with_its_chance() -> None:
     assert _compared(a, b, Ignored(latency=True)) == []
 
 
-def test_a_shift_too_small_to_matter_is_none() -> None:
+def test_a_small_shift_of_latencies_is_no_difference() -> None:
     a = [_poll(at, "0001", 5 + at % 20) for at in range(4000)]
     b = [_poll(at, "0001", 6 + at % 20) for at in range(4000)]
     assert _compared(a, b) == []
 
 
-def test_equal_units_on_several_links_are_told_apart_by_link() -> None:
+def test_equal_units_on_several_links_are_distinguished_by_link() -> None:
     import msgspec
 
     a = [_poll(0, "0001"), msgspec.structs.replace(_poll(0, "0002"), link="other")]
@@ -148,14 +148,14 @@ def test_equal_units_on_several_links_are_told_apart_by_link() -> None:
     assert [(one.kind, one.unit, one.link) for one in found] == [(Kind.SLAVE, 1, "other")]
 
 
-def test_a_unit_is_found_whatever_its_link_is_called() -> None:
+def test_a_unique_unit_is_matched_although_its_link_has_another_name() -> None:
     import msgspec
 
     a = _poll(0, "0001")
     assert _compared([a], [msgspec.structs.replace(a, link="127.0.0.1:1502")]) == []
 
 
-def test_registers_have_the_words_of_their_device() -> None:
+def test_registers_are_named_by_their_device() -> None:
     a = [answered(0, "06 0102 005C", "06 0102 005C")]
     b = [answered(0, "06 0102 00FF", "06 0102 00FF")]
     (found,) = _compared(a, b, device="fa3-at1m8x")

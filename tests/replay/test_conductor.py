@@ -94,14 +94,14 @@ def test_requests_that_were_open_at_once_are_open_at_once_again() -> None:
     assert played.sent(83) == [3]
 
 
-def test_as_fast_as_can_be_only_answers_are_waited_for() -> None:
+def test_at_maximum_speed_steps_wait_for_responses_only() -> None:
     played = Played(*(answered(at, READ, VALUE) for at in (0, 1000, 2000)), rate=None)
     assert played.sent(0) == [0]
     played.answer(0, 1)
     assert played.sent(1) == [1]
 
 
-def test_nobody_waits_for_what_was_never_answered() -> None:
+def test_no_step_waits_for_a_request_without_a_response() -> None:
     played = Played(unanswered(0, READ), unanswered(5, READ), answered(10, READ, VALUE))
     assert [played.sent(at) for at in (0, 5, 10)] == [[0], [1], [2]]
     played.answer(2, 15)
@@ -111,7 +111,7 @@ def test_nobody_waits_for_what_was_never_answered() -> None:
     assert played.conductor.has_ended
 
 
-def test_an_answer_that_does_not_come_is_given_up() -> None:
+def test_a_request_without_a_response_is_given_up() -> None:
     played = Played(answered(0, READ, VALUE), answered(10, READ, VALUE))
     played.sent(0)
     assert played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS - 1) == []
@@ -120,7 +120,7 @@ def test_an_answer_that_does_not_come_is_given_up() -> None:
     assert played.sent(RESPONSE_TIMEOUT_NS / MS) == [1]
 
 
-def test_what_cannot_be_answered_any_more_is_given_up_at_once() -> None:
+def test_a_request_can_be_given_up_before_its_time_out() -> None:
     played = Played(answered(0, READ, VALUE), to_all(5, "06 0000 0001"), answered(10, READ, VALUE))
     played.sent(0)
     ((step, is_right),) = played.conductor.give_up(0, BEGIN + 1)
@@ -142,7 +142,7 @@ def test_a_serial_line_carries_one_request_at_a_time() -> None:
     assert played.sent(after + 4) == [1]
 
 
-def test_behind_a_broadcast_the_line_is_left_alone() -> None:
+def test_after_a_broadcast_there_is_a_pause() -> None:
     played = Played(to_all(0, "06 0001 0007"), answered(1, READ, VALUE))
     assert played.sent(0) == [0]
     assert (played.sent(1), played.wake(1)) == ([], TURNAROUND_NS / MS)
@@ -153,25 +153,25 @@ def test_latencies_and_pauses_count_from_the_last_byte() -> None:
     played = Played(to_all(0, "06 0001 0007"), answered(1, READ, VALUE, latency_ns=8 * MS))
     first = played.conductor.next_step(BEGIN)
     assert first is not None
-    played.conductor.has_left(first, BEGIN + 10 * MS)
+    played.conductor.note_sent(first, BEGIN + 10 * MS)
     free_ms = TURNAROUND_NS // MS + 10
     assert (played.sent(free_ms - 1), played.wake(free_ms - 1)) == ([], free_ms)
     second = played.conductor.next_step(BEGIN + free_ms * MS)
     assert second is not None
-    played.conductor.has_left(second, BEGIN + (free_ms + 20) * MS)
+    played.conductor.note_sent(second, BEGIN + (free_ms + 20) * MS)
     tolerant = Judge(tolerance=Tolerance(share=0.0))
     tolerant.judge(second, RIGHT, 9 * MS)
     assert played.answer(1, free_ms + 29) is True
     assert tolerant.differences() == []
 
 
-def test_answers_of_nobody_are_counted() -> None:
+def test_unsolicited_responses_are_counted() -> None:
     played = Played(answered(0, READ, VALUE))
     assert played.answer(0, 0) is None
     played.sent(0)
     played.answer(0, 1)
     assert played.answer(0, 2) is None
-    assert (played.conductor.strays, played.judge.count) == (2, 1)
+    assert (played.conductor.unsolicited, played.judge.count) == (2, 1)
 
 
 def test_a_loop_begins_again() -> None:
@@ -185,7 +185,7 @@ def test_a_loop_begins_again() -> None:
     assert played.conductor.sent == 6
 
 
-def test_a_pause_holds_everything_back() -> None:
+def test_in_a_pause_nothing_is_sent() -> None:
     played = Played(answered(0, READ, VALUE), answered(10, READ, VALUE))
     played.sent(0)
     played.answer(0, 1)
@@ -228,13 +228,13 @@ def test_every_step_is_sent_once_in_order_and_never_before_its_time(
     assert all(late >= 0 for late in played.conductor.lateness.values)
 
 
-def test_while_the_clock_stands_only_what_is_let_go_is_sent() -> None:
+def test_while_the_clock_stands_still_only_steps_are_sent() -> None:
     played = Played(*(answered(at, READ, VALUE) for at in (0, 100, 250)))
     played.sent(0)
     played.answer(0, 5)
     played.clock.pause(BEGIN + 10 * MS)
     assert (played.sent(500), played.wake(500)) == ([], None)
-    played.conductor.let_go(BEGIN)
+    played.conductor.allow_step(BEGIN)
     assert played.wake(500) == 500
     assert (played.sent(500), played.sent(501)) == ([1], [])
     played.answer(1, 505)

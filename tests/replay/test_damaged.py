@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Transport, ascii_adu, rtu_adu
 from mbtool.modbus.distortion import wire_pieces
-from mbtool.replay.damaged import ANSWER_NS, DamagedAnswer, damaged_answers
+from mbtool.replay.damaged import RESPONSE_NS, DamagedAnswer, damaged_answers
 from tests.replay.recorded import MS, answered, unanswered
 
 if TYPE_CHECKING:
@@ -28,13 +28,13 @@ def _raw(asked: list[Transaction], *events: WireEvent) -> dict[int, bytes]:
     return {place: one.raw for place, one in damaged_answers(asked, events).items()}
 
 
-def test_what_comes_before_the_next_request_is_the_answer() -> None:
+def test_bytes_before_the_next_request_are_the_damaged_response() -> None:
     asked = [unanswered(0, READ), unanswered(100, READ), answered(200, READ, VALUES.hex())]
     found = damaged_answers(asked, [_event(120, WRONG), _event(210, WRONG)])
     assert found == {1: DamagedAnswer(WRONG, Transport.RTU, True, 20 * MS)}
 
 
-def test_a_piece_of_an_answer_counts_too() -> None:
+def test_an_incomplete_response_counts_too() -> None:
     assert _raw([unanswered(0, READ)], _event(5, WRONG[:4], EventKind.SKIPPED)) == {0: WRONG[:4]}
 
 
@@ -48,12 +48,12 @@ def test_a_piece_of_an_answer_counts_too() -> None:
         b"",
     ],
 )
-def test_what_does_not_begin_as_the_answer_would_is_none(raw: bytes) -> None:
+def test_bytes_that_do_not_begin_like_the_response_do_not_count(raw: bytes) -> None:
     assert _raw([unanswered(0, READ)], _event(5, raw)) == {}
 
 
-def test_what_comes_too_late_before_it_or_from_elsewhere_is_none() -> None:
-    late = _event(ANSWER_NS // MS + 1, WRONG)
+def test_bytes_too_late_before_the_request_or_of_another_link_do_not_count() -> None:
+    late = _event(RESPONSE_NS // MS + 1, WRONG)
     elsewhere = WireEvent(ts_ns=5, link="b", kind=EventKind.BAD_CHECK, message="", raw=WRONG)
     told = _event(5, WRONG, EventKind.LINE_ERROR)
     assert _raw([unanswered(1, READ)], _event(0, WRONG), late, elsewhere, told) == {}
@@ -74,11 +74,11 @@ def _sent(damaged: DamagedAnswer, transport: Transport) -> bytes | None:
 
 @pytest.mark.parametrize("transport", [Transport.RTU, Transport.RTU_TCP])
 @pytest.mark.parametrize("raw", [WRONG, WRONG[:3]])
-def test_the_same_framing_carries_the_very_bytes(transport: Transport, raw: bytes) -> None:
+def test_the_same_framing_sends_the_same_bytes(transport: Transport, raw: bytes) -> None:
     assert _sent(DamagedAnswer(raw, Transport.RTU, True, 0), transport) == raw
 
 
-def test_another_framing_carries_a_wrong_check_and_no_pieces() -> None:
+def test_another_framing_sends_a_wrong_check_but_no_incomplete_response() -> None:
     sent = _sent(DamagedAnswer(WRONG, Transport.RTU, True, 0), Transport.ASCII)
     assert sent is not None
     whole = ascii_adu(1, VALUES)
@@ -86,11 +86,11 @@ def test_another_framing_carries_a_wrong_check_and_no_pieces() -> None:
     assert _sent(DamagedAnswer(WRONG[:4], Transport.RTU, False, 0), Transport.ASCII) is None
 
 
-def test_modbus_tcp_has_silence_for_it() -> None:
+def test_modbus_tcp_has_silence_for_a_damaged_response() -> None:
     assert _sent(DamagedAnswer(WRONG, Transport.RTU, True, 0), Transport.TCP) is None
 
 
-def test_an_ascii_answer_is_known_by_its_digits() -> None:
+def test_an_ascii_response_is_recognised_by_its_digits() -> None:
     asked = answered(0, READ, VALUES.hex(), transport=Transport.ASCII)
     import msgspec
 

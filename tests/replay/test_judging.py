@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
 from mbtool.modbus import Table, Transaction
-from mbtool.replay.judging import MAX_WRONG, Judge, Tolerance
+from mbtool.replay.judging import MAX_OUTCOMES, Judge, Tolerance
 from mbtool.replay.script import Script, Step
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
@@ -40,7 +40,7 @@ def test_the_recorded_answer_is_right() -> None:
 
 
 @given(st.lists(st.integers(0, 0xFFFF), min_size=2, max_size=2))
-def test_each_register_that_differs_is_told_and_no_other(values: list[int]) -> None:
+def test_exactly_the_registers_that_differ_are_reported(values: list[int]) -> None:
     answer = "03 04" + "".join(f"{value:04X}" for value in values)
     told = _told(_judged(answered(0, READ, VALUES), answer, times=2))
     assert told == [
@@ -76,14 +76,14 @@ def test_an_answer_of_another_length_is_wrong() -> None:
     assert told == [("outcome", "holding 10..11", "4 bytes of values", "2 bytes of values", 1)]
 
 
-def test_an_answer_that_breaks_its_form_is_wrong() -> None:
+def test_a_malformed_response_is_wrong() -> None:
     judge = _judged(answered(0, READ, VALUES), "03 05 0007")
     ((kind, _, a, b, _),) = _told(judge)
     assert (kind, a) == ("outcome", "ok")
     assert b.startswith("malformed: ")
 
 
-def test_an_answer_to_another_function_is_wrong_whatever_it_says() -> None:
+def test_a_response_to_another_function_is_wrong() -> None:
     as_function_04, refused_as_04 = "04 04 0007 0008", "84 02"
     ok, refused = answered(0, READ, VALUES), answered(0, READ, "83 02")
     for transaction, answer, recorded in (
@@ -94,28 +94,28 @@ def test_an_answer_to_another_function_is_wrong_whatever_it_says() -> None:
         assert told == [("outcome", "holding 10..11", recorded, "answer to function 04", 1)]
 
 
-def test_two_answers_that_break_their_form_alike_are_compared_as_bytes() -> None:
+def test_two_equally_malformed_responses_are_compared_as_bytes() -> None:
     told = _told(_judged(answered(0, READ, "03 04 0007"), "03 04 0009"))
     assert told == [("outcome", "holding 10..11", "03 04 00 07", "03 04 00 09", 1)]
 
 
-def test_bytes_that_differ_late_are_told_too() -> None:
+def test_bytes_that_differ_late_are_shown_too() -> None:
     text = "2B 0E 01 01 00 00 01 00 14" + 19 * " 41"
     told = _told(_judged(answered(0, "2B 0E 01 00", text + " 31"), text + " 32"))
     assert [(a, b) for _, _, a, b, _ in told] == [("byte 28: 31", "byte 28: 32")]
 
 
-def test_outcomes_that_are_always_others_are_kept_up_to_a_bound() -> None:
+def test_the_number_of_different_outcomes_is_bounded() -> None:
     step, judge = _step(answered(0, "0B", "0B 0000 0000")), Judge()
     for count in range(1, 1001):
         judge.judge(step, bytes.fromhex(f"0B 0000 {count:04X}"), None)
     told = judge.differences()
-    assert (judge.wrong, len(told)) == (1000, MAX_WRONG + 1)
+    assert (judge.wrong, len(told)) == (1000, MAX_OUTCOMES + 1)
     assert (told[-1].a.text, told[-1].b.text) == ("others", "others (984 of 1,000)")
     assert sum(one.b.count or 0 for one in told) == 1000
 
 
-def test_what_is_not_always_so_says_how_often_it_is() -> None:
+def test_a_difference_that_is_not_constant_has_a_count() -> None:
     judge = Judge()
     step, part = _step(answered(0, READ, VALUES)), _step(answered(0, "03 000B 0001", "03 02 0008"))
     for answer in (VALUES, None, "03 04 0007 0009", VALUES):
@@ -127,7 +127,7 @@ def test_what_is_not_always_so_says_how_often_it_is() -> None:
     ]
 
 
-def test_an_acknowledgement_of_something_else_is_wrong() -> None:
+def test_an_acknowledgement_of_another_write_is_wrong() -> None:
     told = _told(_judged(answered(0, "06 0001 0007", "06 0001 0007"), "06 0001 0008"))
     assert told == [("outcome", "holding 1", "06 00 01 00 07", "06 00 01 00 08", 1)]
 
@@ -149,7 +149,7 @@ def test_registers_that_may_differ_do_not_count() -> None:
     assert [told[1] for told in _told(judge)] == ["holding 11"]
 
 
-def test_what_differs_can_be_learned() -> None:
+def test_registers_that_differ_can_be_learned() -> None:
     judge = Judge(learns=True)
     assert judge.judge(_step(answered(0, READ, VALUES)), bytes.fromhex("03 04 0001 0002"), None)
     assert judge.judge(
@@ -163,7 +163,7 @@ def test_what_differs_can_be_learned() -> None:
     assert [told[0] for told in _told(judge)] == ["outcome"]
 
 
-def test_latencies_count_where_the_user_says_so() -> None:
+def test_latencies_count_if_the_user_gives_a_tolerance() -> None:
     def judged(tolerance: Tolerance | None, ms: int) -> list[DifferenceKind]:
         judge = Judge(tolerance=tolerance)
         for _ in range(20):
@@ -177,7 +177,7 @@ def test_latencies_count_where_the_user_says_so() -> None:
     assert judged(Tolerance(share=0.5), 1) == []  # Sooner is no fault.
 
 
-def test_values_are_told_in_the_words_of_the_device() -> None:
+def test_values_are_formatted_by_the_device() -> None:
     judge = Judge(profiles={AT1M8X.name: AT1M8X})
     step = _step(answered(0, "03 0102 0001", "03 02 005C"), "fa3-at1m8x")
     judge.judge(step, bytes.fromhex("03 02 00FF"), None)
@@ -187,7 +187,7 @@ def test_values_are_told_in_the_words_of_the_device() -> None:
 
 
 @given(st.binary(min_size=1, max_size=253), st.none() | st.binary(min_size=1, max_size=253))
-def test_no_answer_raises(expected: bytes, answer: bytes | None) -> None:
+def test_no_response_raises_an_error(expected: bytes, answer: bytes | None) -> None:
     judge = Judge()
     judge.judge(_step(answered(0, READ, expected.hex())), answer, None)
     assert judge.wrong == len(judge.differences()) or judge.wrong == 1

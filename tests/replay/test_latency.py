@@ -41,6 +41,6 @@ def test_a_sampled_latency_is_one_that_was_recorded_for_the_unit_and_function() 
     assert latency.ns(2, 3, None) == 0
 
 
-def test_the_same_chances_give_the_same_latencies() -> None:
+def test_equal_random_numbers_give_equal_latencies() -> None:
     first, second = (SampledLatency(_recording(), random.Random(7).random) for _ in range(2))
     assert [first.ns(1, 3, None) for _ in range(50)] == [second.ns(1, 3, None) for _ in range(50)]

@@ -21,7 +21,7 @@ from tests.replay.recorded import MS, answered, unanswered
 
 READ, OTHER = "03 0000 0001", "03 0005 0001"
 NOW = Moment(0)
-HELD = Moment(0, holds=True)
+PAUSED = Moment(0, is_paused=True)
 
 
 def _recording() -> Recording:
@@ -52,7 +52,7 @@ def _find(matcher: Matcher, request: str, moment: Moment = NOW) -> int | str | N
         (OnEnd.SILENT, ["silence", "silence"]),
     ],
 )
-def test_by_key_each_request_has_its_own_end(on_end: OnEnd, then: list[object]) -> None:
+def test_by_key_each_request_has_an_end_of_its_own(on_end: OnEnd, then: list[object]) -> None:
     matcher = KeyMatcher(_recording(), on_end)
     assert [_find(matcher, READ) for _ in range(5)] == [1, 2, None, *then]
     assert _find(matcher, OTHER) == 9
@@ -86,11 +86,11 @@ def test_a_sequence_ends_for_all_at_once(on_end: OnEnd, then: list[object]) -> N
 @pytest.mark.parametrize(
     ("at_ms", "value"), [(0, 1), (99, 1), (100, 1), (101, 2), (200, 2), (251, None), (999, None)]
 )
-def test_by_time_the_answer_asked_nearest_counts(at_ms: int, value: int | None) -> None:
+def test_by_time_the_nearest_answer_counts(at_ms: int, value: int | None) -> None:
     assert _find(TimeMatcher(_recording(), OnEnd.LAST), READ, Moment(at_ms * MS)) == value
 
 
-def test_by_time_a_like_request_gets_the_image_the_exception_or_the_silence() -> None:
+def test_by_time_a_similar_request_gets_the_image_the_exception_or_the_silence() -> None:
     recording = Recording.of(
         [
             answered(0, "03 0000 0004", "03 08 0001 0002 0003 0004"),
@@ -110,12 +110,12 @@ def test_by_time_a_like_request_gets_the_image_the_exception_or_the_silence() ->
 @pytest.mark.parametrize(
     ("on_end", "then"), [(OnEnd.IMAGE, "image"), (OnEnd.SILENT, "silence"), (OnEnd.LAST, None)]
 )
-def test_by_time_the_clock_ends_it(on_end: OnEnd, then: str | None) -> None:
+def test_by_time_the_end_is_that_of_the_clock(on_end: OnEnd, then: str | None) -> None:
     matcher = TimeMatcher(_recording(), on_end)
     assert _find(matcher, READ, Moment(999 * MS, is_over=True)) == then
 
 
-def test_the_image_answers_what_reaches_registers_and_the_rest_goes_by_key() -> None:
+def test_the_image_answers_requests_for_registers_and_others_go_by_key() -> None:
     recording = Recording.of([answered(0, READ, "83 02"), answered(1, "11", "11 02 05 FF")])
     matcher = ImageMatcher(recording, OnEnd.SILENT)
     assert _find(matcher, READ) == "image"
@@ -125,17 +125,17 @@ def test_the_image_answers_what_reaches_registers_and_the_rest_goes_by_key() -> 
 
 
 @pytest.mark.parametrize("matcher", [KeyMatcher, SequenceMatcher])
-def test_while_it_stands_still_the_last_answer_stays(
+def test_in_a_pause_the_last_answer_is_repeated(
     matcher: type[KeyMatcher | SequenceMatcher],
 ) -> None:
     played = matcher(_recording(), OnEnd.LAST)
     assert _find(played, READ) == 1
-    assert [_find(played, READ, HELD) for _ in range(3)] == [1, 1, 1]
+    assert [_find(played, READ, PAUSED) for _ in range(3)] == [1, 1, 1]
     assert _find(played, OTHER) == 9
     assert _find(played, READ) == 2
 
 
-def test_there_is_a_matcher_for_each_way() -> None:
+def test_each_match_strategy_has_a_matcher() -> None:
     kinds = {match: type(matcher_for(match, _recording(), OnEnd.LAST)) for match in MatchStrategy}
     assert kinds == {
         MatchStrategy.AUTO: KeyMatcher,
@@ -152,6 +152,6 @@ def test_there_is_a_matcher_for_each_way() -> None:
 
 @pytest.mark.parametrize("match", list(MatchStrategy))
 @pytest.mark.parametrize("request_", [b"", b"\x03", b"\x83\x02", bytes(253)])
-def test_finds_nothing_for_what_is_no_request(match: MatchStrategy, request_: bytes) -> None:
+def test_invalid_requests_have_no_recorded_answer(match: MatchStrategy, request_: bytes) -> None:
     found = matcher_for(match, _recording(), OnEnd.LAST).find((1, request_), NOW)
     assert found in (NoAnswer.MISS, NoAnswer.IMAGE)

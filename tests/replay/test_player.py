@@ -27,7 +27,7 @@ from mbtool.replay.matching import MatchStrategy, OnEnd
 from mbtool.replay.player import OnMiss, RecordedSlave
 from mbtool.replay.recording import Recording
 from mbtool.replay.steering import Control
-from mbtool.replay.window import TimeRange
+from mbtool.replay.time_range import TimeRange
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:
@@ -79,7 +79,9 @@ def test_writes_of_other_values_are_other_requests() -> None:
 
 
 @pytest.mark.parametrize("rare", ["03 02 0009", None])
-def test_one_rare_request_does_not_throw_the_registers_forward(rare: str | None) -> None:
+def test_one_rare_request_moves_the_registers_only_until_the_next_response(
+    rare: str | None,
+) -> None:
     late = "03 00C8 0001"
     polls = [answered(100 * n, "03 0000 0004", "03 08" + f"{n:04X}" * 4) for n in range(31)]
     more = [answered(100 * n + 10, "03 0004 0002", f"03 04 {n:04X} {n:04X}") for n in range(31)]
@@ -92,7 +94,7 @@ def test_one_rare_request_does_not_throw_the_registers_forward(rare: str | None)
     assert _ask(slave, "03 0000 0006") == "03 0c" + " 00 02" * 4 + " 00 01" * 2
 
 
-def test_silence_leaves_the_registers_where_they_are() -> None:
+def test_silence_does_not_move_the_registers() -> None:
     slave = _slave(
         answered(0, READ, "03 02 0001"),
         answered(100, READ, "03 02 0002"),
@@ -118,7 +120,7 @@ def test_a_malformed_answer_is_played_as_recorded() -> None:
     assert _ask(slave, "03 0000 0002") == "03 02 00 01"
 
 
-def test_silence_at_the_end_of_a_capture_does_not_last() -> None:
+def test_silence_at_the_end_of_a_capture_is_not_repeated() -> None:
     slave = _slave(answered(0, READ, "03 02 0001"), unanswered(100, READ))
     assert [_ask(slave, READ) for _ in range(3)] == ["03 02 00 01", SILENCE, "03 02 00 01"]
 
@@ -128,7 +130,7 @@ def test_what_was_never_answered_stays_silent() -> None:
     assert [_ask(slave, READ) for _ in range(2)] == [SILENCE, SILENCE]
 
 
-def test_another_units_request_gets_silence() -> None:
+def test_a_request_to_an_unknown_unit_gets_silence() -> None:
     slave = _slave(answered(0, READ, "03 02 0001"))
     assert _ask(slave, READ, unit=2) is SILENCE
     assert _ask(slave, "06 0000 0001", unit=0) is SILENCE
@@ -176,7 +178,7 @@ def test_the_image_is_as_of_the_latest_answer_that_was_given() -> None:
     assert _ask(slave, READ) == "03 02 00 03"
 
 
-def test_an_address_seen_later_holds_its_first_value() -> None:
+def test_an_address_has_its_first_value_from_the_beginning() -> None:
     slave = _slave(
         answered(0, "03 0000 0001", "03 02 0001"), answered(900, "03 0001 0001", "03 02 0009")
     )
@@ -202,7 +204,9 @@ def test_bits_are_answered_too() -> None:
         ("42 00", "c2 01"),
     ],
 )
-def test_what_the_image_cannot_answer_gets_an_exception(request_: str, response: str) -> None:
+def test_a_request_that_the_image_cannot_answer_gets_an_exception(
+    request_: str, response: str
+) -> None:
     assert _ask(_slave(answered(0, READ, "03 02 0001")), request_) == response
 
 
@@ -230,7 +234,7 @@ def test_a_change_in_the_recording_ends_a_live_write() -> None:
     assert _ask(slave, "03 0001 0001") == "03 02 00 bb"  # There nothing changed.
 
 
-def test_a_live_write_counts_where_the_recording_has_not_come_yet() -> None:
+def test_a_live_write_outweighs_a_value_that_comes_later_in_the_recording() -> None:
     slave = _slave(
         answered(0, "04 0000 0001", "04 02 0000"), answered(900, "03 0000 0002", "03 04 0001 0002")
     )
@@ -288,13 +292,13 @@ def test_the_rate_scales_the_recorded_latency(rate: Fraction | None, delay_ns: i
 
 
 @pytest.mark.parametrize("rate", [Fraction(0), Fraction(-1)])
-def test_a_rate_that_is_none_is_refused(rate: Fraction) -> None:
+def test_a_rate_must_be_above_0(rate: Fraction) -> None:
     with pytest.raises(ValueError, match="rate must be more than 0"):
         RecordedSlave(Recording(), rate=rate)
 
 
 @pytest.mark.parametrize("match", [MatchStrategy.TIME, MatchStrategy.IMAGE])
-def test_a_clock_without_a_rate_is_refused(match: MatchStrategy) -> None:
+def test_a_clock_without_a_rate_is_an_error(match: MatchStrategy) -> None:
     with pytest.raises(ValueError, match="needs a rate"):
         RecordedSlave(Recording(), match=match, rate=None)
 
@@ -362,10 +366,10 @@ def test_a_pause_stops_the_clock_and_a_step_goes_to_the_next_request() -> None:
         slave.control(Control.STEP, BEGIN + 9999 * MS)
         assert _at(slave, 9999, READ) == f"03 02 00 0{value}"
     progress = slave.progress(BEGIN + 9999 * MS)
-    assert (progress.place_ns, progress.is_paused) == (500 * MS, True)
+    assert (progress.position_ns, progress.is_paused) == (500 * MS, True)
 
 
-def test_a_step_behind_the_last_request_begins_the_next_round() -> None:
+def test_a_step_after_the_last_request_begins_the_next_lap() -> None:
     transactions = [answered(at, READ, f"03 02 000{at}") for at in (1, 2, 3)]
     slave = RecordedSlave(Recording.of(transactions), match=MatchStrategy.TIME, on_end=OnEnd.LOOP)
     _at(slave, 0, READ)
@@ -379,7 +383,7 @@ def test_a_step_behind_the_last_request_begins_the_next_round() -> None:
     ]
 
 
-def test_without_a_clock_a_pause_repeats_and_a_step_uses_up_one_answer() -> None:
+def test_without_a_clock_a_pause_repeats_the_answer_and_a_step_plays_one() -> None:
     slave = _slave(*(answered(at, READ, f"03 02 000{at}") for at in range(5)))
     assert _ask(slave, READ) == "03 02 00 00"
     slave.control(Control.PAUSE, 0)
@@ -416,7 +420,7 @@ def test_an_hour_drifts_less_than_a_millisecond() -> None:
     assert _at(slave, 3 * hour + 0.9, READ) == "03 02 00 02"
 
 
-def test_a_window_begins_with_what_stood_there() -> None:
+def test_a_time_range_begins_with_the_values_of_that_time() -> None:
     transactions = [
         answered(0, "03 0000 0002", "03 04 0001 0001", latency_ns=0),
         answered(100, "06 0001 0005", "06 0001 0005", latency_ns=0),
@@ -483,7 +487,7 @@ def test_a_live_broadcast_writes_to_every_unit_of_a_line() -> None:
         assert [_ask(slave, READ, unit) for unit in (1, 2)] == [f"03 02 00 {value}"] * 2
 
 
-def test_damaged_answers_are_played_where_that_is_wanted() -> None:
+def test_damaged_responses_are_played_on_request() -> None:
     wrong = rtu_adu(1, b"\x03\x02\x00\x01")[:-1] + b"\x00"
     event = WireEvent(ts_ns=7 * MS, link="rs485", kind=EventKind.BAD_CHECK, message="", raw=wrong)
     recording = Recording.of([unanswered(0, READ)], events=[event])
@@ -497,7 +501,7 @@ def test_damaged_answers_are_played_where_that_is_wanted() -> None:
     assert network.respond(1, bytes.fromhex(READ), 0) is None
 
 
-def test_what_is_not_in_the_recording_is_counted() -> None:
+def test_requests_that_are_not_in_the_recording_are_counted() -> None:
     slave = _slave(answered(0, "03 0000 0002", "03 04 0001 0002"))
     for request in ("03 0000 0002", READ, READ):
         _ask(slave, request)
@@ -555,7 +559,7 @@ def test_the_image_is_a_dictionary_that_the_recording_and_the_master_write(
 
 
 @given(st.lists(st.binary(max_size=260), max_size=5), st.sampled_from(OnMiss))
-def test_answers_whatever_it_is_asked(requests: list[bytes], on_miss: OnMiss) -> None:
+def test_no_request_raises_an_error(requests: list[bytes], on_miss: OnMiss) -> None:
     slave = _slave(answered(0, "03 0000 0002", "03 04 0001 0002"), on_miss=on_miss)
     for request_ in requests:
         answer = slave.respond(1, request_, 0)

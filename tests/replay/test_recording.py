@@ -7,7 +7,7 @@ import pytest
 
 from mbtool.modbus import Table, Transport
 from mbtool.replay.recording import RecordedAnswer, Recording
-from mbtool.replay.window import TimeRange
+from mbtool.replay.time_range import TimeRange
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered, unasked
 
 HOLDING = Table.HOLDING_REGISTERS
@@ -36,7 +36,7 @@ def test_keeps_the_answers_of_a_request_in_order(transport: Transport) -> None:
     }
 
 
-def test_what_is_asked_again_and_again_is_kept_once() -> None:
+def test_equal_requests_share_one_object() -> None:
     recording = Recording.of([answered(at, READ, "03 02 0001") for at in (0, 10)])
     (first, _), (second, _) = recording.order
     assert first is second
@@ -52,7 +52,7 @@ def test_orders_by_the_time_of_the_request() -> None:
     assert recording.begin_ns == 0
 
 
-def test_leaves_out_what_nobody_asked_for() -> None:
+def test_unsolicited_responses_are_left_out() -> None:
     recording = Recording.of([unasked(0, "03 02 0001")])
     assert recording.answers == {}
     assert recording.units == set()
@@ -85,7 +85,7 @@ def test_values_come_from_masks_and_from_reads_with_writes() -> None:
     assert _value(recording, 0, 300) == 0x17
 
 
-def test_bits_behind_the_quantity_are_no_values() -> None:
+def test_padding_bits_after_the_quantity_are_no_values() -> None:
     recording = Recording.of([answered(0, "01 0000 0003", "01 01 05")])
     coils = recording.timeline(1, Table.COILS)
     assert [coils.at(address, MS) for address in range(4)] == [
@@ -138,7 +138,7 @@ def test_an_adu_that_is_cut_short_is_left_out(transport: Transport) -> None:
         assert Recording.of([cut]).answers == {}
 
 
-def test_a_window_has_the_answers_in_it_and_all_values() -> None:
+def test_a_time_range_has_its_own_answers_and_all_values() -> None:
     transactions = [
         answered(at, READ, f"03 02 000{at // 100}", latency_ns=0) for at in (0, 100, 200, 300)
     ]

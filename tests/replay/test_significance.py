@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.replay.significance import SMALLEST, rank_sum, same_share
+from mbtool.replay.significance import MIN_VALUES, rank_sum, same_share
 
-LATENCIES = st.lists(st.integers(0, 10**6), min_size=SMALLEST, max_size=60)
+LATENCIES = st.lists(st.integers(0, 10**6), min_size=MIN_VALUES, max_size=60)
 
 
 @given(LATENCIES)
@@ -21,13 +21,13 @@ def test_a_sample_does_not_differ_from_itself(sample: list[int]) -> None:
 
 
 @given(LATENCIES, LATENCIES)
-def test_which_is_first_changes_the_sign_only(a: list[int], b: list[int]) -> None:
+def test_exchanging_the_samples_changes_only_the_sign(a: list[int], b: list[int]) -> None:
     there, back = rank_sum(a, b), rank_sum(b, a)
     assert there.p == pytest.approx(back.p)
     assert there.exceeds == pytest.approx(1 - back.exceeds)
 
 
-def test_samples_apart_are_told_apart() -> None:
+def test_separate_samples_differ() -> None:
     shift = rank_sum(range(20), range(100, 130))
     assert shift.p < 1e-7
     assert (shift.exceeds, shift.is_medium) == (1.0, True)
@@ -42,14 +42,14 @@ def test_the_normal_approximation_agrees_with_all_permutations() -> None:
 
 
 def test_few_values_prove_nothing() -> None:
-    assert rank_sum([1] * (SMALLEST - 1), [9] * 100).p == 1.0
+    assert rank_sum([1] * (MIN_VALUES - 1), [9] * 100).p == 1.0
 
 
 def test_equal_values_prove_nothing() -> None:
     assert rank_sum([5] * 100, [5] * 50).p == 1.0
 
 
-def test_samples_of_one_law_are_taken_for_two_as_often_as_promised() -> None:
+def test_equal_distributions_differ_as_often_as_the_level_says() -> None:
     chance = random.Random(7)
     false = sum(
         rank_sum(
@@ -75,7 +75,7 @@ def test_shares_are_compared_exactly(data: st.DataObject) -> None:
 
 
 @given(st.data())
-def test_a_chance_is_between_0_and_1(data: st.DataObject) -> None:
+def test_a_probability_is_between_0_and_1(data: st.DataObject) -> None:
     n, other_n = data.draw(st.integers(1, 300)), data.draw(st.integers(1, 300))
     k, other_k = data.draw(st.integers(0, n)), data.draw(st.integers(0, other_n))
     assert 0 < same_share(k, n, other_k, other_n) <= 1

@@ -3,7 +3,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from mbtool.replay.clock import PlayClock
-from mbtool.replay.steering import Control, Gate, Progress, Steering
+from mbtool.replay.steering import Control, Progress, Steering
 
 S = 1_000_000_000
 
@@ -17,12 +17,12 @@ class Steered:
         self.steering = Steering(self.clock, self.steps.append)
 
 
-def test_the_clock_starts_with_the_first_sign_of_life() -> None:
+def test_the_clock_starts_at_the_first_call() -> None:
     steered = Steered()
-    assert steered.clock.place(5 * S) == 0
+    assert steered.clock.position(5 * S) == 0
     steered.steering.begin(5 * S)
     steered.steering.begin(6 * S)
-    assert steered.clock.place(7 * S) == 2 * S
+    assert steered.clock.position(7 * S) == 2 * S
 
 
 def test_a_pause_ends_with_the_same_key() -> None:
@@ -31,16 +31,16 @@ def test_a_pause_ends_with_the_same_key() -> None:
     steered.steering.apply(Control.PAUSE, 2 * S)
     assert steered.steering.is_paused
     steered.steering.apply(Control.PAUSE, 5 * S)
-    assert steered.clock.place(6 * S) == 3 * S
+    assert steered.clock.position(6 * S) == 3 * S
 
 
-def test_what_is_paused_before_it_begins_stands_until_it_is_let_go() -> None:
+def test_a_pause_before_the_beginning_keeps_the_clock_still() -> None:
     steered = Steered()
     steered.steering.apply(Control.PAUSE, 0)
     steered.steering.begin(1 * S)
-    assert steered.clock.place(2 * S) == 0
+    assert steered.clock.position(2 * S) == 0
     steered.steering.apply(Control.PAUSE, 2 * S)
-    assert steered.clock.place(3 * S) == 1 * S
+    assert steered.clock.position(3 * S) == 1 * S
 
 
 def test_a_pause_that_ends_before_the_beginning_starts_nothing() -> None:
@@ -50,15 +50,15 @@ def test_a_pause_that_ends_before_the_beginning_starts_nothing() -> None:
     assert not steered.clock.is_running
 
 
-def test_a_step_stands_still_and_is_the_players_matter() -> None:
+def test_a_step_pauses_the_clock_and_calls_the_player() -> None:
     steered = Steered()
     steered.steering.begin(0)
     steered.steering.apply(Control.STEP, 2 * S)
     steered.steering.apply(Control.STEP, 3 * S)
-    assert (steered.steps, steered.clock.place(9 * S)) == ([2 * S, 3 * S], 2 * S)
+    assert (steered.steps, steered.clock.position(9 * S)) == ([2 * S, 3 * S], 2 * S)
 
 
-def test_faster_and_slower_turn_the_clock() -> None:
+def test_faster_and_slower_change_the_rate() -> None:
     steered = Steered()
     steered.steering.begin(0)
     steered.steering.apply(Control.FASTER, S)
@@ -68,42 +68,18 @@ def test_faster_and_slower_turn_the_clock() -> None:
     assert steered.clock.rate == Fraction(1, 2)
 
 
-def test_progress_says_where_it_is() -> None:
+def test_progress_has_the_position() -> None:
     steered = Steered()
     before = steered.steering.progress(0, "nothing")
     assert (before.is_waiting, before.is_paused, before.done) == (True, False, "nothing")
     steered.steering.begin(0)
     after = steered.steering.progress(3 * S, "")
-    assert (after.place_ns, after.length_ns, after.lap) == (3 * S, 10 * S, 0)
+    assert (after.position_ns, after.length_ns, after.lap) == (3 * S, 10 * S, 0)
     assert after.rate == 1
     assert not after.is_waiting
 
 
-def test_a_gate_lets_pass_by_the_clock_and_while_it_stands_step_by_step() -> None:
-    clock = PlayClock(10 * S)
-    gate = Gate(clock)
-    assert gate.opens_ns(2 * S, 0) is None
-    gate.let_go()
-    assert gate.opens_ns(2 * S, 1 * S) == 1 * S
-    assert not gate.passes(2 * S, 1 * S)
-    assert (clock.place(9 * S), gate.opens_ns(3 * S, 2 * S)) == (2 * S, None)
-    clock.run(4 * S)
-    assert gate.opens_ns(3 * S, 4 * S) == 5 * S
-    assert gate.passes(3 * S, 5 * S)
-
-
-def test_steps_that_nothing_was_there_for_are_forgotten_when_the_clock_goes_on() -> None:
-    clock = PlayClock(10 * S)
-    gate = Gate(clock)
-    for _ in range(3):
-        gate.let_go()
-    clock.run(0)
-    assert gate.opens_ns(2 * S, 1 * S) == 2 * S
-    clock.pause(1 * S)
-    assert gate.opens_ns(2 * S, 3 * S) is None
-
-
-class _Desk:
+class _User:
     def __init__(self, *wanted: Control) -> None:
         self._wanted = wanted
         self.shown: list[Progress] = []
@@ -115,13 +91,13 @@ class _Desk:
         self.shown.append(progress)
 
 
-def test_a_desk_is_obeyed_and_then_shown_where_it_is() -> None:
+def test_the_users_controls_are_applied_and_the_progress_is_shown() -> None:
     steered = Steered()
     steered.steering.begin(0)
-    desk = _Desk(Control.FASTER, Control.PAUSE)
-    steered.steering.attend(desk, 2 * S, "2 bytes")
-    (shown,) = desk.shown
-    assert (shown.place_ns, shown.rate, shown.is_paused, shown.done) == (
+    user = _User(Control.FASTER, Control.PAUSE)
+    steered.steering.update(user, 2 * S, "2 bytes")
+    (shown,) = user.shown
+    assert (shown.position_ns, shown.rate, shown.is_paused, shown.done) == (
         2 * S,
         Fraction(2),
         True,

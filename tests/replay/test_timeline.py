@@ -18,7 +18,7 @@ def test_holds_each_value_until_the_next() -> None:
     assert timeline.at(7, 99) == (1, 0)
 
 
-def test_before_the_first_value_stands_the_first_value() -> None:
+def test_before_the_first_change_the_first_value_counts() -> None:
     timeline = Timeline()
     timeline.note(10, 7, [1])
     assert timeline.at(7, 0) == (1, 0)
@@ -47,7 +47,7 @@ _NOTES = st.lists(
 
 
 @given(_NOTES, st.integers(0, 13), st.integers(0, 99))
-def test_answers_as_a_dictionary_of_all_that_was_noted(
+def test_lookups_agree_with_a_dictionary_of_all_observations(
     notes: Notes, address: int, moment: int
 ) -> None:
     timeline = Timeline()

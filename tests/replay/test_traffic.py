@@ -9,7 +9,7 @@ from mbtool.replay.traffic import (
     MAX_LATENCIES,
     MAX_VALUES,
     NO_ANSWER,
-    Held,
+    ObservedValues,
     Sample,
     SlaveTraffic,
     Traffic,
@@ -31,14 +31,14 @@ def test_equal_requests_are_one_however_they_end() -> None:
         answered(10, "03 0001 0002", "83 06"),
         unanswered(20, "03 0001 0002"),
     )
-    (asked,) = slave.asked.values()
+    (asked,) = slave.requests.values()
     assert asked.count == 3
     assert asked.outcomes == {"ok": 1, "exception 06": 1, NO_ANSWER: 1}
     assert asked.reference == "holding 1..2"
     assert len(asked.latencies.values) == 2
 
 
-def test_reads_and_acknowledged_writes_tell_values() -> None:
+def test_values_come_from_reads_and_acknowledged_writes_only() -> None:
     slave = _only_slave(
         answered(0, "03 0001 0002", "03 04 0005 0006"),
         answered(10, "06 0001 0007", "06 0001 0007"),
@@ -52,7 +52,7 @@ def test_reads_and_acknowledged_writes_tell_values() -> None:
     }
 
 
-def test_a_broadcast_tells_what_was_written() -> None:
+def test_a_broadcast_gives_written_values() -> None:
     slave = _only_slave(to_all(0, "06 0001 0007"))
     assert list(slave.registers) == [ValueKey(Table.HOLDING_REGISTERS, 1, is_written=True)]
 
@@ -74,8 +74,8 @@ def test_padding_bits_are_no_values() -> None:
     assert [list(held.values) for held in slave.registers.values()] == [[1], [0], [1]]
 
 
-def test_a_register_keeps_so_many_values_and_the_range_of_all() -> None:
-    held = Held()
+def test_a_register_keeps_a_limited_number_of_values_and_the_range_of_all() -> None:
+    held = ObservedValues()
     for value in range(MAX_VALUES + 10):
         held.add(value)
     assert (len(held.values), held.is_all) == (MAX_VALUES, False)
@@ -93,8 +93,10 @@ def test_latencies_are_thinned_evenly() -> None:
     assert steps == {8}
 
 
-@pytest.mark.parametrize("bound", ["MAX_ASKED", "MAX_REGISTERS", "MAX_SLAVES"])
-def test_what_is_too_much_is_told(bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("bound", ["MAX_REQUESTS", "MAX_REGISTERS", "MAX_SLAVES"])
+def test_traffic_beyond_a_limit_is_not_complete(
+    bound: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(room, bound, 1)
     namer = Namer()
     both = [
@@ -102,5 +104,5 @@ def test_what_is_too_much_is_told(bound: str, monkeypatch: pytest.MonkeyPatch) -
         answered(9, "03 0002 0001", "03 02 0005", unit=2 if bound == "MAX_SLAVES" else 1),
     ]
     traffic = Traffic.of(namer.name(one) for one in both)
-    assert not traffic.is_whole
-    assert Traffic.of(namer.name(one) for one in both[:1]).is_whole
+    assert not traffic.is_complete
+    assert Traffic.of(namer.name(one) for one in both[:1]).is_complete

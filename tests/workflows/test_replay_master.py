@@ -220,7 +220,7 @@ def test_it_is_steered_from_a_desk(capture: Path) -> None:
 
 def test_only_a_window_is_asked(capture: Path) -> None:
     whole = _run(capture).script
-    later = whole.steps[1].place_ns
+    later = whole.steps[1].position_ns
     assert len(_run(capture, window=TimeRange(later)).script.steps) == 2
     with pytest.raises(InputError, match="to ask in the part from 99 s on; give another"):
         _run(capture, window=TimeRange(99_000_000_000))

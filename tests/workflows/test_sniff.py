@@ -30,7 +30,7 @@ from mbtool.core import (
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
-from mbtool.logs.opening import begin_log
+from mbtool.logs.opening import create_log
 from mbtool.sources.serial_capture import SerialSource
 from mbtool.sources.tap import TapSource
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -56,7 +56,7 @@ def bench() -> Iterator[Bench]:
 
 def _sniffer(*links: LinkSpec, log: Path | None = None, **more: object) -> Sniffer:
     decoder = Decoder(Namer(), lines=serial_lines(links))
-    begin = partial(begin_log, str(log), links, Assignments()) if log is not None else None
+    begin = partial(create_log, str(log), links, Assignments()) if log is not None else None
     return Sniffer(links, decoder, begin_log=begin, **more)  # type: ignore[arg-type]
 
 

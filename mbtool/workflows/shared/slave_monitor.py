@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
-from mbtool.decode.transactions import Ends, broadcast, no_answer, together
+from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, Who
 from mbtool.modbus.adu import Adu, Transport
 from mbtool.modbus.distortion import ConnectionEnding, wire_pieces
@@ -132,7 +132,7 @@ class SlaveMonitor:
             raw=b"".join(data for _, data in pieces),
             transaction_id=request.transaction_id,
         )
-        return together(self._ends, request, response, 0, ())
+        return with_response(self._ends, request, response, 0, ())
 
 
 def _how_spoilt(spoiling: Distortion) -> str:

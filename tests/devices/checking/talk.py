@@ -6,7 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from mbtool.core import CONNECTION_JOINED, CONNECTION_OPENED, Direction, EventKind, WireEvent
-from mbtool.decode.transactions import Ends, broadcast, no_answer, together, unsolicited
+from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import load_profile
 from mbtool.devices.naming import Namer
@@ -61,7 +61,7 @@ def transaction(
     if not request:
         made = unsolicited(ends, sides[1])
     elif response is not None:
-        made = together(ends, sides[0], sides[1], retries, verdicts)
+        made = with_response(ends, sides[0], sides[1], retries, verdicts)
     elif on_a_line and unit == 0:
         made = broadcast(ends, sides[0])
     else:

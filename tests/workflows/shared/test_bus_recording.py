@@ -59,7 +59,7 @@ def test_a_log_of_a_line_gives_its_bytes_as_captured() -> None:
     wrong = bytes.fromhex("01 03 04 12 34 56 78 81 f8")
     assert (len(data), wrong in data, bytes.fromhex("00 ff") in data, told) == (139, True, True, [])
     assert pieces[0] == ByteRun(0, data[:1], after_silence=True)
-    steps = [after.place_ns - before.place_ns for before, after in pairwise(pieces)]
+    steps = [after.position_ns - before.position_ns for before, after in pairwise(pieces)]
     assert min(steps) > 0
     frame = rtu_adu(1, READ)
     assert data.startswith(frame)
@@ -76,9 +76,9 @@ def test_a_network_gives_frames_at_the_times_of_its_messages(tmp_path: Path) -> 
     pieces, told = _pieces(path)
     assert [piece.data for piece in pieces] == [rtu_adu(1, READ), rtu_adu(1, VALUES)] * 2
     assert all(piece.after_silence for piece in pieces)
-    assert pieces[0].place_ns == 0
-    assert [piece.place_ns for piece in pieces] == sorted(piece.place_ns for piece in pieces)
-    assert pieces[-1].place_ns > 0
+    assert pieces[0].position_ns == 0
+    assert [piece.position_ns for piece in pieces] == sorted(piece.position_ns for piece in pieces)
+    assert pieces[-1].position_ns > 0
     assert told == []
 
 
@@ -98,7 +98,7 @@ def test_requests_that_were_open_at_once_go_one_after_the_other(tmp_path: Path) 
     path.write_bytes(pcap(packets))
     pieces, _ = _pieces(path)
     assert [piece.data for piece in pieces] == [rtu_adu(1, READ), rtu_adu(1, VALUES)] * 2
-    assert [piece.place_ns for piece in pieces] == sorted(piece.place_ns for piece in pieces)
+    assert [piece.position_ns for piece in pieces] == sorted(piece.position_ns for piece in pieces)
 
 
 def test_unit_0_is_told_to_be_a_broadcast() -> None:
@@ -114,8 +114,8 @@ def test_a_window_is_counted_from_the_first_byte() -> None:
     whole, _ = _pieces(path)
     window = TimeRange(200_000_000, 600_000_000)
     part, _ = _pieces(path, window=window)
-    assert [(one.place_ns + window.start_ns, one.data) for one in part] == [
-        (one.place_ns, one.data) for one in whole if one.place_ns in window
+    assert [(one.position_ns + window.start_ns, one.data) for one in part] == [
+        (one.position_ns, one.data) for one in whole if one.position_ns in window
     ]
     with pytest.raises(InputError, match="nothing to play in the part from 99 s on"):
         _pieces(path, window=TimeRange(99_000_000_000))
@@ -129,7 +129,7 @@ def test_bytes_without_times_follow_each_other_in_pieces_that_a_port_takes(tmp_p
     pieces, told = _pieces(path, options=options)
     assert b"".join(piece.data for piece in pieces) == data
     assert max(len(piece.data) for piece in pieces) == MAX_PIECE
-    assert [piece.place_ns for piece in pieces] == [0, 256 * CHARACTER_NS, 512 * CHARACTER_NS]
+    assert [piece.position_ns for piece in pieces] == [0, 256 * CHARACTER_NS, 512 * CHARACTER_NS]
     assert [line.partition(": ")[2] for line in told] == [
         "says nothing of when its bytes came: they follow without a silence"
     ]
@@ -205,4 +205,4 @@ def test_a_piece_that_seems_to_begin_before_the_one_it_follows_stays_behind_it(
     ]
     path.write_bytes(pcap(packets))
     pieces, _ = _pieces(path)
-    assert [(one.place_ns, one.data) for one in pieces] == [(0, asked), (0, answer)]
+    assert [(one.position_ns, one.data) for one in pieces] == [(0, asked), (0, answer)]

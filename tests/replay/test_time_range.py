@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.replay.window import TimeRange
+from mbtool.replay.time_range import TimeRange
 
 
 @pytest.mark.parametrize(
@@ -15,7 +15,7 @@ from mbtool.replay.window import TimeRange
         (TimeRange(1_500_000_000, 2_000_000_000), [], "from 1.5 s to 2 s"),
     ],
 )
-def test_a_window_has_its_beginning_and_not_its_end(
+def test_a_time_range_includes_its_beginning_and_not_its_end(
     window: TimeRange, inside: list[int], says: str
 ) -> None:
     assert [place for place in (0, 5, 10) if place in window] == inside

@@ -1,0 +1,80 @@
+"""Hands out the items of a recording at their times or, while the clock stands still, by steps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.replay.clock import PlayClock
+
+
+class PlayItem(Protocol):
+    """Something that is played at a position of the recording."""
+
+    @property
+    def position_ns(self) -> int: ...
+
+
+_Item = TypeVar("_Item", bound=PlayItem)
+
+
+class PlayQueue(Generic[_Item]):
+    """The items of a recording in order of time: once or, if the clock is a loop, lap by lap."""
+
+    def __init__(self, items: Sequence[_Item], clock: PlayClock) -> None:
+        self._items = items
+        self._clock = clock
+        self._next = 0
+        self._lap = 0
+        self._steps = 0
+        """How many items may still be played while the clock stands still."""
+
+    @property
+    def taken(self) -> int:
+        """How many items were taken, over all laps."""
+        return self._lap * len(self._items) + self._next
+
+    def upcoming(self, *, may_restart: bool = True) -> _Item | None:
+        """The next item; None after the last one, unless a new lap begins.
+
+        Without `may_restart` no new lap begins yet.
+        """
+        if self._next >= len(self._items):
+            if not (self._clock.is_loop and self._items and may_restart):
+                return None
+            self._next, self._lap = 0, self._lap + 1
+        return self._items[self._next]
+
+    def allow_step(self) -> None:
+        """Let one more item be played while the clock stands still."""
+        self._steps += 1
+
+    def due_ns(self, item: _Item, now_ns: int) -> int | None:
+        """When the upcoming item may be played; None if the clock stands and no step is left.
+
+        Once the clock runs again, unused steps are dropped.
+        """
+        due_ns = self._clock.time_of(self._position(item))
+        if due_ns is not None:
+            self._steps = 0
+        elif self._steps:
+            due_ns = now_ns
+        return due_ns
+
+    def take(self, item: _Item, now_ns: int) -> bool:
+        """Go on to the next item. True if the clock was the reason, False if it was a step.
+
+        A step moves the clock to the item's position.
+        """
+        position_ns = self._position(item)
+        self._next += 1
+        if not self._steps:
+            return True
+        self._steps -= 1
+        self._clock.jump(max(position_ns, self._clock.position(now_ns)), now_ns)
+        return False
+
+    def _position(self, item: _Item) -> int:
+        return item.position_ns + self._clock.lap_begin(self._lap)

@@ -1,0 +1,23 @@
+"""Defines the part of a recording that is played."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class TimeRange:
+    """A part of a recording in ns from its first request or byte; all of it by default.
+
+    The end is not included: consecutive ranges have each request exactly once.
+    """
+
+    start_ns: int = 0
+    end_ns: int | None = None
+
+    def __contains__(self, position_ns: int) -> bool:
+        return self.start_ns <= position_ns and (self.end_ns is None or position_ns < self.end_ns)
+
+    def __str__(self) -> str:
+        start = f"from {self.start_ns / 1e9:g} s"
+        return f"{start} on" if self.end_ns is None else f"{start} to {self.end_ns / 1e9:g} s"
