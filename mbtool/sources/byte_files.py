@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import io
     from collections.abc import Iterable, Iterator
 
-    from mbtool.core import LineSettings, WireEvent
+    from mbtool.core import LineSettings
 
 READ_BYTES = 4096
 
@@ -35,7 +35,7 @@ class SerialBytes(NamedTuple):
 
     line: LineSettings
     """What the user says of the line, or else what the file shows."""
-    pieces: Iterator[Chunk | WireEvent]
+    pieces: Iterator[Chunk]
     """Raises InputError, CutError, OSError."""
 
 

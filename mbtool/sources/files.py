@@ -28,7 +28,6 @@ from mbtool.core import CutError, InputError, Packet, UsageError
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
 from mbtool.sources.byte_times import is_byte_times, read_byte_times
-from mbtool.sources.monitor_text import is_monitor_text, read_monitor_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
     from _typeshed import WriteableBuffer
 
-    from mbtool.core import Chunk, LineSettings, WireEvent
+    from mbtool.core import Chunk, LineSettings
 
 STANDARD_INPUT = "-"
 INPUT_BYTES = 512
@@ -73,12 +72,10 @@ class CaptureKind(StrEnum):
     """The same as hexadecimal text."""
     BYTE_TIMES = "byte-times"
     """Each byte with its times, as CSV."""
-    MONITOR_TEXT = "monitor-text"
-    """What PassiveModbusMonitor prints."""
 
 
 PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
-_TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES, CaptureKind.MONITOR_TEXT))
+_TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES))
 
 
 class CaptureFile:
@@ -128,13 +125,11 @@ class CaptureFile:
         of_file = self.stream, self.name, self.link
         if self.kind is CaptureKind.BYTE_TIMES:
             return read_byte_times(*of_file, line)
-        if self.kind is CaptureKind.MONITOR_TEXT:
-            return read_monitor_text(*of_file, line)
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
 
-    def _guarded(self, pieces: Iterator[Chunk | WireEvent]) -> Iterator[Chunk | WireEvent]:
+    def _guarded(self, pieces: Iterator[Chunk]) -> Iterator[Chunk]:
         try:
             yield from pieces
         except OSError as error:
@@ -337,8 +332,6 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
     text = head.removeprefix(codecs.BOM_UTF8)
     if is_byte_times(text):
         return CaptureKind.BYTE_TIMES
-    if is_monitor_text(text):
-        return CaptureKind.MONITOR_TEXT
     other = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
     if line is not None and other is None:
         is_hex = _is_text(text) and (not line.ascii or _HEX_OF_ASCII.match(text) is not None)
