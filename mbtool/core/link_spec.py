@@ -45,7 +45,7 @@ _PORT = re.compile(r"\d{1,5}", re.ASCII)
 
 _OWN_ADDRESSES = {
     "0.0.0.0": ("127.0.0.1", "localhost"),
-    "::": ("::1",),
+    "::": ("::1", "127.0.0.1", "localhost"),
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }

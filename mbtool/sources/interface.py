@@ -36,8 +36,7 @@ from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
-from threading import Thread
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
 from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
@@ -45,6 +44,7 @@ from mbtool.core.local_ports import Trouble
 from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.port_filter import drop_everything, port_filter
+from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -100,30 +100,23 @@ class _Ear:
         return released
 
 
-class InterfaceSource:
-    """Listens to an interface while its context is open. Entering raises LinkError."""
+class InterfaceSource(LiveSource[InterfaceLink]):
+    """Listens to interfaces while its context is open. Entering raises LinkError."""
+
+    _inbox: Inbox
 
     def __init__(
         self, link: InterfaceLink, inbox: Inbox, *, ports: Sequence[int] = (MODBUS_PORT,)
     ) -> None:
-        self._link = link
-        self._inbox = inbox
+        super().__init__(link, inbox)
         self._ports = ports
         self._ears: list[_Ear] = []
         self._told: set[int] = set()
         """The hardware types that were said to be unreadable."""
         self._alarm: tuple[int, int] | None = None
-        self._thread: Thread | None = None
+        """Both ends of a pipe; closing the second end wakes the thread, which then ends."""
 
-    @property
-    def link(self) -> str:
-        return self._link.name
-
-    @property
-    def place(self) -> str:
-        return str(self._link)
-
-    def __enter__(self) -> Self:
+    def open(self) -> None:
         try:
             for name in self._link.interfaces:
                 capture = _open(self._link, name)
@@ -133,15 +126,9 @@ class InterfaceSource:
             self._close_ears()
             raise
         self._alarm = os.pipe()
-        self._thread = Thread(target=self._run, name=f"capture {self.link}", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._start_thread(self._run)
 
     def close(self) -> None:
-        """End the capture; what the kernel has by then is in the inbox, then Ended."""
         if self._alarm is None or self._thread is None:
             return
         told, tell = self._alarm
