@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
 from mbtool.ports.clock import now_ns
-from mbtool.ports.serial_port import IDLE_S, ListeningPort, open_listening
+from mbtool.ports.serial_opening import open_listening
+from mbtool.ports.serial_port import IDLE_S, ListeningPort
 from mbtool.serial_line.settings_fit import (
     ENOUGH,
     Hearing,
