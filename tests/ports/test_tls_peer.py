@@ -36,7 +36,9 @@ def certificate(role: bytes, *, critical: bool = False) -> bytes:
     builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), True)
     extension = x509.UnrecognizedExtension(x509.ObjectIdentifier(ROLE), role)
     builder = builder.add_extension(extension, critical)
-    return builder.sign(KEY, hashes.SHA256()).public_bytes(serialization.Encoding.DER)
+    signed = builder.sign(KEY, hashes.SHA256())
+    der: bytes = signed.public_bytes(serialization.Encoding.DER)
+    return der
 
 
 def test_the_role_of_a_client_is_read() -> None:
