@@ -18,6 +18,9 @@ import asyncio
 import errno
 import os
 import socket
+import struct
+import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
@@ -147,6 +150,16 @@ class TcpListener:
 
     def _not_listening(self, error: OSError | UnicodeError) -> LinkError:
         return LinkError(f"{self._link}: cannot listen at {self._endpoint}: {_remedy(error)}")
+
+
+def reset(transport: asyncio.Transport) -> None:
+    """Close a connection with RST instead of FIN; what was not sent is lost."""
+    no_linger = struct.pack("hh" if sys.platform == "win32" else "ii", 1, 0)
+    with suppress(OSError):
+        transport.get_extra_info("socket").setsockopt(
+            socket.SOL_SOCKET, socket.SO_LINGER, no_linger
+        )
+    transport.abort()
 
 
 def _shown(host: str) -> str:

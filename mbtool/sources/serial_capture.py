@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, EventKind, LinkError, Quiet, SerialLink, WireEvent
 from mbtool.ports.serial_records import RecordKind, RecordReader, SerialRecord
-from mbtool.sources.child import see_off, start_child, tell_to_end
+from mbtool.sources.child import end_child, start_child, tell_to_end
 from mbtool.sources.inbox import Ended
 from mbtool.sources.source import LiveSource
 
@@ -60,7 +60,7 @@ class SerialSource(LiveSource[SerialLink]):
         if self._child is not None:
             if self._thread is not None:
                 self._thread.join(_START_S)
-            see_off(self._child)
+            end_child(self._child)
 
     def _start_child(self) -> subprocess.Popen[bytes]:
         settings = str(self._link.format)

@@ -30,11 +30,11 @@ from mbtool.core import Endpoint, EventKind, Quiet, TapLink, WireEvent
 from mbtool.packets import CloseReason
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import now_ns
-from mbtool.ports.tcp_listener import TcpListener
+from mbtool.ports.tcp_listener import TcpListener, reset
 from mbtool.ports.tls import client_context, server_context
 from mbtool.sources.inbox import Ended
 from mbtool.sources.outbox import Outbox
-from mbtool.sources.relay import TcpRelay, reset
+from mbtool.sources.relay import TcpRelay
 from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, TcpLink
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
-from mbtool.ports.steady_clock import steady_clock
+from mbtool.ports.clock import steady_clock
 from mbtool.ports.tcp_listener import TcpListener
 from mbtool.slave.device.connection_policy import ConnectionPolicy
 from mbtool.slave.shells.shell import OnExchange, Shell
