@@ -149,11 +149,11 @@ def test_a_flow_is_followed_across_interfaces_only_where_that_is_asked(
 
 CONNECT = """
 import socket, sys
-with socket.create_connection((sys.argv[1], int(sys.argv[2])), 10) as connection:
-    try:
+try:
+    with socket.create_connection((sys.argv[1], int(sys.argv[2])), 10) as connection:
         print(len(connection.recv(100)))
-    except ConnectionResetError:
-        print(0)
+except ConnectionResetError:  # Perhaps before the call has returned.
+    print(0)
 """
 
 
