@@ -37,7 +37,7 @@ class AllowedPeers:
     def __contains__(self, host: object) -> bool:
         """True if a machine with this address may connect; False also for what is no address."""
         try:
-            address = ip_address(str(host))
+            address = plain_address(str(host))
         except ValueError:
             return False
         return address.is_loopback or any(
@@ -49,7 +49,7 @@ THIS_MACHINE = AllowedPeers()
 """Nobody but this machine: the default of every listener."""
 
 
-def ip_address(host: str) -> IPv4Address | IPv6Address:
+def plain_address(host: str) -> IPv4Address | IPv6Address:
     """Read an address, an IPv4 address in IPv6 form as IPv4. Raises ValueError."""
     address = ipaddress.ip_address(host)
     return (isinstance(address, IPv6Address) and address.ipv4_mapped) or address

@@ -63,7 +63,7 @@ class LineErrors:
     def __init__(
         self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
     ) -> None:
-        """`counts` reads the driver's counters; None where it has none."""
+        """`counts` reads the driver's counters; None if it has none."""
         self._counts = counts
         self._character_ns = character_ns
         self._before = counts()

@@ -118,7 +118,7 @@ class PassingPort(PosixPort):
 
 
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
-    """Apply the line settings; gives what takes out the driver's marks, None if it sets none."""
+    """Apply the line settings. Gives an Unmarker if the driver marks damaged bytes, else None."""
     termios.tcgetattr(fd)  # Its error says what is no serial port; pyserial's does not.
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     # The timeout sets VMIN to 1: then a read without data fails with EAGAIN, and an empty read

@@ -24,7 +24,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers, ip_address
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers, plain_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -164,7 +164,7 @@ def reset(transport: asyncio.Transport) -> None:
 
 def _shown(host: str) -> str:
     try:
-        return str(ip_address(host))
+        return str(plain_address(host))
     except ValueError:
         return host
 

@@ -136,7 +136,7 @@ class CaptureFile:
             raise _unreadable(self.name, error) from error
 
     def fraction(self) -> float | None:
-        """How much of the file has been read, 0 to 1; None where its size is unknown."""
+        """How much of the file has been read, 0 to 1; None if its size is unknown."""
         if self._size is None or self._file.closed:
             return None
         return min(self._file.tell() / self._size, 1.0)

@@ -134,7 +134,7 @@ class _SerialDirection:
     def __init__(self, port: Port, kind: RecordKind, name: str, format_: SerialFormat) -> None:
         self.port = port
         self.unsent = b""
-        """What the other port's driver had no room for."""
+        """The bytes that the other port's driver had no room for."""
         self._kind = kind
         self._prefix = f"on {name}: "
         self._errors = LineErrors(port.counts, format_.character_ns, now_ns())
@@ -158,7 +158,7 @@ class _SerialDirection:
         self.unsent = self.unsent[self.onward.write(self.unsent) :]
 
     def finish(self, records: RecordWriter) -> None:
-        """Pass on what waits and what has arrived, for LAST_S at most."""
+        """Pass on pending bytes and what has arrived, for at most LAST_S each."""
         self._send_rest()
         if not self.unsent:
             self.take(records)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 MAX_PENDING = 16
 """How many responses, or pieces of them, may wait."""
 _NEVER = 32.0
-"""Bits: more than a request costs that says what none does."""
+"""The extra cost, in bits, of a frame that cannot be a request: more than any request costs."""
 
 
 class SerialSlave(Shell):

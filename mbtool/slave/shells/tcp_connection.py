@@ -133,7 +133,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if option is not None:
                     sock.setsockopt(socket.IPPROTO_TCP, option, value)
 
-    # What asyncio calls.
+    # Called by asyncio.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)

@@ -94,7 +94,7 @@ class TcpSlave(Shell):
     def notes(self) -> list[str]:
         return [self.rules.notes.popleft() for _ in range(len(self.rules.notes))]
 
-    # What its connections ask.
+    # Called by its connections.
 
     @property
     def is_rtu(self) -> bool:
