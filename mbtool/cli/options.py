@@ -107,11 +107,13 @@ RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
 ]
-RemoteOption = Annotated[
-    bool,
+AllowOption = Annotated[
+    list[str] | None,
     typer.Option(
-        "--allow-remote",
-        help="Listen also where other machines can connect; without it, on loopback only.",
+        "--allow",
+        metavar="CIDR",
+        help="Let machines of a network connect over TCP, for example 192.168.1.0/24 or fd00::/8; "
+        "0.0.0.0/0 lets everybody in. Repeatable. [default: this machine only]",
     ),
 ]
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.options import (
+    AllowOption,
     DeviceOption,
     LineOption,
     PortOption,
     RawOption,
-    RemoteOption,
     RtuPortOption,
     WhereOption,
 )
@@ -61,7 +61,7 @@ _ONLY = {
     "latency": AS_SLAVE,
     "faults_as_recorded": AS_SLAVE,
     "fault": AS_SLAVE,
-    "allow_remote": AS_SLAVE,
+    "allow": AS_SLAVE,
     "ignore": AS_MASTER,
     "ignore_from": AS_MASTER,
     "learn": AS_MASTER,
@@ -230,7 +230,7 @@ def replay(
     port: PortOption = None,
     rtu_port: RtuPortOption = None,
     link: LineOption = None,
-    allow_remote: RemoteOption = False,
+    allow: AllowOption = None,
 ) -> None:
     """Play one side of a recording, or both.
 
@@ -257,6 +257,7 @@ def replay(
     wanted, rate, window = condition(where), _rate(speed), TimeRange(*_window(start, end))
     if side == AS_SLAVE:
         from mbtool.cli.replay_slave import play_as_slave
+        from mbtool.ports.allowed_peers import AllowedPeers
         from mbtool.workflows.replay_slave import SlaveOptions
 
         slave_options = SlaveOptions(
@@ -271,7 +272,7 @@ def replay(
             with_damage=faults_as_recorded,
             fault_file=fault,
         )
-        play_as_slave(file, where_to, slave_options, allow_remote=allow_remote)
+        play_as_slave(file, where_to, slave_options, AllowedPeers.parse(allow or ()))
         return
     if side == AS_BUS:
         from mbtool.cli.replay_bus import play_as_bus

@@ -17,14 +17,15 @@ from mbtool.workflows.replay_slave import SlaveRun
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
+    from mbtool.ports.allowed_peers import AllowedPeers
     from mbtool.workflows.replay_slave import SlaveOptions
 
 
-def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remote: bool) -> None:
+def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, allowed: AllowedPeers) -> None:
     """Answer until Ctrl-C."""
     slave_link(on)  # A link that is none is told before a long recording is read.
     run = SlaveRun(file, options, say, with_progress)
-    played = run.on(on, allow_remote=allow_remote)
+    played = run.on(on, allowed=allowed)
     with keyboard() as desk:
 
         def look() -> None:

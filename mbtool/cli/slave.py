@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.options import RemoteOption
+from mbtool.cli.options import AllowOption
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,7 +72,7 @@ def slave(
             "--print", help="Show each request and its answer, as decode does, and the outputs."
         ),
     ] = False,
-    allow_remote: RemoteOption = False,
+    allow: AllowOption = None,
 ) -> None:
     """Answer as a device does, or several, until Ctrl-C.
 
@@ -86,6 +86,7 @@ def slave(
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.devices import load_profile
+    from mbtool.ports.allowed_peers import AllowedPeers
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
     from mbtool.workflows.slave import Station, device_slave
 
@@ -109,7 +110,7 @@ def slave(
         others=others,
         state_file=state,
         fault_file=fault,
-        allow_remote=allow_remote,
+        allowed=AllowedPeers.parse(allow or ()),
         exchanges=exchanges,
         on_trouble=lambda text: say(f"mbtool: {text}"),
     )

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from mbtool.cli.options import (
+    AllowOption,
     DeviceOption,
     EventsOption,
     Format,
@@ -69,6 +70,7 @@ def sniff(
     t3_5: T35Option = None,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     events: EventsOption = None,
+    allow: AllowOption = None,
     tls_cert: TlsCertOption = None,
     tls_key: TlsKeyOption = None,
     tls_ca: TlsCaOption = None,
@@ -90,13 +92,14 @@ def sniff(
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.cli.tls_options import listen_tls, target_tls, with_tls
-    from mbtool.core import InterfaceLink, UsageError, parse_link
+    from mbtool.core import InterfaceLink, TapLink, UsageError, parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.decoder import Decoder
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Namer
     from mbtool.logs import Rotation
     from mbtool.logs.opening import check_log_path, create_log
+    from mbtool.ports.allowed_peers import AllowedPeers
     from mbtool.ports.clock import now_ns
     from mbtool.ports.tls import why_outdated
     from mbtool.workflows.settling import settled
@@ -120,6 +123,9 @@ def sniff(
     for option, cert in (("--tls-cert", tls_cert), ("--tls-target-cert", tls_target_cert)):
         if cert is not None and (why := why_outdated(option, cert)) is not None:
             say(f"mbtool: {why}")
+    allowed = AllowedPeers.parse(allow or ())
+    if allow and not any(isinstance(one, TapLink) for one in specs):
+        raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")
     devices, wanted = assignments(device), condition(where)
     ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
     ports = ports or [DEFAULT_PORT]
@@ -156,6 +162,7 @@ def sniff(
             overwrite=overwrite,
         ),
         ports=[] if any_port else [*ports, *rtu_ports],
+        allowed=allowed,
         on_lost=lambda error: say(f"mbtool: {error}"),
         on_discarded=lambda event: say(f"mbtool: {event.link}: {event.message}"),
         on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),

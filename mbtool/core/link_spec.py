@@ -46,7 +46,7 @@ _ENDPOINT = re.compile(
 
 _OWN_ADDRESSES = {
     "0.0.0.0": ("127.0.0.1", "localhost"),
-    "::": ("::1",),
+    "::": ("::1", "127.0.0.1", "localhost"),
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }

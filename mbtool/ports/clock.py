@@ -1,7 +1,21 @@
-"""The one clock of the live sources: UTC in nanoseconds."""
+"""The clocks of whatever is live: UTC in nanoseconds since 1970."""
 
 from __future__ import annotations
 
-from time import time_ns as now_ns  # noqa: TID251 - a source is where time comes from
+import time
+from time import time_ns as now_ns  # noqa: TID251 - live bytes get their time here
+from typing import TYPE_CHECKING
 
-__all__ = ["now_ns"]
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["now_ns", "steady_clock"]
+
+
+def steady_clock() -> Callable[[], int]:
+    """A clock that never steps back: UTC when this is called, from then on the monotonic clock.
+
+    A slave measures silences and delays with it, so setting the system's clock must not move it.
+    """
+    anchor_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 - this is a clock
+    return lambda: anchor_ns + time.monotonic_ns()

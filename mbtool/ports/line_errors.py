@@ -1,12 +1,12 @@
-"""What a port's driver tells of damage on the line, gathered into few words."""
+"""Sums up what a port's driver reports of damage on the line."""
 
-# Two witnesses: marks at single bytes (marks.py), and the driver's counters. Both are told, each as
-# what it says, since neither is complete: a driver without marks may count, another marks and does
-# not count, and only the counters know of bytes that were lost.
+# There are two sources: marks at single bytes (marks.py), and the driver's counters. Both are
+# reported, since neither is complete: some drivers count and set no marks, some set marks and do
+# not count, and only the counters know of lost bytes.
 #
-# A single error is told at once. While errors follow, as they do by thousands at a wrong baud rate,
-# they are gathered and told once in GATHER_NS. The counters are read as often, and whenever
-# something is told.
+# A single error is reported at once. When more follow, as they do by thousands at a wrong baud
+# rate, they are summed up and reported once in GATHER_NS. The counters are read as often, and
+# whenever something is reported.
 #
 # Holds a count and the first SHOWN damaged bytes.
 
@@ -21,14 +21,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 GATHER_NS = 1_000_000_000
+"""The shortest time between two reports."""
 SHOWN = 8
+"""How many damaged bytes a report shows."""
 
 _COUNTER_MASK = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorCounts:
-    """A driver's counters, 32 bits each, since whenever it began."""
+    """A driver's counters, 32 bits each; they start at any value and wrap around."""
 
     frame: int = 0
     overrun: int = 0
@@ -39,7 +41,7 @@ class ErrorCounts:
     """Characters that the driver's buffer had no room for."""
 
     def since(self, before: ErrorCounts) -> ErrorCounts:
-        """How far each has grown."""
+        """By how much each counter has grown."""
         pairs = zip(astuple(self), astuple(before), strict=True)
         return ErrorCounts(*((after - then) & _COUNTER_MASK for after, then in pairs))
 
@@ -50,7 +52,7 @@ class ErrorCounts:
 
 @dataclass(frozen=True, slots=True)
 class LineTrouble:
-    """What is to be told: damage in words, or a number of lost bytes."""
+    """A report: damage in words, or a number of lost bytes."""
 
     ts_ns: int
     text: str = ""
@@ -58,12 +60,12 @@ class LineTrouble:
 
 
 class LineErrors:
-    """Marks and counters in, `LineTrouble` out, at most two in GATHER_NS."""
+    """Turns marks and counters into reports, at most two in GATHER_NS."""
 
     def __init__(
         self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
     ) -> None:
-        """`counts` reads the driver's counters; None where it has none."""
+        """`counts` reads the driver's counters; None if it has none."""
         self._counts = counts
         self._character_ns = character_ns
         self._before = counts()
@@ -74,7 +76,7 @@ class LineErrors:
         self._first_ns = self._last_ns = 0
 
     def mark(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
-        """Take the damaged bytes of one read; `ts_ns` is the time of the last byte."""
+        """Take the positions of damaged bytes in one read; `ts_ns` is the time of its last byte."""
         if not self._marked:
             self._first_ns = ts_ns - (len(data) - 1 - damaged[0]) * self._character_ns
             self._due_ns = min(self._due_ns, self._told_ns + GATHER_NS)
@@ -83,11 +85,11 @@ class LineErrors:
         self._first += bytes(data[at] for at in damaged[: SHOWN - len(self._first)])
 
     def tell(self, now_ns: int) -> Sequence[LineTrouble]:
-        """What is due by now. Asked after every read, so it costs a comparison."""
+        """The reports that are due. Called after every read, so it mostly costs one comparison."""
         return () if now_ns < self._due_ns else self.tell_all(now_ns)
 
     def tell_all(self, now_ns: int) -> list[LineTrouble]:
-        """What there is, due or not."""
+        """All reports, due or not."""
         grown = self._grown()
         marked = self._marked_text()
         said = [text for text in (marked, _counted_text(grown)) if text]

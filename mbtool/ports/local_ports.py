@@ -1,16 +1,16 @@
-"""The serial ports of this machine, and what would spoil what is heard on them."""
+"""Lists the serial ports of this machine, and what would disturb listening on them."""
 
-# No port is opened, since that alone can make an adapter raise DTR and RTS and talk. On Linux all
-# is read from /sys, /proc and /dev; elsewhere there is what pyserial tells.
+# No port is opened: opening alone can make an adapter raise DTR and RTS and talk. On Linux all
+# comes from /sys, /proc and /dev; on other systems from pyserial.
 #
 #     /sys/class/tty/NAME/device          leads to the hardware; pseudo-terminals have none
-#                  .../type               0 where a UART was expected and none is
-#                  .../flags              a UART's, 2000H is ASYNC_LOW_LATENCY
-#                  .../rx_trig_bytes      a 16550's FIFO: it hands over so many bytes, or what it
-#                                         has after four characters of silence
-#                  .../device/latency_timer   ms, ftdi_sio; 1 while low latency is on
-#     /sys/class/tty/console/active       where the kernel's own messages go
-#     /dev/serial/by-id, by-path          udev's names: by the adapter, or by where it is plugged in
+#                  .../type               0 if the driver expected a UART and found none
+#                  .../flags              of a UART; bit 2000H is ASYNC_LOW_LATENCY
+#                  .../rx_trig_bytes      of a 16550: its FIFO hands over so many bytes at once, or
+#                                         what it has after four characters of silence
+#                  .../device/latency_timer   of ftdi_sio, in ms; 1 while low latency is on
+#     /sys/class/tty/console/active       the ports that the kernel writes its messages to
+#     /dev/serial/by-id, by-path          udev's names: by adapter, or by the socket it is in
 
 from __future__ import annotations
 
@@ -25,36 +25,39 @@ from serial.tools import list_ports
 from mbtool.core.local_ports import Holder, LocalSerialPort, Trouble
 from mbtool.ports.port_holders import holders_of
 from mbtool.ports.serial_port import who_may
+from mbtool.ports.system_files import read_line, read_number
 
 _SERIAL_CORE = "serial-base"
 """Devices that Linux 6.5 and later put between a port and its hardware."""
 _ASYNC_LOW_LATENCY = 0x2000
 _WITHOUT_LOW_LATENCY = {"cdc_acm", "ch341", "ch341-uart", "cp210x", "pl2303", "xr_serial"}
-"""Drivers of the kernel that take the flag, if at all, and do nothing about it."""
+"""Drivers of the kernel that ignore the low-latency flag."""
 
 _SERVICES = {
     "agetty": "sudo systemctl stop serial-getty@{name}",
     "ModemManager": "sudo systemctl stop ModemManager",
     "gpsd": "sudo systemctl stop gpsd.socket gpsd",
 }
-"""Programs that take a port unasked, and how to end them: ending the process starts it again."""
+"""Programs that open ports by themselves, and how to stop them: a killed one starts again."""
 
 
 def local_ports(root: Path = Path("/")) -> list[LocalSerialPort]:
     """All serial ports with hardware behind them, in the order of their names.
 
-    `root` is where the system's files are, for Linux alone.
+    `root` is the folder that holds /sys, /proc and /dev; only Linux uses it.
     """
     if sys.platform != "linux":
         return ports_by_pyserial()
     names = sorted(_names(root / "sys/class/tty"), key=_natural)
     holders, unseen = holders_of([f"/dev/{name}" for name in names], root)
-    scan = _Scan(root, _stable_names(root), _words(root / "sys/class/tty/console/active"), unseen)
+    scan = _Scan(
+        root, _stable_names(root), read_line(root / "sys/class/tty/console/active").split(), unseen
+    )
     return [scan.port(name, tuple(holders[f"/dev/{name}"])) for name in names]
 
 
 def ports_by_pyserial() -> list[LocalSerialPort]:
-    """What pyserial tells of the ports, on any system."""
+    """The serial ports as pyserial lists them, on any system."""
     return [
         LocalSerialPort(
             device=info.device,
@@ -68,7 +71,7 @@ def ports_by_pyserial() -> list[LocalSerialPort]:
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """One look at a system's files."""
+    """What was read once for all ports."""
 
     root: Path
     stable: dict[str, str]
@@ -80,15 +83,15 @@ class _Scan:
         hardware = Path(os.path.realpath(tty / "device"))
         usb = _usb_device(hardware)
         driver, bus = _driver(hardware)
-        timer = _number(tty / "device/latency_timer")
-        fifo = _number(tty / "rx_trig_bytes")
-        low_latency, support = _low_latency(timer, _number(tty / "flags"), driver)
+        timer = read_number(tty / "device/latency_timer")
+        fifo = read_number(tty / "rx_trig_bytes")
+        low_latency, support = _low_latency(timer, read_number(tty / "flags"), driver)
         return LocalSerialPort(
             device=f"/dev/{name}",
             stable=self.stable.get(name),
             description=_product(usb) if usb else (f"port on the {bus} bus" if bus else ""),
-            usb_id=f"{_line(usb / 'idVendor')}:{_line(usb / 'idProduct')}" if usb else None,
-            serial_number=(_line(usb / "serial") or None) if usb else None,
+            usb_id=f"{read_line(usb / 'idVendor')}:{read_line(usb / 'idProduct')}" if usb else None,
+            serial_number=(read_line(usb / "serial") or None) if usb else None,
             driver=driver,
             latency_timer_ms=timer,
             fifo_bytes=fifo,
@@ -114,14 +117,14 @@ def _names(folder: Path) -> list[str]:
     return [
         name
         for name in names
-        if (folder / name / "device").exists() and _number(folder / name / "type") != 0
+        if (folder / name / "device").exists() and read_number(folder / name / "type") != 0
     ]
 
 
 def _stable_names(root: Path) -> dict[str, str]:
-    """By a port's name, udev's: the adapter's own, else its socket's.
+    """Udev's names by the port's own name: by adapter if there is one, else by socket.
 
-    Two adapters without serial numbers have one name between them, which leads to the last one.
+    Two adapters without serial numbers share one name; it leads to the last of them.
     """
     found: dict[str, str] = {}
     for kind in ("by-path", "by-id"):
@@ -131,7 +134,7 @@ def _stable_names(root: Path) -> dict[str, str]:
         except OSError:
             continue
         for link in links:
-            if "," not in link:  # Which parts two ports in a LINK.
+            if "," not in link:  # In a LINK a comma separates two ports.
                 target = os.path.basename(os.path.realpath(folder / link))
                 found[target] = f"/dev/serial/{kind}/{link}"
     return found
@@ -154,7 +157,7 @@ def _usb_device(hardware: Path) -> Path | None:
 
 
 def _product(usb: Path) -> str:
-    maker, product = _line(usb / "manufacturer"), _line(usb / "product")
+    maker, product = read_line(usb / "manufacturer"), read_line(usb / "product")
     if maker.lower() in product.lower():
         return product or "USB serial adapter"
     return f"{maker} {product}".rstrip()
@@ -163,7 +166,7 @@ def _product(usb: Path) -> str:
 def _low_latency(
     timer: int | None, flags: int | None, driver: str | None
 ) -> tuple[bool | None, bool | None]:
-    """Whether it is on, and whether it can be."""
+    """True if low latency is on, and true if it can be; None where that is unknown."""
     if timer is not None:
         return timer <= 1, True
     if flags is not None:
@@ -229,25 +232,5 @@ def _fifo(fifo: int | None, name: str) -> list[Trouble]:
 
 
 def _natural(name: str) -> list[tuple[str, int]]:
-    """ttyS2 before ttyS10."""
+    """A key that sorts ttyS2 before ttyS10."""
     return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D+)(\d*)", name)]
-
-
-def _words(path: Path) -> list[str]:
-    return _line(path).split()
-
-
-def _number(path: Path) -> int | None:
-    try:
-        return int(_line(path), 0)
-    except ValueError:
-        return None
-
-
-def _line(path: Path) -> str:
-    """The first line of a file, or nothing."""
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
-    return text.partition("\n")[0].strip()

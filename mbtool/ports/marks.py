@@ -1,18 +1,18 @@
-"""Takes a terminal driver's marks out of what was read: which bytes arrived damaged."""
+"""Takes a terminal driver's marks out of the bytes read, and says which bytes came damaged."""
 
 # With PARMRK set, a read of a port gives (termios(3); Linux drivers/tty/n_tty.c):
 #
-#     FF FF       a byte FF that arrived whole
+#     FF FF       a byte FF that arrived undamaged
 #     FF 00 X     a byte X whose parity bit or stop bit was wrong
-#     FF 00 00    a break, or such a byte 00
+#     FF 00 00    a break, or a byte 00 that was damaged
 #
 # and every other byte as itself. A damaged byte stays in the data, since it was heard. A break
-# stays as the 00 that it reads as without marks.
+# stays as 00, as it would read without marks.
 #
-# A driver puts a whole escape into its buffer at once. So an FF behind which nothing follows, or
-# what no driver writes, is data.
+# A driver puts a whole escape sequence into its buffer at once. So an FF with nothing behind it,
+# and an FF before a byte that no driver puts there, are data.
 #
-# Holds at most two bytes, the beginning of an escape that a read cut off.
+# Holds at most two bytes: the beginning of an escape sequence that a read cut off.
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _DAMAGED = b"\xff\x00"
 
 
 class Unmarker:
-    """Marked bytes in, the bytes of the wire out, however the reads were cut."""
+    """Turns marked bytes into the bytes of the wire, however the reads were cut."""
 
     def __init__(self) -> None:
         self._held = b""
 
     def feed(self, data: bytes) -> tuple[bytes, Sequence[int]]:
-        """The bytes that this read completes, and at which places damaged ones stand."""
+        """The bytes that this read completes, and the positions of damaged ones among them."""
         if not self._held and _MARK not in data:
             return data, ()
         data = self._held + data
@@ -57,6 +57,6 @@ class Unmarker:
         return bytes(heard), damaged
 
     def flush(self) -> bytes:
-        """Learn that nothing follows: what was held is data."""
+        """Give what was held: nothing follows it, so it is data."""
         held, self._held = self._held, b""
         return held

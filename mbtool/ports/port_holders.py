@@ -1,7 +1,8 @@
-"""Who has a serial port open: Linux tells it of each process that one may look into."""
+"""Finds the processes that have a serial port open. Linux only."""
 
-# Nothing is opened but folders below /proc: a port's lines must not change because somebody asks.
-# What is kept is the holders of the ports asked for, and a count.
+# /proc/PID/fd has a link for each open file. Only folders below /proc are opened, never a port:
+# that could change its control lines. Only root can look into the processes of other users; those
+# that could not be looked into are counted.
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Holder]], int]:
-    """Who holds each of these ports, and how many processes could not be looked into."""
+    """The processes that hold each of these ports, and how many could not be looked into."""
     found: dict[str, list[Holder]] = {device: [] for device in devices}
     unseen = 0
     for process in _processes(root / "proc"):
@@ -52,7 +53,7 @@ def _open_files(process: Path) -> Iterator[str]:
 
 
 def _is_of_the_kernel(process: Path) -> bool:
-    """Whether it is a thread of the kernel, which has no command line, or has ended."""
+    """True for a thread of the kernel, which has no command line, and for one that has ended."""
     try:
         return not (process / "cmdline").read_bytes()
     except PermissionError:

@@ -1,20 +1,16 @@
-"""A serial port of Linux or macOS, opened read-only; a tap's, which passes on, for both."""
+"""A serial port of Linux or macOS: read-only to listen, read and write for a serial tap."""
 
 # pyserial knows how to set up a line on every system, odd baud rates included, but opens a port for
 # writing. So the descriptor is opened here, with O_RDONLY, and pyserial's setup is applied to it
-# (_reconfigure_port of pyserial 3.5 needs nothing but the descriptor and the settings). What its
-# open() does beyond that is left out on purpose: it sets DTR and RTS, which make some RS-485
-# adapters talk.
+# (_reconfigure_port of pyserial 3.5 needs only the descriptor and the settings). pyserial's own
+# open() also sets DTR and RTS, which makes some RS-485 adapters talk, so it is not called.
 #
-# The port is locked with flock, as pyserial and most terminal programs do. The lock is advisory and
-# ends with the process. It keeps out only a second reader, and two readers of one port steal each
-# other's bytes. TIOCEXCL, which would keep out everyone, is not used.
+# The port is locked with flock, as pyserial and most terminal programs lock it: two readers of one
+# port steal each other's bytes. The lock is advisory and ends with the process. TIOCEXCL, which
+# would keep out every other program, is not used.
 #
-# The driver is asked to mark damaged bytes (marks.py), which pyserial cannot. Where the terminal
-# does not take that wish, bytes are read as they come.
-#
-# A pseudo-terminal has no parity and always 8 bits: Linux clears PARENB, and some C libraries then
-# report EINVAL. On one, the line settings are not asked for at all, beside the baud rate.
+# The driver is asked to mark damaged bytes (marks.py), which pyserial cannot do. If the terminal
+# does not support that, bytes are read as they come.
 
 from __future__ import annotations
 
@@ -24,23 +20,20 @@ import select
 import struct
 import sys
 import termios
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import serial
 
 from mbtool.ports.line_errors import ErrorCounts
 from mbtool.ports.marks import Unmarker
-from mbtool.ports.serial_port import explain, lost
+from mbtool.ports.serial_port import explained, lost, settings_for
 from mbtool.ports.serial_records import MAX_DATA
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from mbtool.core import SerialFormat
-
-_PTY_FOLDERS = ("/dev/pts/", "/dev/ttys")
-"""Linux, macOS."""
 
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""
@@ -49,17 +42,17 @@ _ERROR_COUNTERS = slice(6, 11)
 
 
 class PosixPort:
-    """A port that can only be read. Opening raises OSError, ValueError, OverflowError."""
+    """A port that can only be read. Opening raises LinkError."""
 
     _access = os.O_RDONLY
 
     def __init__(self, port: str, format_: SerialFormat) -> None:
         self._name = port
-        self._fd = os.open(port, self._access | os.O_NOCTTY | os.O_NONBLOCK)
         self.damaged: Sequence[int] = ()
+        with explained(port, format_):
+            self._fd = os.open(port, self._access | os.O_NOCTTY | os.O_NONBLOCK)
         try:
-            with _termios_errors_as_os_errors():
-                self._unmarker = _set_up(self._fd, port, format_)
+            self.tune(format_)
         except Exception:
             os.close(self._fd)
             raise
@@ -76,7 +69,7 @@ class PosixPort:
             heard, self.damaged = self._unmarker.feed(data)
             if heard:
                 return heard
-            wait_s = 0  # The rest of an escape is there already, or it is none.
+            wait_s = 0  # The rest of an escape sequence is there already, or this is none.
 
     def _read(self) -> bytes:
         try:
@@ -99,11 +92,8 @@ class PosixPort:
         return ErrorCounts(*_COUNTERS.unpack(answer)[_ERROR_COUNTERS])
 
     def tune(self, format_: SerialFormat) -> None:
-        try:
-            with _termios_errors_as_os_errors():
-                self._unmarker = _set_up(self._fd, self._name, format_)
-        except (OSError, ValueError, OverflowError) as error:
-            raise explain(self._name, format_, error) from error
+        with explained(self._name, format_):
+            self._unmarker = _set_up(self._fd, self._name, format_)
 
     def close(self) -> None:
         os.close(self._fd)
@@ -128,25 +118,19 @@ class PassingPort(PosixPort):
 
 
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
-    """Make the line settings; what is given takes out the marks, where there are any."""
-    termios.tcgetattr(fd)  # Tells by its errno what is no serial port; pyserial's error has none.
+    """Apply the line settings. Gives an Unmarker if the driver marks damaged bytes, else None."""
+    termios.tcgetattr(fd)  # Its error says what is no serial port; pyserial's does not.
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    is_pty = os.path.realpath(port).startswith(_PTY_FOLDERS)
-    settings = serial.Serial(
-        baudrate=format_.baud,
-        bytesize=8 if is_pty else format_.data_bits,
-        parity="N" if is_pty else format_.parity,
-        stopbits=1 if is_pty else format_.stop_bits,
-        # With VMIN 1 a read without data says EAGAIN, and an empty one that the port is gone.
-        inter_byte_timeout=0,
-    )
+    # The timeout sets VMIN to 1: then a read without data fails with EAGAIN, and an empty read
+    # means that the port is gone.
+    settings = serial.Serial(inter_byte_timeout=0, **settings_for(port, format_))
     settings.fd = fd
     settings._reconfigure_port(force_update=True)  # type: ignore[attr-defined]
     with suppress(OSError, ValueError, NotImplementedError):
         settings.set_low_latency_mode(True)
     is_marking = _ask_for_marks(fd)
     if not hasattr(termios, f"B{format_.baud}"):
-        # Such a rate is made beside termios, and what else is set takes it back on some systems.
+        # termios has no constant for such a rate; on some systems the calls above have undone it.
         with suppress(NotImplementedError):
             settings._set_special_baudrate(format_.baud)  # type: ignore[attr-defined]
     termios.tcflush(fd, termios.TCIFLUSH)
@@ -154,18 +138,10 @@ def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
 
 
 def _ask_for_marks(fd: int) -> bool:
-    """Have damaged bytes marked and breaks kept; whether the terminal will."""
+    """Have damaged bytes marked and breaks kept; True if the terminal does so."""
     unwanted = termios.IGNPAR | termios.IGNBRK | termios.BRKINT | termios.ISTRIP
     attributes = termios.tcgetattr(fd)
     attributes[0] = attributes[0] & ~unwanted | termios.INPCK | termios.PARMRK
     termios.tcsetattr(fd, termios.TCSANOW, attributes)
     flags: int = termios.tcgetattr(fd)[0]
     return bool(flags & termios.PARMRK) and not flags & unwanted
-
-
-@contextmanager
-def _termios_errors_as_os_errors() -> Iterator[None]:
-    try:
-        yield
-    except termios.error as error:  # Which is no OSError, but is made like one.
-        raise OSError(*error.args) from error

@@ -1,106 +1,76 @@
-"""Opens a serial port to read and write: what a slave and a master speak on."""
+"""Opens serial ports: to listen, to pass bytes on, and to speak."""
 
-# Linux: a pseudo-terminal has neither parity nor 7 bits, and may refuse them; then, and only on
-# one, it is opened with 8N1, which makes no difference to what travels.
+# To listen, nothing is ever written. On POSIX the descriptor itself is read-only (posix_serial.py);
+# elsewhere pyserial opens the port, and the class has no way to write (portable_serial.py).
 
 from __future__ import annotations
 
-import errno
+import sys
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import serial
 
 from mbtool.core import LinkError
+from mbtool.ports.serial_port import explained, is_port_error, lost, settings_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.core import SerialLink
+    from mbtool.core import SerialFormat, SerialLink
+    from mbtool.ports.posix_serial import PassingPort
+    from mbtool.ports.serial_port import ListeningPort
 
 WRITE_TIMEOUT_S = 1.0
 
 WriteTimeout = serial.SerialTimeoutException
-"""Raised where the other end has taken nothing for WRITE_TIMEOUT_S."""
+"""Raised if the port takes no bytes for WRITE_TIMEOUT_S."""
+
+
+def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
+    """Open a port that can only be read. Raises LinkError."""
+    if sys.platform != "win32":
+        from mbtool.ports.posix_serial import PosixPort
+
+        return PosixPort(port, format_)
+    else:
+        from mbtool.ports.portable_serial import PyserialPort
+
+        return PyserialPort(port, format_)
+
+
+def open_passing(port: str, format_: SerialFormat) -> PassingPort:
+    """Open an end of a cut line, which a serial tap reads and writes. Raises LinkError."""
+    if sys.platform != "win32":
+        from mbtool.ports.posix_serial import PassingPort
+
+        return PassingPort(port, format_)
+    else:
+        raise LinkError("a serial tap needs Linux or macOS")
 
 
 def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
-    """Open a port to read and write; a read waits for so long. Raises LinkError."""
-    try:
-        return _open_with(link, timeout_s, link.format.data_bits, link.format.parity)
-    except serial.SerialException as error:
-        if not _is_pseudo_terminal(link.port) or _error_number(error) != errno.EINVAL:
-            raise LinkError(f"serial port {link.port}: {_why_not_open(link, error)}") from error
-    try:
-        return _open_with(link, timeout_s, serial.EIGHTBITS, serial.PARITY_NONE)
-    except serial.SerialException as error:
-        raise LinkError(f"serial port {link.port}: {_why_not_open(link, error)}") from error
+    """Open a port for a master or a slave; a read waits at most `timeout_s`. Raises LinkError."""
+    with explained(link.port, link.format):
+        return serial.Serial(
+            link.port,
+            timeout=timeout_s,
+            write_timeout=WRITE_TIMEOUT_S,
+            exclusive=True,
+            **settings_for(link.port, link.format),
+        )
 
 
 @contextmanager
 def port_in_use(link: SerialLink) -> Iterator[None]:
-    """Tell what an open port raises as a LinkError."""
+    """Turn what an open port raises into a LinkError."""
     try:
         yield
-    except serial.SerialTimeoutException as error:
+    except WriteTimeout as error:
         raise LinkError(
             f"serial port {link.port}: takes no bytes; is anything at its other end?"
         ) from error
     except Exception as error:
-        if not isinstance(error, OSError) and not _is_of_termios(error):
+        if not is_port_error(error):
             raise
-        raise LinkError(f"serial port {link.port}: lost; is it still plugged in?") from error
-
-
-def _is_of_termios(error: Exception) -> bool:
-    """Whether pyserial let an error of termios pass, which is no OSError, and not on Windows."""
-    return type(error).__module__ == "termios"
-
-
-def _open_with(link: SerialLink, timeout_s: float, data_bits: int, parity: str) -> serial.Serial:
-    try:
-        return serial.Serial(
-            link.port,
-            baudrate=link.format.baud,
-            bytesize=data_bits,
-            parity=parity,
-            stopbits=link.format.stop_bits,
-            timeout=timeout_s,
-            write_timeout=WRITE_TIMEOUT_S,
-            exclusive=True,
-        )
-    except ValueError as error:  # A baud rate that the driver does not know.
-        raise serial.SerialException(str(error)) from error
-    except Exception as error:
-        if not _is_of_termios(error):
-            raise
-        raise serial.SerialException(*error.args) from error
-
-
-def _is_pseudo_terminal(port: str) -> bool:
-    return Path(port).resolve().parent == Path("/dev/pts")
-
-
-def _error_number(error: serial.SerialException) -> int | None:
-    """What the system said; pyserial keeps it in the error, or in the one that it handles."""
-    for one in (error, error.__context__):
-        if one is not None and one.args and isinstance(one.args[0], int):
-            return one.args[0]
-    return None
-
-
-def _why_not_open(link: SerialLink, error: serial.SerialException) -> str:
-    match _error_number(error):
-        case errno.ENOENT | errno.ENXIO | errno.ENODEV:
-            return "is not there; is it plugged in, and is this its name?"
-        case errno.ENOTTY | errno.EISDIR:
-            return "is not a serial port"
-        case errno.EACCES | errno.EPERM:
-            return "permission denied; join the port's group, usually dialout, and log in again"
-        case errno.EAGAIN | errno.EBUSY:
-            return "is in use by another program; end that one first"
-        case errno.EINVAL:
-            return f"its driver does not do {link.format}; are baud rate and format right?"
-        case _:
-            return f"cannot be opened: {error}"
+        raise lost(link.port) from error

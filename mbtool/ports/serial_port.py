@@ -1,14 +1,12 @@
-"""Opens a serial port to listen only, and says in one line why it cannot."""
-
-# Nothing is ever written to the port. On POSIX the descriptor itself cannot (posix_serial.py);
-# elsewhere pyserial opens the port and this module has no way to write.
+"""What all ways to open a serial port share: the line settings, and one set of errors."""
 
 from __future__ import annotations
 
 import errno
 import os
 import sys
-from typing import TYPE_CHECKING, Protocol
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
 
 import serial
 from serial.tools import list_ports
@@ -17,112 +15,85 @@ from mbtool.core import LinkError, SerialFormat
 from mbtool.core.local_ports import Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from mbtool.ports.line_errors import ErrorCounts
 
 IDLE_S = 0.05
-"""The longest that a read waits."""
+"""The longest that a read of a listening port waits."""
+
+_PTY_FOLDERS = ("/dev/pts/", "/dev/ttys")
+"""Where Linux and macOS have pseudo-terminals."""
 
 
 class ListeningPort(Protocol):
     """A serial port that can only be read."""
 
     damaged: Sequence[int]
-    """At which places of the last read's bytes the driver found parity or stop bit wrong."""
+    """The positions, in the last read's bytes, of those with a wrong parity or stop bit."""
 
     def read(self, wait_s: float) -> bytes:
-        """What has arrived, at once; after the wait without anything, no bytes.
+        """Give what has arrived, at once; if nothing comes within the wait, no bytes.
 
         Raises LinkError when the port is gone.
         """
         ...
 
     def counts(self) -> ErrorCounts | None:
-        """The driver's error counters; None where it has none."""
+        """The driver's error counters; None if it has none."""
         ...
 
     def tune(self, format_: SerialFormat) -> None:
-        """Go on with other line settings; what arrived before is forgotten.
-
-        Raises LinkError.
-        """
+        """Change the line settings, and forget what arrived before. Raises LinkError."""
         ...
 
     def close(self) -> None: ...
 
 
-def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
-    """Open a port with these line settings. Raises LinkError."""
-    try:
-        if sys.platform != "win32":
-            from mbtool.ports.posix_serial import PosixPort
+def settings_for(port: str, format_: SerialFormat) -> dict[str, Any]:
+    """The line settings as pyserial's arguments.
 
-            return PosixPort(port, format_)
-        else:
-            return PyserialPort(port, format_)
-    except (OSError, ValueError, OverflowError) as error:
-        raise explain(port, format_, error) from error
-
-
-class PyserialPort:
-    """A port that pyserial opens and reads: what serves where there is no select for ports."""
-
-    # A wait other than 0 lasts IDLE_S: to change pyserial's timeout sets up the port anew. Of
-    # errors on the line pyserial tells nothing.
-
-    damaged: Sequence[int] = ()
-
-    def __init__(self, port: str, format_: SerialFormat) -> None:
-        self._name = port
-        self._port = serial.Serial(
-            port,
-            baudrate=format_.baud,
-            bytesize=format_.data_bits,
-            parity=format_.parity,
-            stopbits=format_.stop_bits,
-            timeout=IDLE_S,
-        )
-
-    def read(self, wait_s: float) -> bytes:
-        try:
-            if wait_s == 0 and not self._port.in_waiting:
-                return b""
-            data: bytes = self._port.read(1)
-            if data:
-                data += self._port.read(self._port.in_waiting)
-        except OSError as error:
-            raise lost(self._name) from error
-        return data
-
-    def counts(self) -> None:
-        return None
-
-    def tune(self, format_: SerialFormat) -> None:
-        try:
-            self._port.baudrate = format_.baud
-            self._port.bytesize = format_.data_bits
-            self._port.parity = format_.parity
-            self._port.stopbits = format_.stop_bits
-            self._port.reset_input_buffer()
-        except (OSError, ValueError, OverflowError) as error:
-            raise explain(self._name, format_, error) from error
-
-    def close(self) -> None:
-        self._port.close()
+    A pseudo-terminal has no parity and always 8 bits: Linux clears PARENB, and some C libraries
+    then report EINVAL. So no others are asked of it.
+    """
+    is_pty = os.path.realpath(port).startswith(_PTY_FOLDERS)
+    return {
+        "baudrate": format_.baud,
+        "bytesize": 8 if is_pty else format_.data_bits,
+        "parity": "N" if is_pty else format_.parity,
+        "stopbits": 1 if is_pty else format_.stop_bits,
+    }
 
 
 def lost(port: str) -> LinkError:
     """The error of a port that was open and is gone."""
-    return LinkError(f"serial port {port}: lost while reading; is it still plugged in?")
+    return LinkError(f"serial port {port}: lost; is it still plugged in?")
+
+
+@contextmanager
+def explained(port: str, format_: SerialFormat) -> Iterator[None]:
+    """Turn what opening or setting up a port raises into a LinkError."""
+    try:
+        yield
+    except Exception as error:
+        if not isinstance(error, ValueError | OverflowError) and not is_port_error(error):
+            raise
+        raise explain(port, format_, error) from error
+
+
+def is_port_error(error: Exception) -> bool:
+    """True for what the system says of a port: termios.error is no OSError."""
+    return isinstance(error, OSError) or type(error).__module__ == "termios"
 
 
 def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
-    """Say why a port could not be opened, and what would be right."""
+    """Say in one line why a port could not be opened, and what would be right."""
+    number = _error_number(error)
     # On Windows pyserial keeps the system's error only as text.
     text = str(error)
-    number = error.errno if isinstance(error, OSError) else None
-    if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:
+    if isinstance(error, ValueError | OverflowError) or number == errno.EINVAL:
+        problem = f"its driver does not do {format_}; are baud rate and character format right?"
+    elif number in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:
         problem = f"is not there; {_ports_here()}"
     elif number in (errno.ENOTTY, errno.EISDIR):
         problem = f"is not a serial port; {_ports_here()}"
@@ -132,11 +103,17 @@ def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
         problem = f"permission denied; {who_may(port)}"
     elif number in (errno.EBUSY, errno.EWOULDBLOCK) or "PermissionError" in text:
         problem = "is in use by another program; end that one first"
-    elif number == errno.EINVAL or isinstance(error, ValueError | OverflowError):
-        problem = f"its driver does not do {format_}; are baud rate and character format right?"
     else:
-        problem = text
+        problem = f"cannot be opened: {text}"
     return LinkError(f"serial port {port}: {problem}")
+
+
+def _error_number(error: Exception) -> int | None:
+    """The system's error number; pyserial may keep it only in the error that it handled."""
+    for one in (error, error.__context__ if isinstance(error, serial.SerialException) else None):
+        if one is not None and one.args and isinstance(one.args[0], int):
+            return one.args[0]
+    return None
 
 
 def _ports_here() -> str:
@@ -159,5 +136,5 @@ def who_may(port: str) -> Trouble:
     except KeyError:
         group = str(group_id)
     if group == "root":
-        return Trouble("only root may read it; give it to a group of yours with a udev rule")
+        return Trouble("only root may open it; give it to a group of yours with a udev rule")
     return Trouble(f"its group is {group}", f"sudo usermod -aG {group} $USER, then log in again")

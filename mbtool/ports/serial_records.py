@@ -1,22 +1,22 @@
-"""The records in which the serial reader's process hands over what it read."""
+"""The records that a process which reads serial ports sends to its parent."""
 
 #     kind     time                length     data
 #     1 byte   8 bytes, signed     4 bytes    length bytes        little-endian
 #
 #     DATA     one read of the port, with the time taken right after it
-#     QUIET    no data; the line is known to be silent up to this time. The first says: port open
-#     LOST     the number of bytes, as 8 bytes, that did not fit into the pipe
+#     QUIET    no data; the line was silent up to this time. The first one means: the port is open
+#     LOST     8 bytes: how many bytes of the line did not fit into the pipe
 #     ERROR    one line for the user, UTF-8; the last record
-#     DAMAGE   what the driver tells of damaged bytes, one line, UTF-8
-#     OVERRUN  the number of bytes, as 8 bytes, that the driver says it lost
-#     ANSWER   as DATA, of the slaves' side where a tap reads both; DATA is then the master's
+#     DAMAGE   what the driver reports of damaged bytes, one line, UTF-8
+#     OVERRUN  8 bytes: how many bytes the driver says it lost
+#     ANSWER   as DATA, from the slaves' side of a serial tap; DATA is then from the master's side
 #
-# A record is never larger than PIPE_BUF, so that a write to the pipe succeeds whole or not at all.
-# The writer does not wait for the reader: bytes read that find the pipe full are counted and told
-# with the next record that fits. What else finds it full, QUIET, DAMAGE and OVERRUN, is dropped and
-# not counted. A pipe holds 1 MiB where Linux allows it, which is more than 40 s of a busy line at
-# 19200 baud with a record for each character; elsewhere what the system gives. On Windows a pipe
-# cannot be written without waiting, and the driver's buffer is what holds.
+# A record is never larger than PIPE_BUF, so a write to the pipe succeeds whole or not at all. The
+# writer does not wait for the reader: if the pipe is full, bytes of the line are counted, and a
+# LOST record goes before the next record that fits; QUIET, DAMAGE and OVERRUN are then dropped and
+# not counted. A pipe holds 1 MiB where Linux allows it: more than 40 s of a busy line at 19200 baud
+# with a record for each character. Elsewhere it holds what the system gives. On Windows every write
+# to a pipe waits, and the driver's buffer has to hold what comes meanwhile.
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _COUNT = struct.Struct("<q")
 _PIPE_SIZE = 2**20
 
 MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
-"""The largest data of a record."""
+"""How many bytes of data a record may have."""
 
 
 class RecordKind(IntEnum):
-    """What a record says."""
+    """The kinds of records."""
 
     DATA = 1
     QUIET = 2
@@ -61,13 +61,13 @@ class SerialRecord:
 
     @property
     def lost(self) -> int:
-        """The number of bytes that a LOST or an OVERRUN record tells of."""
+        """The number in a LOST or an OVERRUN record."""
         count: int = _COUNT.unpack(self.data)[0]
         return count
 
 
 class RecordWriter:
-    """Writes records into a pipe. Raises BrokenPipeError when nobody reads them any more."""
+    """Writes records into a pipe. Raises BrokenPipeError once nobody reads the pipe."""
 
     def __init__(self, pipe: int) -> None:
         self._pipe = pipe
@@ -77,10 +77,10 @@ class RecordWriter:
 
             with suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
-        self._wait(False)
+        self._let_writes_wait(False)
 
     def put(self, kind: RecordKind, ts_ns: int, data: bytes = b"") -> None:
-        """Write a record, or count its data as lost where the pipe is full."""
+        """Write a record; if the pipe is full, count its data as lost."""
         if self._lost and self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost)):
             self._lost = 0
         if self._lost or not self._write(kind, ts_ns, data):
@@ -91,14 +91,14 @@ class RecordWriter:
         self.put(kind, ts_ns, _COUNT.pack(count))
 
     def end(self, ts_ns: int, error: str = "") -> None:
-        """Write what must not be lost, waiting for room: a loss not yet told, and the error."""
-        self._wait(True)
+        """Wait for room, and write a loss not yet reported, and the error."""
+        self._let_writes_wait(True)
         if self._lost:
             self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost))
         if error:
             self._write(RecordKind.ERROR, ts_ns, error.encode()[:MAX_DATA])
 
-    def _wait(self, wait: bool) -> None:
+    def _let_writes_wait(self, wait: bool) -> None:
         if sys.platform != "win32":
             os.set_blocking(self._pipe, wait)
 
@@ -111,7 +111,7 @@ class RecordWriter:
 
 
 class RecordReader:
-    """Cuts what comes out of the pipe into records; holds at most one incomplete record."""
+    """Cuts the bytes from the pipe into records; holds at most one incomplete record."""
 
     def __init__(self) -> None:
         self._buffer = b""

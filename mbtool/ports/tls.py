@@ -1,13 +1,13 @@
-"""TLS for a tap: what its certificate files make, and why a handshake failed, in words."""
+"""TLS for a tap: contexts made from certificate files, and why a handshake failed, in words."""
 
 # Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or better, with
 # certificates of both ends. A tap cannot listen in on that: it ends TLS towards the master with a
-# certificate of its own, and begins it anew towards the slave. Each side is a choice of its own.
+# certificate of its own, and begins it anew towards the slave. Each side is chosen by itself.
 #
-# All files are read before a connection is accepted. What is wrong with one is a LinkError that
-# names it. A certificate in a CA file is trusted as it is, also where it is no CA's: that of the
-# device itself will do. Where the file holds no other, only a target that shows one of these is
-# let pass, and its name adds nothing.
+# All files are read before a connection is accepted; a LinkError names the file that is wrong. Each
+# certificate in a CA file is trusted as it is, also one that is no CA's, such as the certificate of
+# the device itself. If the file holds no CA, the target must show one of its certificates, and the
+# name in it is not checked.
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError
 from mbtool.ports.clock import now_ns
-from mbtool.ports.tls_peer import PeerTls, end_of
+from mbtool.ports.tls_peer import PeerTls, end_of, load_reader
 
 if TYPE_CHECKING:
     from mbtool.core import ListenTls, TargetTls
 
 _CERTIFICATE = re.compile(rb"-----BEGIN (?:X509 |TRUSTED )?CERTIFICATE-----")
-_BLOCK = re.compile(r"(?s)-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----")
 _KEY = re.compile(rb"-----BEGIN (?:[A-Z0-9]+ )*PRIVATE KEY-----")
 _ALERT = re.compile(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)")
 
@@ -40,7 +39,7 @@ _NO_TLS = frozenset(
         "WRONG_VERSION_NUMBER",
     }
 )
-"""What OpenSSL says of first bytes that are no TLS. Its versions differ."""
+"""The reasons that versions of OpenSSL give when the first bytes are no TLS."""
 _TOO_OLD = frozenset(
     {
         "NO_PROTOCOLS_AVAILABLE",
@@ -63,7 +62,7 @@ _REFUSALS = {
 
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:
-    """What masters meet. Raises LinkError."""
+    """The context for masters that connect. Raises LinkError."""
     context = _context(ssl.PROTOCOL_TLS_SERVER)
     _load_own(context, "--tls-cert", tls.cert, tls.key)
     if tls.ca is not None:
@@ -73,14 +72,14 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
 
 
 def why_outdated(option: str, cert: str) -> str | None:
-    """One line where a certificate of the tap's own has expired, or None.
+    """One line if a certificate of the tap's own has expired, else None.
 
-    It can be used all the same: not every peer looks. What else is wrong with it is not said here.
+    It can still be used: not every peer checks that. Without the extra mbtool[tls], and for a file
+    that is wrong in another way, there is no line.
     """
     try:
-        found = _BLOCK.search(Path(cert).read_text("ascii", "replace"))
-        end = None if found is None else end_of(ssl.PEM_cert_to_DER_cert(found[0]))
-    except (OSError, ValueError):
+        end = end_of(Path(cert).read_bytes())
+    except (OSError, ImportError):
         return None
     if end is None or end.timestamp() >= now_ns() / 1e9:
         return None
@@ -88,14 +87,14 @@ def why_outdated(option: str, cert: str) -> str | None:
 
 
 def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
-    """What the target meets, and the name that its certificate must have. Raises LinkError."""
+    """The context for the target, and the name its certificate must have. Raises LinkError."""
     context = _context(ssl.PROTOCOL_TLS_CLIENT)
     if tls.ca is None:
         context.check_hostname = False
         context.verify_mode = ssl.CERT_NONE
     else:
         _load_ca(context, "--tls-target-ca", tls.ca)
-        # OpenSSL counts as a CA what could sign others, so none of these vouches for another.
+        # OpenSSL counts as a CA each certificate that could sign others; here are none.
         if tls.name is None and not context.cert_store_stats()["x509_ca"]:
             context.check_hostname = False
     if tls.cert is not None:
@@ -109,19 +108,19 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
                 f"--tls-target-name {name!r}: no host can have such a name; "
                 "give the one in the target's certificate"
             ) from None
-        # A host that cannot be: calling it says so.
+        # No host can have the name in the LINK either; connecting to it says so.
     return context, name
 
 
 def failure(error: OSError, who: str) -> str | None:
-    """Why TLS with the master or the slave failed; None where it did not fail for TLS."""
+    """Why TLS with the master or the slave failed; None if the error has nothing to do with TLS."""
     if isinstance(error, ssl.SSLCertVerificationError):
         why = error.verify_message.rstrip(".")
         if error.verify_code in _OTHER_NAMES:
             why += "; --tls-target-name says which name it has instead"
         return f"TLS: the {who}'s certificate is refused: {why}"
     if not isinstance(error, ssl.SSLError):
-        # asyncio's own, of which the system knows nothing.
+        # asyncio raises these itself, so they have no errno.
         if isinstance(error, ConnectionAbortedError) and error.errno is None:
             return f"TLS: the {who} does not complete the handshake"
         if isinstance(error, ConnectionResetError) and error.errno is None:
@@ -142,6 +141,7 @@ def failure(error: OSError, who: str) -> str | None:
 
 
 def _context(protocol: int) -> ssl.SSLContext:
+    load_reader()
     context = ssl.SSLContext(protocol)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.sslobject_class = PeerTls
@@ -182,7 +182,7 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
     except ssl.SSLError as error:
         raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
     ends: list[str] = []
-    with suppress(UnicodeDecodeError):  # Of names; as long as it lasts, a handshake tells.
+    with suppress(UnicodeDecodeError):  # Names that are not UTF-8; then a handshake will tell.
         ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
     last = max(ends, key=ssl.cert_time_to_seconds, default=None)
     if last is not None and ssl.cert_time_to_seconds(last) < now_ns() / 1e9:
@@ -191,7 +191,7 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
 
 
 def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
-    """What a file holds, if it has what is wanted."""
+    """The content of a file, if it holds a PEM block of the wanted kind. Raises LinkError."""
     try:
         held = Path(path).read_bytes()
     except OSError as error:

@@ -1,11 +1,11 @@
-"""Reads the bytes of a serial line from files without times: raw, or written as hexadecimal."""
+"""Reads the bytes of a serial line from files without times: raw, or hexadecimal text."""
 
-# Hexadecimal is pairs of digits, with or without 0x before them, parted by white space or commas or
-# by nothing at all, in rows of any length; from a # on, a row is a comment.
+# Hexadecimal text is pairs of digits, with or without 0x before them, separated by white space, by
+# commas or not at all, in rows of any length. From a # on, a row is a comment.
 #
-# Such bytes have no times (Stamp.UNKNOWN). They get some all the same, as if they had come back to
-# back at the line's speed, counted from 1970-01-01: they keep the order, say how far into the file
-# a byte stands, and are the same wherever the file is copied to. A date would be made up.
+# Such bytes have no times (Stamp.UNKNOWN). They get times as if they had come back to back at the
+# line's speed from 1970-01-01 on. These keep the order and say how far into the file a byte stands.
+# They do not depend on the file's date, which says nothing of when the bytes were recorded.
 #
 # Holds at most READ_BYTES of a file.
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import io
     from collections.abc import Iterable, Iterator
 
-    from mbtool.core import LineSettings, WireEvent
+    from mbtool.core import LineSettings
 
 READ_BYTES = 4096
 
@@ -31,26 +31,26 @@ _SHOWN = 20
 
 
 class SerialBytes(NamedTuple):
-    """The bytes of a serial line in a file, of whatever kind."""
+    """The bytes of a serial line in a file of any kind."""
 
     line: LineSettings
-    """What the user says of the line, or else what the file shows."""
-    pieces: Iterator[Chunk | WireEvent]
+    """The line's settings: those that the user gives, else those that the file shows."""
+    pieces: Iterator[Chunk]
     """Raises InputError, CutError, OSError."""
 
 
 def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """A file that is nothing but the bytes."""
+    """Read a file that holds the bytes and nothing else."""
     return SerialBytes(line, _back_to_back(_blocks(stream), link, line))
 
 
 def read_hex(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """A text that writes the bytes as hexadecimal."""
+    """Read a text that has the bytes in hexadecimal."""
     return SerialBytes(line, _back_to_back(_from_hex(stream, name), link, line))
 
 
 def _blocks(stream: BinaryIO) -> Iterator[bytes]:
-    # What a pipe brings is given on at once.
+    # read1 gives what a pipe has at once, without waiting for a full block.
     read = cast("io.BufferedIOBase", stream).read1
     while data := read(READ_BYTES):
         yield data
@@ -68,7 +68,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
     row = 1
     in_comment = False
     rest = b""
-    """The end of a piece that may go on in the next one of the same row."""
+    """The end of a piece, if the next piece of the same row may continue it."""
     while piece := stream.readline(READ_BYTES):
         is_whole = piece.endswith(b"\n")
         text, sharp, _ = (b"" if in_comment else rest + piece).partition(b"#")
@@ -77,7 +77,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
         words = _PARTED.split(text)
         last = words.pop()
         if not is_whole and not in_comment:
-            # A word may go on in the next piece; of one without end, pairs are taken meanwhile.
+            # The next piece may continue this word. Pairs of a very long word are taken at once.
             even = len(last) // 2 * 2 if len(last) > _SHOWN else 0
             words.append(last[:even])
             rest = last[even:]
@@ -96,7 +96,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
 def _all_pairs(words: list[bytes], name: str, row: int) -> bytes:
     try:
         return bytes.fromhex(b" ".join(words).decode("ascii"))
-    except ValueError:  # There is a 0x, or worse: one by one shows which.
+    except ValueError:  # A word has a 0x or is wrong: take them one by one.
         return b"".join(_pairs(word, name, row) for word in words if word)
 
 

@@ -1,21 +1,20 @@
-"""Reads the byte times that a logic analyser's UART decoder gives, as CSV."""
+"""Reads byte times as CSV, as the UART decoder of a logic analyser writes them."""
 
 #     t_start_s,t_end_s,line,byte_hex
 #     0.0311790,0.0315970,tx,01
 #
-# The header names the columns, in any order; others are left alone, `line` among them, since all
-# rows are of one bus in the order of time. Times are seconds, from the start of the recording or
-# since 1970, which is also what the start of a recording is shown as. An analyser that counts from
-# its trigger gives what came before it times below 0: then the first row is shown as the start.
+# The header names the columns, in any order. Other columns are not used, also not `line`: all rows
+# are of one bus, in the order of time. Times are seconds, since the start of the recording or since
+# 1970; a recording that starts at 0 is shown as starting in 1970. An analyser that counts from its
+# trigger gives negative times to what came before: then the first row is shown as the start.
 #
-# A byte's time is when its last bit arrived. Where t_end_s tells the end of the data bits, as
-# sigrok's decoder does, or whatever comes before the end of the character, that is one character
-# time after t_start_s.
+# The time of a byte is the arrival of its last bit. sigrok's decoder gives the end of the data bits
+# as t_end_s. If t_end_s is less than one character time after t_start_s, the time is t_start_s plus
+# one character time.
 #
-# What the line was like shows in its first bytes: how long one takes says the baud rate, how
-# closely they follow how many bits a character has (10 are read as 8N1, 11 as 8E1: which of the
-# formats with 11 bits it was makes no difference to the times). Where no usual baud rate fits it
-# is the default.
+# The first bytes show the line's settings: their length gives the baud rate, and their shortest
+# distance the number of bits of a character. 10 bits are read as 8N1 and 11 as 8E1; all formats
+# with 11 bits have the same times. If no usual baud rate fits, the settings are the default.
 #
 # Holds LOOKED_AT rows, and MAX_ROW bytes of a row.
 
@@ -35,7 +34,9 @@ if TYPE_CHECKING:
 
 START, END, BYTE = "t_start_s", "t_end_s", "byte_hex"
 LOOKED_AT = 1000
+"""From how many rows the line's settings are found."""
 MAX_ROW = 4096
+"""How many characters a row may have."""
 
 _BYTE = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}", re.ASCII)
 _MAX_NS = 2**63 - 1
@@ -44,8 +45,9 @@ _BAUDS = (
     250000, 460800, 500000, 921600, 1000000,
 )  # fmt: skip
 _TOLERANCE = 0.02
+"""By what share a measured rate may differ from a usual baud rate."""
 _LENGTHS = (8, 11, 10)
-"""What a byte's times may span: its data bits, or all bits of a character."""
+"""How many bits a byte's times may span: its data bits, or all bits of a character."""
 _SHOWN = 40
 
 
@@ -58,20 +60,20 @@ class _Row(NamedTuple):
 def read_byte_times(
     stream: BinaryIO, name: str, link: str, line: LineSettings | None
 ) -> SerialBytes:
-    """Read the header and the first rows; `line` is what the user says of the line."""
+    """Read the header and the first rows; `line` has the settings that the user gives, if any."""
     rows = _rows(stream, name)
     first: list[_Row] = []
     problem: InputError | None = None
     try:
         first.extend(islice(rows, LOOKED_AT))
     except InputError as error:
-        problem = error  # It is raised behind what came before.
+        problem = error  # It is raised once the rows before it are given.
     line = line or LineSettings(_format(first))
     return SerialBytes(line, _chunks(chain(first, rows), link, line, problem))
 
 
 def is_byte_times(head: bytes) -> bool:
-    """Whether a file that begins like this is meant to be of this kind."""
+    """True if a file that begins like this has byte times."""
     columns = head.partition(b"\n")[0].split(b",")
     return START.encode() in (column.strip() for column in columns)
 
@@ -88,7 +90,7 @@ def _chunks(
 
 
 def _format(rows: Sequence[_Row]) -> SerialFormat:
-    """What the line's settings must have been."""
+    """The line settings that fit the rows."""
     width_ns = median_low([row.end_ns - row.start_ns for row in rows]) if rows else 0
     if not width_ns:
         return SerialFormat()
@@ -101,7 +103,7 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return SerialFormat()
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step >= width_ns), default=0)
-    # Half a bit is more than any clock is off by, and less than what tells 10 bits from 11.
+    # 10.5 bits stand between 10 and 11; no clock is off by half a bit in a character.
     is_short = bits == 10 or 0 < shortest_ns * baud < 10.5e9
     return SerialFormat(baud, 8, "N" if is_short else "E", 1)
 
@@ -145,7 +147,7 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
 
 
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
-    """The cells of the next row, none at the end, and whether it ends as a row does."""
+    """The cells of the next row (none at the end), and true if the row ends with a line feed."""
     line = stream.readline(MAX_ROW)
     if not line:
         return [], True

@@ -1,15 +1,15 @@
-"""Starts and ends the processes that keep time by themselves."""
+"""Starts and ends the processes that take times beside the busy main process."""
 
-# A child runs a module of this package and speaks through its standard input and output. Its input
-# carries nothing: it is open for as long as the child shall run. When the parent closes it, or dies
-# in whatever way, the child reads the end of file and ends.
+# A child runs a module of this package and writes to its standard output. Its standard input
+# carries nothing; it stays open as long as the child shall run. When the parent closes it, or ends
+# in any way, the child reads the end of file and ends.
 #
-# A child has a process group of its own, so that Ctrl-C in the terminal reaches the parent alone,
-# which ends its children in order. It looks for modules where the installation has them; with
-# -P not in the current folder, where a user may well keep a serial.py.
+# A child has a process group of its own, so that Ctrl-C in the terminal reaches only the parent,
+# which then ends its children. -P keeps the current folder out of the child's search path for
+# modules: a user may have a serial.py there.
 #
-# subprocess instead of multiprocessing: spawning imports the parent's main module again, the whole
-# command line with it, and a resource tracker comes along as a second process.
+# subprocess is used, not multiprocessing: that would import the parent's main module again, with
+# the whole command line, and start a resource tracker as a second process.
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GRACE_S = 5.0
 
 
 def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    """Run a module of this package; its standard input and output are pipes, unbuffered."""
+    """Run a module of this package, with unbuffered pipes for its standard input and output."""
     command = [sys.executable, "-P", "-m", module, *arguments]
     if sys.platform == "win32":
         return subprocess.Popen(
@@ -37,13 +37,13 @@ def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def tell_to_end(child: subprocess.Popen[bytes]) -> None:
-    """Close the child's input. Its output may still hold what it has to say."""
+    """Close the child's input. Its output may still hold what it wrote last."""
     if child.stdin is not None:
         child.stdin.close()
 
 
-def see_off(child: subprocess.Popen[bytes]) -> int:
-    """Wait until the child has ended, or kill it after a grace; its exit status."""
+def end_child(child: subprocess.Popen[bytes]) -> int:
+    """Wait until the child has ended, or kill it after GRACE_S; gives its exit status."""
     tell_to_end(child)
     try:
         return child.wait(GRACE_S)

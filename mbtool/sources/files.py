@@ -1,15 +1,15 @@
 """Opens capture files: plain, gzip or zstd, from disk or standard input."""
 
-# What a file is shows in its first bytes, never in its name: the compression first, then the kind
-# of capture inside. A plain file keeps its seekable stream, which the reader of a log may want.
-# A file of no known kind is the bytes of a serial line where the user says which line, as
-# hexadecimal if it is a text. An ASCII line's own bytes are a text, too: there, hexadecimal is what
-# has no colon and is parted in pairs. The byte order mark that some programs put before a text is
-# no part of it.
+# The first bytes of a file show what it is, never its name: first the compression, then the kind of
+# capture inside. A plain file keeps its seekable stream, which the reader of a log may need.
+# If the user names a serial line, a file of no known kind holds that line's bytes; a text then
+# holds them in hexadecimal. The bytes of an ASCII line are text themselves: there a text counts as
+# hexadecimal if it has no colon and its digits stand in separate pairs. The byte order mark that
+# some programs put before a text is skipped.
 #
-# Limits: a compressed stream is unpacked INPUT_BYTES at a time, so what it blows up to in memory is
-# bounded (zlib to 0.5 MiB, zstd to 16 MiB at its worst, and its window to MAX_WINDOW). A stream
-# that ends before its own end mark is a CutError, after all that could be unpacked.
+# Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
+# (zlib 0.5 MiB, zstd 16 MiB at most, and its window MAX_WINDOW). A stream that ends before its own
+# end mark raises CutError, after all that could be unpacked.
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from mbtool.core import CutError, InputError, Packet, UsageError
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
 from mbtool.sources.byte_times import is_byte_times, read_byte_times
-from mbtool.sources.monitor_text import is_monitor_text, read_monitor_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
     from _typeshed import WriteableBuffer
 
-    from mbtool.core import Chunk, LineSettings, WireEvent
+    from mbtool.core import Chunk, LineSettings
 
 STANDARD_INPUT = "-"
 INPUT_BYTES = 512
@@ -62,7 +61,7 @@ _OTHERS = {
 
 
 class CaptureKind(StrEnum):
-    """What a capture file is."""
+    """The kinds of capture files."""
 
     PCAP = "pcap"
     PCAPNG = "pcapng"
@@ -73,12 +72,10 @@ class CaptureKind(StrEnum):
     """The same as hexadecimal text."""
     BYTE_TIMES = "byte-times"
     """Each byte with its times, as CSV."""
-    MONITOR_TEXT = "monitor-text"
-    """What PassiveModbusMonitor prints."""
 
 
 PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
-_TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES, CaptureKind.MONITOR_TEXT))
+_TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES))
 
 
 class CaptureFile:
@@ -88,10 +85,10 @@ class CaptureFile:
         self, name: str, kind: CaptureKind, stream: io.BufferedIOBase, file: io.BufferedIOBase
     ) -> None:
         self.name = name
-        """How messages call it."""
+        """What messages call it."""
         self.kind = kind
         self.stream = cast("BinaryIO", stream)
-        """Its bytes, unpacked, a text's without a byte order mark.
+        """The unpacked bytes, without a byte order mark.
 
         Reading raises InputError, CutError, OSError.
         """
@@ -110,11 +107,11 @@ class CaptureFile:
 
     @property
     def link(self) -> str:
-        """What the serial line is called whose bytes the file holds: the file, without its end."""
+        """The name of the serial line in the file: the file's name without its suffix."""
         return "stdin" if self._file is sys.stdin.buffer else PurePath(self.name).stem
 
     def serial(self, line: LineSettings | None) -> SerialBytes:
-        """The bytes of a serial line, and the line: as the user says, or as the file shows.
+        """The bytes of a serial line, and its settings: those given, else those the file shows.
 
         Only for kinds that are neither packets nor logs. Raises InputError; so do the pieces.
         """
@@ -128,20 +125,18 @@ class CaptureFile:
         of_file = self.stream, self.name, self.link
         if self.kind is CaptureKind.BYTE_TIMES:
             return read_byte_times(*of_file, line)
-        if self.kind is CaptureKind.MONITOR_TEXT:
-            return read_monitor_text(*of_file, line)
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
 
-    def _guarded(self, pieces: Iterator[Chunk | WireEvent]) -> Iterator[Chunk | WireEvent]:
+    def _guarded(self, pieces: Iterator[Chunk]) -> Iterator[Chunk]:
         try:
             yield from pieces
         except OSError as error:
             raise _unreadable(self.name, error) from error
 
     def fraction(self) -> float | None:
-        """How much of the file has been read, 0 to 1; None where its size is unknown."""
+        """How much of the file has been read, 0 to 1; None if its size is unknown."""
         if self._size is None or self._file.closed:
             return None
         return min(self._file.tell() / self._size, 1.0)
@@ -163,12 +158,12 @@ class CaptureFile:
 
 
 def place_of(path: str) -> tuple[object, bool]:
-    """What tells a file from others, however it is named, and whether it is a pipe."""
+    """What is equal for all names of one file, and true if the file is a pipe."""
     if path == STANDARD_INPUT:
         return path, True
     try:
         status = os.stat(path)
-    except (OSError, ValueError):  # Opening it says what is wrong.
+    except (OSError, ValueError):  # Opening it will say what is wrong.
         return path, False
     return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 
@@ -176,8 +171,8 @@ def place_of(path: str) -> tuple[object, bool]:
 def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
     """Open a capture file, or standard input for `-`. Raises InputError, CutError.
 
-    A file of no known kind is the bytes of a serial line, where a line is given; so is one without
-    a byte, which then has none. An empty name raises UsageError.
+    If a line is given, a file of no known kind holds the bytes of a serial line, also an empty
+    file. An empty name raises UsageError.
     """
     if not str(path):
         raise UsageError("a file's name is empty; name a capture or a log, or - for standard input")
@@ -214,7 +209,7 @@ def _open(path: str | Path) -> io.BufferedIOBase:
 
 
 def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
-    """Read a stream's first bytes; give them, and the stream with them before it again."""
+    """Read a stream's first bytes; give them, and a stream that begins with them again."""
     head = b""
     try:
         while len(head) < _HEAD and (more := stream.read1(_HEAD - len(head))):
@@ -222,7 +217,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
     except CutError:
         if not head:
             raise
-        # The next read raises it again, after what the head holds.
+        # The next read raises it again, behind these bytes.
     if stream.seekable():
         stream.seek(0)
         return head, stream
@@ -230,7 +225,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
 
 
 class _Rejoined(io.RawIOBase):
-    """A stream that cannot go back, with its first bytes before it again."""
+    """A stream that cannot seek, with the first bytes that were read from it put back."""
 
     def __init__(self, head: bytes, rest: io.BufferedIOBase) -> None:
         self._head = head
@@ -248,7 +243,7 @@ class _Rejoined(io.RawIOBase):
 
 
 class _Unpacker(Protocol):
-    """What zlib and zstandard have in common: one compressed stream, or frame."""
+    """What the decompressors of zlib and zstandard have in common."""
 
     @property
     def eof(self) -> bool: ...
@@ -258,7 +253,7 @@ class _Unpacker(Protocol):
 
 
 class _Unpacked(io.RawIOBase):
-    """What is inside a compressed stream, which may be several streams one after another."""
+    """The content of a compressed stream, or of several, one behind the other."""
 
     def __init__(
         self,
@@ -300,7 +295,7 @@ class _Unpacked(io.RawIOBase):
         unpacked = []
         while data:
             if self._unpacker is None:
-                data = data.lstrip(b"\0")  # gzip files may be padded, for tapes.
+                data = data.lstrip(b"\0")  # gzip files may be padded with zeros, for tapes.
                 if not data:
                     break
                 self._unpacker = self._begin()
@@ -313,7 +308,7 @@ class _Unpacked(io.RawIOBase):
 
 
 def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> io.BufferedIOBase | None:
-    """Give the inside of a compressed stream, None where it is not compressed."""
+    """The content of a compressed stream; None if it is not compressed."""
     if head.startswith(_GZIP):
         gzip_window = 16 + zlib.MAX_WBITS
         raw = _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)
@@ -337,8 +332,6 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
     text = head.removeprefix(codecs.BOM_UTF8)
     if is_byte_times(text):
         return CaptureKind.BYTE_TIMES
-    if is_monitor_text(text):
-        return CaptureKind.MONITOR_TEXT
     other = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
     if line is not None and other is None:
         is_hex = _is_text(text) and (not line.ascii or _HEX_OF_ASCII.match(text) is not None)

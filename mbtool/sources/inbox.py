@@ -1,24 +1,24 @@
-"""Where live sources put what they hear, and one consumer takes it from."""
+"""The queue between the live sources and the one consumer that decodes what they hear."""
 
-# Any number of sources run at once, each in a thread of its own, and put what they hear into one
-# Inbox; a single consumer gets it. What one source puts comes out in the order it was put.
+# Any number of sources, each in a thread of its own, put what they hear into one Inbox, and one
+# consumer takes it out. The items of one source come out in the order in which it put them.
 #
-# The bound: what is held counts its bytes and a fixed cost per item, 64 MiB in all unless told
-# otherwise. A source never waits for the consumer: a serial port and a relay go on whatever the
-# decoder does. So an inbox that is full loses what comes, until the consumer has taken half of what
-# was held: few large holes are easier to read than many small ones. Where the hole is, a DISCARDED
-# event for each link says how much was lost, and a StreamGap for each direction of a connection
-# that lost bytes, so that no decoder joins what stood before it to what comes after; for one that
-# ends meanwhile, before its end, so that no more is kept than of those that are open.
+# The limit: each item counts as its bytes and a fixed cost, 64 MiB for all by default. A source
+# never waits for the consumer: a serial port and a relay go on, however slow the decoder is. So a
+# full inbox discards what comes, until the consumer has taken half of the limit: few large gaps are
+# easier to read than many small ones. At the gap a DISCARDED event for each link says how much was
+# lost, and a StreamGap for each direction of a connection that lost bytes keeps a decoder from
+# joining the bytes on both sides of it. If a connection ends meanwhile, its gaps come before its
+# end, so only the gaps of open connections are kept.
 #
-# In one interpreter a busy consumer would keep a capture from its packets: each call of the kernel
-# lets go of the interpreter's lock, and gets it back milliseconds later. So a source that takes
-# what waits in a kernel does it `first`: meanwhile the consumer stands still, unless half of the
-# bound is held, and no longer than STANDSTILL_S at a time.
+# In one interpreter a busy consumer would keep a capture from fetching its packets: each system
+# call releases the interpreter's lock and gets it back milliseconds later. So a source that fetches
+# from the kernel does it inside `first`: meanwhile the consumer waits, unless half of the limit is
+# held, and for at most STANDSTILL_S at a time.
 #
-# StreamOpened and StreamClosed, with its gaps, get through up to twice the bound, so that a
-# consumer keeps its books; the end of a source always does. A Quiet that follows a Quiet of the
-# same link replaces it, and one that does not fit is no loss.
+# StreamOpened and StreamClosed, with its gaps, are taken up to twice the limit, so that a consumer
+# knows which connections are open; Ended is always taken. A Quiet replaces the Quiet of the same
+# link before it, and a Quiet that does not fit is no loss.
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
 DEFAULT_LIMIT = 64 * 2**20
 STANDSTILL_S = 0.05
 ITEM_COST = 256
-"""What an item is counted for beside its bytes: about what Python needs for it."""
+"""What an item counts beside its bytes: about the memory that Python needs for it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A source's last word."""
+    """The last item of a source."""
 
     link: str
     error: LinkError | None = None
-    """What took the link away; None where the source was told to end."""
+    """Why the link was lost; None if the source was told to end."""
 
 
 Item = StreamItem | Packet | Quiet | Ended
@@ -59,7 +59,7 @@ class Sink(Protocol):
 
 
 class Inbox:
-    """A bounded queue from many sources to one consumer. Safe to use from any thread."""
+    """A bounded queue from many sources to one consumer. Any thread may use it."""
 
     def __init__(self, limit: int = DEFAULT_LIMIT) -> None:
         self._limit = limit
@@ -68,17 +68,17 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """How many sources go before the consumer."""
+        """How many sources are inside `first`."""
         self._calm = Event()
         self._calm.set()
 
     @property
     def held(self) -> int:
-        """How much is held, as the bound counts it."""
+        """How much is held, as the limit counts it."""
         return self._held
 
     def put(self, item: Item) -> None:
-        """Hand over an item. Never waits; see the module for what happens when it is full."""
+        """Put an item. Never waits; the module's comment says what happens if the inbox is full."""
         with self._changed:
             if isinstance(item, Ended):
                 self._tell_losses()
@@ -92,7 +92,7 @@ class Inbox:
 
     @contextmanager
     def first(self) -> Iterator[None]:
-        """While the context is open, the consumer waits for what this source will put."""
+        """While the context is open, the consumer waits for the items of this source."""
         with self._changed:
             self._first += 1
             self._calm.clear()
@@ -105,7 +105,7 @@ class Inbox:
                     self._calm.set()
 
     def get(self, timeout: float | None = None) -> Item | None:
-        """The next item, or None where none has come within the timeout in seconds."""
+        """The next item, or None if none comes within the timeout in seconds."""
         if not self._calm.is_set() and self._held <= self._limit // 2:
             self._calm.wait(STANDSTILL_S)
         with self._changed:
@@ -139,7 +139,7 @@ class Inbox:
         loss = self._losses.setdefault(_link(item), _Loss())
         loss.ts_ns = item.ts_ns
         if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
-            loss.size += item.missing  # What it tells as lost stays told.
+            loss.size += item.missing  # The loss that it reports is added to this one.
             loss.dropped += item.packets
             return
         loss.items += 1
@@ -177,7 +177,7 @@ class Inbox:
 
 @dataclass(slots=True)
 class _Loss:
-    """What one link has lost since the inbox ran full."""
+    """What one link has lost since the inbox became full."""
 
     ts_ns: int = 0
     items: int = 0
@@ -185,7 +185,7 @@ class _Loss:
     packets: int = 0
     """How many of the items were packets of an interface."""
     dropped: int = 0
-    """How many packets the interface had lost itself meanwhile."""
+    """How many packets the kernel dropped meanwhile."""
     streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
 
     @property
@@ -193,7 +193,7 @@ class _Loss:
         return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
 
     def take_gaps(self, connection: Connection) -> list[StreamGap]:
-        """What a connection has lost, to be told now."""
+        """Take out what a connection has lost, as gaps."""
         lost = [
             (direction, self.streams.pop((connection, direction), 0))
             for direction in (Direction.REQUEST, Direction.RESPONSE)

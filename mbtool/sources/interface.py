@@ -1,25 +1,25 @@
 """A network interface as a live source: whole packets, as the kernel saw them."""
 
 # scapy opens the listening socket, makes the interface promiscuous, and puts a VLAN tag that the
-# kernel has taken off back into the packet; it dissects nothing. The filter is this package's own
+# kernel has removed back into the packet; it dissects nothing. The filter is our own
 # (port_filter.py), so neither libpcap nor tcpdump is needed. Linux only.
 #
-# The time of a packet is the kernel's. scapy hands it on as a float, true to a quarter of a
+# The kernel takes the time of a packet. scapy gives it as a float, true to a quarter of a
 # microsecond. In the first moments of a capture it can be some 30 us late (seen on the loopback).
-# The kernel keeps packets until the thread here fetches them: 32 MiB where the process has the
-# privilege, else net.core.rmem_max. What does not fit the kernel counts; the count is read every
-# second and at the end, and an event says it. What passed the filter between two readings is either
-# handed over or in that count, so the sum is exact.
+# The kernel keeps packets until the thread here fetches them: 32 MiB if the process has the
+# privilege, else net.core.rmem_max. The kernel counts packets that do not fit. The count is read
+# every second and at the end, and reported as an event. Each packet that passed the filter is
+# either fetched or counted, so the sum is exact.
 #
-# net:any is the same socket bound to no interface. What an interface is shows with each packet;
-# packets of kinds that cannot be read are left out, with one event for each kind. None of the
-# interfaces is made promiscuous.
+# net:any is the same socket, bound to no interface. Each packet says which kind of interface heard
+# it; packets of kinds that cannot be read are left out, with one event for each kind. No interface
+# is made promiscuous.
 #
-# net:A,B has a socket for each, and gives their packets in the order of their times: each holds
-# back, at most _FETCH packets, what another may yet precede. Where the clock was set back, what it
-# stamped before is let go as it is.
+# net:A,B has a socket for each interface, and gives their packets in the order of their times: a
+# packet, at most _FETCH of each interface, is held back while another interface may still bring an
+# earlier one. If the clock was set back, packets stamped before that are given at once.
 #
-# scapy takes a tenth of a second to import, so only a capture that starts imports it.
+# scapy takes 0.1 s to import, so it is imported only when a capture starts.
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
-from threading import Thread
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
 from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
@@ -45,6 +44,7 @@ from mbtool.core.local_ports import Trouble
 from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.port_filter import drop_everything, port_filter
+from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -55,19 +55,20 @@ _ARPHRD_LOOPBACK = 772
 _LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 101, 776: 101}
 
 _MAX_PACKET = 2**17
-"""More than a segment that the kernel has not yet cut (65535 bytes and headers)."""
+"""In bytes: more than a segment that the kernel has not yet cut (65535 and headers)."""
 _BUFFER = 32 * 2**20
+"""The kernel's buffer for one interface, in bytes, if the process has the privilege."""
 _FETCH = 1000
-"""Packets taken before the loop looks at the clock again, however many are waiting."""
+"""How many packets are fetched before the loop looks at the clock again."""
 _LAST_FETCHES = 100
-"""How often the last packets are asked for when the capture ends."""
+"""How often the last packets are fetched when the capture ends."""
 _TICK_S = 0.1
 _SOON_S = 0.002
-"""As long as it takes until what is held back is let go."""
+"""How long the loop waits while packets are held back."""
 _SETTLE_NS = 1_000_000
-"""A packet may be stamped this long before it can be fetched."""
+"""A packet's time may be this much earlier than it can be fetched."""
 _AHEAD_NS = 1_000_000_000
-"""A packet stamped so far ahead was stamped before the clock was set back."""
+"""If a packet's time is this far ahead, the clock has been set back since."""
 _STATISTICS_NS = 1_000_000_000
 
 # asm-generic/socket.h and linux/if_packet.h, linux/if_ether.h; Python's socket module lacks them.
@@ -81,18 +82,19 @@ _PACKET_AUXDATA = 8
 
 
 @dataclass(slots=True)
-class _Ear:
-    """An interface that is listened to."""
+class _Capture:
+    """An interface that is captured."""
 
     name: str
-    capture: Any
+    socket: Any
+    """scapy's."""
     link_type: int | None = None
-    """None where each packet has its own."""
+    """None if each packet has its own."""
     held: list[Packet] = field(default_factory=list)
-    """What packets of other interfaces may precede, in the order of their times."""
+    """Packets that wait for earlier ones of other interfaces, in the order of their times."""
 
     def release(self, horizon_ns: int | None = None) -> list[Packet]:
-        """Take what was held up to a time."""
+        """Take the packets held up to a time; all of them without one."""
         count = len(self.held)
         if horizon_ns is not None:
             count = bisect_right(self.held, horizon_ns, key=attrgetter("ts_ns"))
@@ -100,48 +102,35 @@ class _Ear:
         return released
 
 
-class InterfaceSource:
-    """Listens to an interface while its context is open. Entering raises LinkError."""
+class InterfaceSource(LiveSource[InterfaceLink]):
+    """Listens to interfaces while its context is open. Entering raises LinkError."""
+
+    _inbox: Inbox
 
     def __init__(
         self, link: InterfaceLink, inbox: Inbox, *, ports: Sequence[int] = (MODBUS_PORT,)
     ) -> None:
-        self._link = link
-        self._inbox = inbox
+        super().__init__(link, inbox)
         self._ports = ports
-        self._ears: list[_Ear] = []
+        self._captures: list[_Capture] = []
         self._told: set[int] = set()
-        """The hardware types that were said to be unreadable."""
+        """The hardware types that were reported as unreadable."""
         self._alarm: tuple[int, int] | None = None
-        self._thread: Thread | None = None
+        """Both ends of a pipe; closing the second end wakes the thread, which then ends."""
 
-    @property
-    def link(self) -> str:
-        return self._link.name
-
-    @property
-    def place(self) -> str:
-        return str(self._link)
-
-    def __enter__(self) -> Self:
+    def open(self) -> None:
         try:
             for name in self._link.interfaces:
-                capture = _open(self._link, name)
-                self._ears.append(_Ear(name, capture))
-                self._ears[-1].link_type = self._prepare(name, capture.ins)
+                socket_ = _open(self._link, name)
+                self._captures.append(_Capture(name, socket_))
+                self._captures[-1].link_type = self._prepare(name, socket_.ins)
         except Exception:
-            self._close_ears()
+            self._close_captures()
             raise
         self._alarm = os.pipe()
-        self._thread = Thread(target=self._run, name=f"capture {self.link}", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._start_thread(self._run)
 
     def close(self) -> None:
-        """End the capture; what the kernel has by then is in the inbox, then Ended."""
         if self._alarm is None or self._thread is None:
             return
         told, tell = self._alarm
@@ -149,14 +138,14 @@ class InterfaceSource:
         os.close(tell)
         self._thread.join()
         os.close(told)
-        self._close_ears()
+        self._close_captures()
 
-    def _close_ears(self) -> None:
-        for ear in self._ears:
-            ear.capture.close()
+    def _close_captures(self) -> None:
+        for each in self._captures:
+            each.socket.close()
 
     def _prepare(self, name: str, listener: socket.socket) -> int | None:
-        """Let in what is wanted. Gives the type of the packets, None where each has its own."""
+        """Set the filter. Gives the link type of the packets, None if each has its own."""
         if name == ANY_INTERFACE:
             _prepare(listener, port_filter(self._ports, is_loopback=None))
             return None
@@ -170,12 +159,12 @@ class InterfaceSource:
     def _run(self) -> None:
         assert self._alarm is not None
         told, error = self._alarm[0], None
-        waited_for = [told, *(ear.capture.ins for ear in self._ears)]
+        waited_for = [told, *(each.socket.ins for each in self._captures)]
         statistics_ns = now_ns()
         is_running = True
         try:
             while is_running:
-                held = any(ear.held for ear in self._ears)
+                held = any(each.held for each in self._captures)
                 ready, _, _ = select.select(waited_for, [], [], _SOON_S if held else _TICK_S)
                 is_running = told not in ready
                 asked_ns = now_ns()
@@ -183,7 +172,7 @@ class InterfaceSource:
                     more = self._fetch()
                     for _ in range(0 if is_running else _LAST_FETCHES):
                         more = more and self._fetch()
-                if not ready and not any(ear.held for ear in self._ears):
+                if not ready and not any(each.held for each in self._captures):
                     self._inbox.put(Quiet(asked_ns - _SETTLE_NS, self.link))
                 if not is_running or asked_ns - statistics_ns > _STATISTICS_NS:
                     statistics_ns = asked_ns
@@ -195,48 +184,50 @@ class InterfaceSource:
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
-        """Take what waits; the answer is whether there may be more."""
-        if len(self._ears) == 1:
-            (ear,) = self._ears
-            packets, more = self._receive(ear)
+        """Fetch waiting packets; true if there may be more."""
+        if len(self._captures) == 1:
+            (capture,) = self._captures
+            packets, more = self._receive(capture)
             self._put(packets)
             return more
         asked_ns = now_ns()
         horizon_ns = asked_ns - _SETTLE_NS
         more = False
-        for ear in self._ears:
-            may_have_more = bool(ear.held)
-            if not ear.held:
-                ear.held, may_have_more = self._receive(ear)
-            if may_have_more and ear.held:
+        for each in self._captures:
+            may_have_more = bool(each.held)
+            if not each.held:
+                each.held, may_have_more = self._receive(each)
+            if may_have_more and each.held:
                 more = True
-                horizon_ns = min(horizon_ns, ear.held[-1].ts_ns)
-        if any(ear.held and ear.held[0].ts_ns > asked_ns + _AHEAD_NS for ear in self._ears):
-            self._put(held for ear in self._ears for held in ear.release())
+                horizon_ns = min(horizon_ns, each.held[-1].ts_ns)
+        if any(each.held and each.held[0].ts_ns > asked_ns + _AHEAD_NS for each in self._captures):
+            self._put(held for each in self._captures for held in each.release())
         else:
             self._release(horizon_ns)
         return more
 
     def _release(self, horizon_ns: int | None = None) -> None:
-        released = (held for ear in self._ears for held in ear.release(horizon_ns))
+        released = (held for each in self._captures for held in each.release(horizon_ns))
         self._put(sorted(released, key=attrgetter("ts_ns")))
 
     def _put(self, packets: Iterable[Packet]) -> None:
         for packet in packets:
             self._inbox.put(packet)
 
-    def _receive(self, ear: _Ear) -> tuple[list[Packet], bool]:
-        """At most _FETCH packets that wait in the kernel, and whether there may be more."""
+    def _receive(self, capture: _Capture) -> tuple[list[Packet], bool]:
+        """At most _FETCH packets that wait in the kernel, and true if there may be more."""
         packets: list[Packet] = []
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
-                link_type = ear.link_type
+                link_type = capture.link_type
                 if link_type is not None:
-                    _, data, seconds = ear.capture.recv_raw(_MAX_PACKET)
+                    _, data, seconds = capture.socket.recv_raw(_MAX_PACKET)
                 else:
-                    # recv_raw does not tell which interface heard the packet, and of what kind it
-                    # is; what it calls does, and scapy has no public name for that.
-                    data, heard_by, seconds = ear.capture._recv_raw(ear.capture.ins, _MAX_PACKET)
+                    # recv_raw does not say which interface heard the packet, nor its hardware
+                    # type. _recv_raw does, and scapy has no public name for it.
+                    data, heard_by, seconds = capture.socket._recv_raw(
+                        capture.socket.ins, _MAX_PACKET
+                    )
                     link_type = _LINK_TYPES.get(heard_by[3])
                     if link_type is None:
                         self._tell_unreadable(heard_by[0], heard_by[3], round(seconds * 1e9))
@@ -254,11 +245,11 @@ class InterfaceSource:
         return packets, False
 
     def _report_drops(self, ts_ns: int) -> None:
-        for ear in self._ears:
-            raw = ear.capture.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
+        for each in self._captures:
+            raw = each.socket.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
             _, drops = struct.unpack("=II", raw)
             if drops:
-                where = f" of {ear.name}" if len(self._ears) > 1 else ""
+                where = f" of {each.name}" if len(self._captures) > 1 else ""
                 self._inbox.put(
                     WireEvent(
                         ts_ns=ts_ns,
@@ -284,13 +275,13 @@ class InterfaceSource:
 
 
 def capture_trouble() -> Trouble | None:
-    """What keeps this process from listening to any interface."""
+    """What keeps this process from listening to any interface; None if nothing does."""
     if sys.platform != "linux":
         return Trouble(
             "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
-    # A socket that is bound to nothing: it hears nothing, and asks the kernel what it permits.
+    # A socket bound to no protocol hears nothing; the kernel says whether it is permitted.
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
     except PermissionError:
@@ -303,7 +294,7 @@ def capture_trouble() -> Trouble | None:
 
 
 def _program() -> str:
-    """How to call this program whatever the path is: under sudo it is another."""
+    """How to call this program with any search path: sudo has one of its own."""
     script = os.path.join(os.path.dirname(sys.executable), "mbtool")
     if not os.path.exists(script):
         return f"{sys.executable} -m mbtool"
@@ -312,7 +303,7 @@ def _program() -> str:
 
 
 def hardware_trouble(hardware: int) -> Trouble | None:
-    """Whether the packets of a hardware type, ARPHRD_ of linux/if_arp.h, can be read."""
+    """Why the packets of a hardware type (ARPHRD_ of linux/if_arp.h) cannot be read, or None."""
     if hardware in _LINK_TYPES:
         return None
     return Trouble(
@@ -327,7 +318,7 @@ def _open(link: InterfaceLink, name: str) -> Any:
     of = _called(link, name)
     if sys.platform == "linux" and not is_any and name not in interfaces:
         raise LinkError(f"{of}: no such interface; here are: {', '.join(interfaces)}")
-    # Asked before scapy is there: it would take the time to import and say less.
+    # This comes before the import of scapy, which takes time and whose error says less.
     trouble = capture_trouble()
     if trouble is not None:
         raise LinkError(f"{link}: {trouble}")
@@ -338,7 +329,7 @@ def _open(link: InterfaceLink, name: str) -> Any:
     try:
         if not is_any:
             return L2ListenSocket(iface=name)
-        # scapy binds its socket to an interface; one that is bound to none hears all of them.
+        # scapy binds its socket to one interface. A socket bound to none hears all of them.
         capture = L2ListenSocket(iface="lo" if "lo" in interfaces else interfaces[0], promisc=False)
         capture.ins.close()
         capture.ins = _hearing_all()
@@ -349,12 +340,12 @@ def _open(link: InterfaceLink, name: str) -> Any:
 
 
 def _called(link: InterfaceLink, name: str) -> str:
-    """How a message names an interface of a link."""
+    """What a message calls an interface of a link."""
     return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 
 
 def _hearing_all() -> socket.socket:
-    """A socket that hears all interfaces, set up as scapy does it for one."""
+    """A socket that hears all interfaces, set up as scapy sets up its own."""
     listener = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
     listener.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 1)
     listener.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -362,7 +353,7 @@ def _hearing_all() -> socket.socket:
 
 
 def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
-    """Put the filter in place and forget what came before it."""
+    """Set the filter, and drop what came before it."""
     _attach(listener, drop_everything())
     listener.setblocking(False)
     with suppress(BlockingIOError):

@@ -1,15 +1,15 @@
 """Finds a line's settings by listening to it, and says how sure they are. Never writes."""
 
-# One setting after the other, the likelier first, until one explains nearly everything. At each the
-# port is listened to until it is sure, or what was heard fits no setting, or for LISTEN_S. What
-# comes before the first silence is passed over, since it began before the port listened like this;
-# but SKIPPED bytes at most, as a line may have no silence that shows.
+# The settings are tried one after the other, likely ones first, until one explains nearly all that
+# is heard. With each the port is read until the setting is sure, or until what was heard fits no
+# setting, or for LISTEN_S. Bytes before the first silence are skipped, since they began while the
+# port had other settings; but at most SKIPPED bytes, as some lines have no visible silence.
 #
-# It takes a second on a busy line whose settings are usual, and LISTEN_S for each of 24 settings,
-# four minutes in all, where hardly anything is heard.
+# This takes a second on a busy line with usual settings. If hardly anything is heard, it takes
+# LISTEN_S for each of 24 settings: four minutes.
 #
-# A setting with parity is sure when the driver is known to mark errors: it marked some at another
-# setting, if only at the other parity.
+# A setting with parity is sure only if the driver is known to mark errors: if it marked some with
+# another setting, or with the other parity.
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
 from mbtool.ports.clock import now_ns
-from mbtool.ports.serial_port import IDLE_S, ListeningPort, open_listening
+from mbtool.ports.serial_opening import open_listening
+from mbtool.ports.serial_port import IDLE_S, ListeningPort
 from mbtool.serial_line.settings_fit import (
     ENOUGH,
     Hearing,
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LISTEN_S = 10
+"""How long each setting is tried at most."""
 SKIPPED = 300
+"""How many bytes before the first silence are skipped at most."""
 
 
 def guess_line(
@@ -41,8 +44,8 @@ def guess_line(
 ) -> tuple[SerialLink, str]:
     """The line with its settings, and a sentence that says how sure they are.
 
-    With two taps the master's side is listened to. Raises LinkError when nothing is heard, and when
-    nothing fits.
+    With two taps the master's side is read. Raises LinkError if nothing is heard, and if nothing
+    fits.
     """
     to_hear = settings_to_hear()
     port = open_(link.ports[0], to_hear[0])
@@ -79,35 +82,35 @@ def _guess(
 
 
 class _Listener:
-    """Hears the line at one setting after the other."""
+    """Reads the line with one setting after the other."""
 
     def __init__(self, port: ListeningPort, clock: Callable[[], int], *, only_ascii: bool) -> None:
         self._port = port
         self._clock = clock
         self._only_ascii = only_ascii
         self.marked = 0
-        """How many bytes the driver called damaged, in all."""
+        """How many bytes the driver has marked as damaged, in all."""
 
     def listen(self, heard_as: SerialFormat) -> Hearing | None:
-        """What is heard; None at a setting that the driver does not do."""
+        """What is heard with a setting; None if the driver does not support the setting."""
         try:
             self._port.tune(heard_as)
         except LinkError:
             return None
         hearing = Hearing(heard_as, only_ascii=self._only_ascii)
         end_ns = self._clock() + LISTEN_S * 10**9
-        passed_over: int | None = 0
+        skipped: int | None = 0
         while self._clock() < end_ns:
             data = self._port.read(IDLE_S)
             at_ns = self._clock()
             if not data:
-                passed_over = None
+                skipped = None
                 hearing.advance(at_ns)
-            elif passed_over is not None and passed_over < SKIPPED:
-                passed_over += len(data)
+            elif skipped is not None and skipped < SKIPPED:
+                skipped += len(data)
             else:
                 hearing.feed(data, self._port.damaged, at_ns)
-            # Between the pieces of a frame that an adapter tore it is too early to judge.
+            # Too early in a pause inside a frame, which some adapters make.
             if (not data or hearing.heard >= ENOUGH) and hearing.is_decided:
                 break
         self.marked += hearing.marked
@@ -115,7 +118,7 @@ class _Listener:
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
-    """Whether the parity is sure as well: whether the driver would have told that it is wrong."""
+    """Say if the parity is sure too: if the driver would have marked wrong parity."""
     if heard_as.parity == "N" or listener.marked:
         return "sure"
     hearing = listener.listen(other_parity(heard_as))

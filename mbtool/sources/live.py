@@ -4,51 +4,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import AutoLink, InterfaceLink, LinkSpec, SerialLink, TapLink, TcpLink, UsageError
 from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.sources.inbox import Inbox
-
-
-class LiveSource(Protocol):
-    """Puts what it hears into an inbox while its context is open, and Ended when it has ended.
-
-    Entering raises LinkError. When the context is left, all that was heard is in the inbox.
-    """
-
-    @property
-    def link(self) -> str:
-        """The name that its items carry."""
-        ...
-
-    @property
-    def place(self) -> str:
-        """The link it listens to, as opened: with the port it was given, where it asked for 0."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-
-@runtime_checkable
-class Accepting(Protocol):
-    """A source that others call. It lets nobody in before `accept`."""
-
-    def accept(self) -> None: ...
+    from mbtool.sources.source import LiveSource
 
 
 def live_source(
-    link: LinkSpec, inbox: Inbox, *, ports: Sequence[int] = (MODBUS_PORT,)
-) -> LiveSource:
-    """The source for a link; `ports` says which TCP ports an interface captures, none for all.
+    link: LinkSpec,
+    inbox: Inbox,
+    *,
+    ports: Sequence[int] = (MODBUS_PORT,),
+    allowed: AllowedPeers = THIS_MACHINE,
+) -> LiveSource[Any]:
+    """The source for a link, not yet open.
 
-    Raises UsageError for a link that cannot be listened to.
+    `ports` are the TCP ports that an interface captures, none for all; `allowed` are the machines
+    that may connect to a tap. Raises UsageError for a link that cannot be listened to.
     """
     match link:
         case SerialLink(slave_port=str(), is_relay=False):
@@ -66,7 +45,7 @@ def live_source(
         case TapLink():
             from mbtool.sources.tap import TapSource
 
-            return TapSource(link, inbox, waits=True)
+            return TapSource(link, inbox, allowed=allowed, waits=True)
         case AutoLink():
             raise UsageError(f"link {link}: its settings are to be found first (guess_line)")
         case TcpLink():

@@ -1,12 +1,12 @@
-"""The network interfaces of this machine, and whether a capture on them is permitted."""
+"""Lists the network interfaces of this machine, and what keeps a capture from them."""
 
-# On Linux all is read from /sys/class/net, and what is permitted is asked of the kernel; elsewhere
-# there are the names alone.
+# On Linux all comes from /sys/class/net, and the kernel says what is permitted; other systems give
+# only the names.
 #
-#     NAME/flags      1H is IFF_UP
-#     NAME/carrier    1 with something at the other end of the cable; unreadable while it is down
+#     NAME/flags      bit 1H is IFF_UP
+#     NAME/carrier    1 if there is something at the other end of the cable; unreadable while down
 #     NAME/type       ARPHRD_ of linux/if_arp.h
-#     NAME/uevent     DEVTYPE= says what it is, of what is more than Ethernet
+#     NAME/uevent     DEVTYPE= names the kind of an interface that is not plain Ethernet
 #     NAME/device     leads to the hardware
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 
 from mbtool.core.local_ports import LocalInterface, Trouble
+from mbtool.ports.system_files import read_number, read_text
 from mbtool.sources.interface import capture_trouble, hardware_trouble
 
 _IFF_UP = 1
@@ -32,13 +33,13 @@ _KINDS = {
 }
 """ARPHRD_ of linux/if_arp.h."""
 _DEVICE_TYPES = {"wlan": "Wi-Fi", "vlan": "VLAN", "gadget": "USB gadget", "wwan": "mobile"}
-"""The kernel's words that are not a reader's."""
+"""What people call a DEVTYPE of the kernel."""
 
 
 def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
     """All interfaces, in the order of their names.
 
-    `root` is where the system's files are, for Linux alone.
+    `root` is the folder that holds /sys; only Linux uses it.
     """
     trouble = capture_trouble()
     if sys.platform != "linux":
@@ -48,20 +49,20 @@ def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
         names = sorted(os.listdir(folder))
     except OSError:
         return []
-    # A driver can put files of its own beside the interfaces: bonding_masters.
+    # Drivers put files of their own there, such as bonding_masters; interfaces are folders.
     return [_interface(folder / name, trouble) for name in names if (folder / name).is_dir()]
 
 
 def interfaces_by_name(trouble: Trouble | None) -> list[LocalInterface]:
-    """What any system tells."""
+    """The interfaces as every system lists them: only their names."""
     troubles = () if trouble is None else (trouble,)
     return [LocalInterface(name=name, troubles=troubles) for _, name in socket.if_nameindex()]
 
 
 def _interface(path: Path, trouble: Trouble | None) -> LocalInterface:
-    hardware = _number(path / "type", 10)
-    is_up = bool((_number(path / "flags", 16) or 0) & _IFF_UP)
-    carrier = _number(path / "carrier", 10) if is_up else None
+    hardware = read_number(path / "type")
+    is_up = bool((read_number(path / "flags") or 0) & _IFF_UP)
+    carrier = read_number(path / "carrier") if is_up else None
     unreadable = None if hardware is None else hardware_trouble(hardware)
     return LocalInterface(
         name=path.name,
@@ -73,24 +74,10 @@ def _interface(path: Path, trouble: Trouble | None) -> LocalInterface:
 
 
 def _description(path: Path, hardware: int | None) -> str:
-    for line in _text(path / "uevent").splitlines():
+    for line in read_text(path / "uevent").splitlines():
         key, _, value = line.partition("=")
         if key == "DEVTYPE":
             return _DEVICE_TYPES.get(value, value)
     if hardware == _ETHERNET:
         return "Ethernet" if (path / "device").exists() else "virtual Ethernet"
     return "" if hardware is None else _KINDS.get(hardware, f"hardware type {hardware}")
-
-
-def _number(path: Path, base: int) -> int | None:
-    try:
-        return int(_text(path), base)
-    except ValueError:
-        return None
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return ""

@@ -1,10 +1,10 @@
-"""What a relay has recorded, kept for a moment so that nobody is woken while it passes on."""
+"""Holds what a relay records for a few milliseconds, so that decoding delays no response."""
 
-# A consumer that is woken by a request decodes it and writes the log just when the response comes,
-# and in one interpreter the relay must wait for it. So what is recorded is handed over together,
-# HOLD_S after the first piece of it: a quick answer has passed by then.
+# If a request woke the consumer at once, the consumer would decode it and write the log just when
+# the response comes, and in one interpreter the relay would have to wait. So items are handed over
+# together, HOLD_S after the first of them: a quick response has passed by then.
 #
-# Holds what comes in HOLD_S, at most MAX_HELD bytes and one piece more. Lives in one event loop.
+# Holds what comes in HOLD_S, at most MAX_HELD bytes and one item more. Belongs to one event loop.
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_HELD = 2**20
 
 
 class Outbox:
-    """A sink before a sink."""
+    """A sink that passes on to another sink, a little later."""
 
     def __init__(self, inbox: Sink, loop: asyncio.AbstractEventLoop) -> None:
         self._inbox = inbox
@@ -46,7 +46,7 @@ class Outbox:
             self._timer = self._loop.call_later(HOLD_S, self.flush)
 
     def flush(self) -> None:
-        """Hand over all that is held."""
+        """Hand over all that is held, at once."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

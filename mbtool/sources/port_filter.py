@@ -1,22 +1,22 @@
-"""The kernel filter that keeps other traffic out of a capture: classic BPF, assembled by hand."""
+"""The kernel filter that keeps other traffic out of a capture: classic BPF, assembled here."""
 
-# scapy has libpcap compile its filters, and libpcap need not be there; this one program is all that
-# is needed. It reads the packet from the network header (SKF_NET_OFF) and asks the kernel for the
-# protocol, so it serves every link type, and packets whose VLAN tag the kernel has taken off.
+# scapy compiles filters with libpcap, which may not be installed; this one program is all we need.
+# It reads the packet from the network header on (SKF_NET_OFF) and asks the kernel for the protocol,
+# so it works for every link type, and for packets whose VLAN tag the kernel has removed.
 #
-# It lets pass what could belong to a Modbus connection, never less:
-#   TCP over IPv4 or IPv6 from or to one of the ports; any TCP where no port is named
-#   IPv4 fragments of TCP, since only the first one carries ports
+# It keeps all packets that could belong to a Modbus connection:
+#   TCP over IPv4 or IPv6 from or to one of the ports; any TCP if no port is named
+#   IPv4 fragments of TCP, since only the first one has the ports
 #   IPv6 with an extension header before TCP, or instead of it
-#   packets that still have a VLAN tag after the outer one is off (802.1ad), one that the kernel
-#   leaves on (9100H), or the tag of HSR
+#   packets with a second VLAN tag (802.1ad), with a tag that the kernel does not remove (9100H), or
+#   with the tag of HSR
 #   ERSPAN over IPv4: what a switch mirrors to this machine over a network
-# Other tunnels, PPPoE and MPLS are read from files only: live they would bring all that they carry.
+# Other tunnels, PPPoE and MPLS are read from files only: live, all that they carry would come.
 #
-# On the loopback every packet is seen twice, going out and coming in: the first is dropped there.
-# A capture of all interfaces asks of each packet whether it is the loopback's.
+# On the loopback every packet is seen twice, going out and coming in; the first is dropped. A
+# capture of all interfaces checks for each packet if it is the loopback's.
 #
-# At most 100 ports: a jump reaches 255 instructions.
+# At most 100 ports can be named: a jump reaches 255 instructions.
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _WHOLE_PACKET = 0x40000
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One instruction; jumps name the label they go to, and fall through without one."""
+    """One instruction. A jump names the label it goes to; without one it goes to the next line."""
 
     code: int
     k: int = 0
@@ -63,7 +63,7 @@ class Instruction:
 def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes]:
     """Assemble the filter, as the kernel's struct sock_filter. Raises UsageError.
 
-    `is_loopback` is None where packets of all interfaces come.
+    `is_loopback` is None for a capture of all interfaces.
     """
     if len(ports) > MAX_PORTS:
         raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")
@@ -119,7 +119,7 @@ def _from_or_to(ports: Sequence[int]) -> Iterator[Instruction]:
 
 
 def drop_everything() -> list[bytes]:
-    """The filter that holds while a capture is set up."""
+    """The filter that is in place while a capture is set up."""
     return _assemble([Instruction(_RETURN, 0)])
 
 

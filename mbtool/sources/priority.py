@@ -1,13 +1,13 @@
-"""Asks the system to let this process run before others, as far as it is allowed to."""
+"""Asks the system to run this process before others, if that is permitted."""
 
-# For processes that sleep until a byte arrives, take the time, and sleep again: they need little,
-# but at once. Linux, where it is permitted (root, CAP_SYS_NICE, RLIMIT_RTPRIO): the real-time class
-# SCHED_RR at its lowest priority, which goes before every ordinary process and behind every other
-# real-time one. Elsewhere nothing changes. A nice value of -5 and a shorter time slice were tried
-# too (tests/benchmarks/serial_times.py) and made no difference that could be told from chance.
+# This is for processes that sleep until a byte arrives, take the time, and sleep again: they need
+# little processor time, but at once. On Linux, if permitted (root, CAP_SYS_NICE or RLIMIT_RTPRIO),
+# they get the real-time class SCHED_RR at its lowest priority: before every ordinary process and
+# behind every other real-time one. Elsewhere nothing changes. A nice value of -5 and a shorter time
+# slice made no measurable difference (tests/benchmarks/serial_times.py).
 #
-# On a machine with one core such a process takes no more than its work needs, as it sleeps in
-# select. If it did not, the kernel would still leave ordinary processes 5 % of the time (sched(7)).
+# Such a process sleeps in select, so on a machine with one core it takes no more time than its work
+# needs. The kernel leaves ordinary processes 5 % of the time in any case (sched(7)).
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from contextlib import suppress
 
 
 def run_promptly() -> None:
-    """Go before ordinary processes, or stay as it is where that is not permitted.
+    """Run before ordinary processes from here on; change nothing if that is not permitted.
 
-    What this process starts later, threads too, is ordinary again.
+    Threads and processes that are started later have the ordinary priority again.
     """
     if sys.platform == "linux":
         policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK

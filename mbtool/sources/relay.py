@@ -1,19 +1,19 @@
-"""One connection through the tap: two transports that pass on to each other."""
+"""One connection through the tap: two transports that pass bytes to each other."""
 
-# What a direct connection would do, the relay does: a half-close is passed on and the other
-# direction goes on; a reset becomes a reset; a side that does not read stops the other from writing
-# (asyncio's transport holds 64 KiB for each side before it says stop, and one read of at most 256
-# KiB may exceed that).
+# The relay behaves as a direct connection would: it passes on a half-close, and the other direction
+# goes on; a reset becomes a reset; and back-pressure is passed on: a side that does not read stops
+# the other from writing. asyncio's transport holds 64 KiB for each side before it asks to stop, and
+# one read of at most 256 KiB may exceed that.
 #
-# Each side may have TLS (tls.py); the bytes recorded are those inside. The target is called when
-# the master has completed its handshake; what came right behind that, at most two reads, is kept
-# until the target has answered, and counts as received then. asyncio's TLS knows no half-close: the
-# end of one direction ends both, once what waits for the other side is sent. Received and not yet
-# opened it holds 256 KiB and one read more.
+# Each side may have TLS (ports/tls.py); the bytes inside TLS are recorded. The relay connects to
+# the target once the master's handshake is complete. Bytes that come right behind that handshake,
+# at most two reads, are kept until the target is connected, and count as received then. asyncio's
+# TLS knows no half-close: the end of one direction ends both, once pending bytes are sent. It holds
+# at most 256 KiB and one read of bytes that are received and not yet decrypted.
 #
-# Each piece is one chunk. Its time is taken right after it was received, then it is passed on, then
-# recorded; an answer can only come later, so the record keeps the order of cause and effect. A
-# side that dies takes nothing out of the record: what came of it was recorded when it came.
+# Each read is one chunk. Its time is taken right after it was received, then it is passed on, then
+# recorded. The response can only come later, so the record keeps the order of cause and effect. If
+# a side fails, all that came from it before is already recorded.
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ import os
 import re
 import socket
 import ssl
-import struct
-import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.clock import now_ns
+from mbtool.ports.tcp_listener import reset
 from mbtool.ports.tls import failure
 from mbtool.ports.tls_peer import described
 
@@ -38,16 +37,16 @@ if TYPE_CHECKING:
 
     from mbtool.sources.inbox import Sink
 
-CALL_S = 10.0
-"""How long the target may take to accept, and the master for a TLS handshake."""
+CONNECT_S = 10.0
+"""How long the target may take to accept, and the master to complete a TLS handshake."""
 MAX_WAITING = 2**16
-"""How much waits for a side before the other must stop. asyncio's TLS would take more."""
+"""How many bytes may wait for a side before the other must stop. asyncio's TLS lets more wait."""
 
 _ERRNO = re.compile(r"\[Errno (\d{1,5})\]")
 
 
 class TcpRelay:
-    """Passes bytes between a master that has called and the target."""
+    """Passes bytes between a master that has connected and the target."""
 
     def __init__(
         self,
@@ -61,7 +60,11 @@ class TcpRelay:
         listen_tls: ssl.SSLContext | None = None,
         target_tls: tuple[ssl.SSLContext, str] | None = None,
     ) -> None:
-        """`target_tls` comes with the name that the target's certificate must have."""
+        """`target_tls` holds also the name that the target's certificate must have.
+
+        `on_accept` gets the relay, the master's transport and address; it returns true to keep the
+        connection. `on_end` is called when both sides are closed.
+        """
         self._link = link
         self._target = target
         self._number = number
@@ -71,11 +74,11 @@ class TcpRelay:
         self._listen_tls = listen_tls
         self._target_tls = target_tls
         self._connection: Connection | None = None
-        self._call: asyncio.Task[None] | None = None
+        self._connecting: asyncio.Task[None] | None = None
         self._reason: CloseReason | None = None
         self._is_open = False
         self.active_s = 0.0
-        """When a byte last passed, on the event loop's clock."""
+        """When a byte last passed, on the event loop's clock, in seconds."""
         self.master = _RelaySide(self, Direction.REQUEST)
         self.slave = _RelaySide(self, Direction.RESPONSE)
         self.master.peer, self.slave.peer = self.slave, self.master
@@ -83,8 +86,8 @@ class TcpRelay:
     def abort(self, reason: CloseReason) -> None:
         """Close both sides at once."""
         self._reason = self._reason or reason
-        if self._call is not None:
-            self._call.cancel()
+        if self._connecting is not None:
+            self._connecting.cancel()
         for side in (self.master, self.slave):
             if side.transport is not None:
                 # The first releases of Python 3.11 forget that a TLS transport may have ended.
@@ -100,10 +103,10 @@ class TcpRelay:
         host, port = transport.get_extra_info("peername")[:2]
         self._connection = Connection(Endpoint(host, port), self._target, self._number)
         if self._on_accept(self, transport, self._connection.master):
-            # Up to Python 3.11.3 asyncio adds the reader after connection_made, whatever that did,
-            # so a pause must come later than that.
+            # Up to Python 3.11.3 asyncio starts to read after connection_made even if that has
+            # paused reading, so the pause must come later.
             loop.call_soon(transport.pause_reading)
-            self._call = loop.create_task(self._begin(transport, self._connection))
+            self._connecting = loop.create_task(self._begin(transport, self._connection))
 
     def received(self, side: _RelaySide, ts_ns: int, data: bytes) -> None:
         self.active_s = asyncio.get_running_loop().time()
@@ -119,7 +122,7 @@ class TcpRelay:
         )
 
     def lost(self, side: _RelaySide, error: Exception | None) -> None:
-        """A side's transport is closed; the other's follows."""
+        """Close the other side, as the transport of this one is closed."""
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
         why = failure(error, side.who) if isinstance(error, OSError) else None
@@ -131,26 +134,26 @@ class TcpRelay:
                 reset(peer.transport)
             else:
                 peer.close()
-        if side is self.master and self._call is not None:
-            self._call.cancel()
+        if side is self.master and self._connecting is not None:
+            self._connecting.cancel()
         if self.master.is_lost and (self.slave.is_lost or self.slave.transport is None):
             self._close()
 
     async def _begin(self, transport: asyncio.Transport, connection: Connection) -> None:
         if self._listen_tls is None or await self._greet(transport, self._listen_tls):
-            await self._call_target(connection)
+            await self._connect_target(connection)
 
     async def _greet(self, transport: asyncio.Transport, tls: ssl.SSLContext) -> bool:
-        """Have TLS with the master; whether that came about."""
+        """Do the TLS handshake with the master; true if it succeeded."""
         inner = None
         try:
             inner = await asyncio.get_running_loop().start_tls(
-                transport, self.master, tls, server_side=True, ssl_handshake_timeout=CALL_S
+                transport, self.master, tls, server_side=True, ssl_handshake_timeout=CONNECT_S
             )
         except OSError as error:
             self._tell_refused(failure(error, self.master.who) or f"TLS: {_why(error)}")
         finally:
-            # Of a connection that ends in its handshake asyncio may tell the protocol nothing.
+            # asyncio may not tell the protocol that a connection ended in its handshake.
             if inner is None and not self.master.is_lost:
                 self.master.connection_lost(None)
         if inner is None or self.master.is_lost:
@@ -159,11 +162,11 @@ class TcpRelay:
         self.master.transport = inner
         return True
 
-    async def _call_target(self, connection: Connection) -> None:
+    async def _connect_target(self, connection: Connection) -> None:
         loop = asyncio.get_running_loop()
         tls, name = self._target_tls or (None, None)
         try:
-            async with asyncio.timeout(CALL_S):
+            async with asyncio.timeout(CONNECT_S):
                 await loop.create_connection(
                     lambda: self.slave,
                     self._target.host,
@@ -196,7 +199,7 @@ class TcpRelay:
 
     def _open(self, slave: asyncio.Transport) -> None:
         if self.master.is_lost or self.master.transport is None or self._connection is None:
-            slave.abort()  # The master has gone while the target was called.
+            slave.abort()  # The master has gone meanwhile.
             return
         self._is_open = True
         sides = [(side, tls) for side in (self.master, self.slave) if (tls := side.tls) is not None]
@@ -229,7 +232,7 @@ class _RelaySide(asyncio.Protocol):
         self._has_ended = False
         self._is_told_to_close = False
         self._early = b""
-        """What came before there was a peer."""
+        """What came before the other side was connected."""
 
     @property
     def tls(self) -> ssl.SSLObject | None:
@@ -241,7 +244,7 @@ class _RelaySide(asyncio.Protocol):
             self.transport.set_write_buffer_limits(MAX_WAITING)
 
     def close(self) -> None:
-        """Send what waits, then the end; asyncio's TLS takes that once."""
+        """Send pending bytes, then close; asyncio's TLS can be told so only once."""
         if self.transport is not None and not self._is_told_to_close:
             self._is_told_to_close = True
             self.transport.close()
@@ -262,7 +265,7 @@ class _RelaySide(asyncio.Protocol):
         self._relay.received(self, ts_ns, data)
 
     def pass_on_early(self) -> None:
-        """Have what came before there was a peer come again, where a paused side would read it."""
+        """Pass on what came before the other side was connected, as if it came now."""
         early, self._early = self._early, b""
         if early:
             self.data_received(early)
@@ -280,10 +283,10 @@ class _RelaySide(asyncio.Protocol):
         return self.transport is not None and self.transport.can_write_eof()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self.is_lost:  # A handshake failed, and the relay knows.
+        if self.is_lost:  # A handshake failed, and the relay has been told.
             return
         self.is_lost = True
-        # A peer may leave the end of TLS without its answer: the connection is over all the same.
+        # A peer may not answer the end of TLS: the connection is over all the same.
         is_over = self._is_told_to_close and isinstance(exc, ssl.SSLError | TimeoutError)
         self._relay.lost(self, None if is_over else exc)
 
@@ -292,31 +295,21 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        # After its end of file a transport that resumes would report the end a second time.
+        # A transport that has read the end of file would report it again when it resumes.
         if self.peer.transport is not None and not self.peer._has_ended:
             self.peer.transport.resume_reading()
 
 
-def reset(transport: asyncio.Transport) -> None:
-    """Close a connection with RST instead of FIN."""
-    no_linger = struct.pack("hh" if sys.platform == "win32" else "ii", 1, 0)
-    with suppress(OSError):
-        transport.get_extra_info("socket").setsockopt(
-            socket.SOL_SOCKET, socket.SO_LINGER, no_linger
-        )
-    transport.abort()
-
-
 def _why(error: Exception) -> str:
-    """What keeps the target from being called, as the user would say it."""
+    """Why the target cannot be reached, in words for the user."""
     if isinstance(error, UnicodeError):
         return "no such host"
     if isinstance(error, socket.gaierror):
         return "no such host" if error.errno == socket.EAI_NONAME else str(error.strerror)
     if isinstance(error, TimeoutError) and error.errno is None:
-        return f"no answer in {CALL_S:g} s"
+        return f"no answer in {CONNECT_S:g} s"
     number = error.errno if isinstance(error, OSError) else None
-    if number is None:  # asyncio joins what it got from several addresses of one host.
+    if number is None:  # asyncio joins the errors of several addresses of a host into one text.
         found = _ERRNO.search(str(error))
         number = int(found[1]) if found is not None else 0
     return os.strerror(number) if number > 0 else str(error)

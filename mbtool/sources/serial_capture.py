@@ -1,19 +1,20 @@
 """A serial port as a live source: chunks and silences, read by a process of its own."""
 
 # The reading process (serial_reader.py) takes the times; the thread here only carries its records
-# into the inbox, so it may lag behind without harm. Of a tap both ports are read by one process,
-# which also passes on (serial_relay.py).
+# into the inbox, so it may lag behind without harm. For a serial tap one process reads both ports
+# and passes the bytes on (serial_relay.py).
 
 from __future__ import annotations
 
 import os
-from threading import Event, Thread
-from typing import TYPE_CHECKING, Self
+from threading import Event
+from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, EventKind, LinkError, Quiet, SerialLink, WireEvent
 from mbtool.ports.serial_records import RecordKind, RecordReader, SerialRecord
-from mbtool.sources.child import see_off, start_child, tell_to_end
+from mbtool.sources.child import end_child, start_child, tell_to_end
 from mbtool.sources.inbox import Ended
+from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
     import subprocess
@@ -24,15 +25,14 @@ _START_S = 20.0
 """How long the reading process may take to open its port."""
 
 
-class SerialSource:
+class SerialSource(LiveSource[SerialLink]):
     """Listens to one serial port while its context is open. Entering raises LinkError."""
 
     def __init__(
         self, link: SerialLink, inbox: Sink, speaker: Direction = Direction.UNKNOWN
     ) -> None:
-        """Of a link with two ports `speaker` says which to listen to; a tap's are both heard."""
-        self._link = link
-        self._inbox = inbox
+        """`speaker` chooses the port of a link with two taps; a serial tap reads both its ports."""
+        super().__init__(link, inbox)
         self._speaker = Direction.REQUEST if link.is_relay else speaker
         self._port = link.ports[-1] if speaker is Direction.RESPONSE else link.port
         self._first_record = Event()
@@ -40,47 +40,29 @@ class SerialSource:
         self._is_closing = False
         self._error: LinkError | None = None
         self._child: subprocess.Popen[bytes] | None = None
-        self._thread: Thread | None = None
 
-    @property
-    def link(self) -> str:
-        return self._link.name
-
-    @property
-    def place(self) -> str:
-        return str(self._link)
-
-    def __enter__(self) -> Self:
-        child = self._start()
-        self._child = child
-        self._thread = Thread(
-            target=self._carry, args=(child,), name=f"read {self.link}", daemon=True
-        )
-        self._thread.start()
+    def open(self) -> None:
+        child = self._child = self._start_child()
+        self._start_thread(lambda: self._carry(child))
         self._first_record.wait(_START_S)
         if not self._is_open:
             self.close()
             raise self._error or LinkError(f"serial port {self._port}: opening takes too long")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def tell_to_end(self) -> None:
-        """Have the reading process end; what it has read, and Ended, are still to come."""
+        """Tell the reading process to end; what it has read, and Ended, are still to come."""
         self._is_closing = True
         if self._child is not None:
             tell_to_end(self._child)
 
     def close(self) -> None:
-        """End the reading process; all that it has read is in the inbox, then Ended."""
         self.tell_to_end()
         if self._child is not None:
             if self._thread is not None:
                 self._thread.join(_START_S)
-            see_off(self._child)
+            end_child(self._child)
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start_child(self) -> subprocess.Popen[bytes]:
         settings = str(self._link.format)
         if self._link.is_relay:
             return start_child("mbtool.sources.serial_relay", *self._link.ports, settings)
@@ -118,7 +100,7 @@ class SerialSource:
                 self._tell(record, EventKind.LINE_ERROR, record.data.decode())
             case RecordKind.OVERRUN:
                 text = f"overrun: the port's driver lost at least {record.lost} bytes"
-                # No GAP, which breaks off what is being decoded: this is told up to a second later.
+                # No GAP, which ends the frame being decoded: this is told up to a second later.
                 self._tell(record, EventKind.LINE_ERROR, text, record.lost)
             case RecordKind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))

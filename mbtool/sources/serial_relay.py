@@ -1,43 +1,43 @@
 """The process of a serial tap: python -m mbtool.sources.serial_relay MASTER SLAVES FORMAT."""
 
-# The line is cut, and each end has a port. What one port hears the other says: at once, as read, in
-# the order wait, read, take the time, pass on, hand over. So the record of a request always stands
-# before that of its response. Records are those of serial_reader.py, which a tap's process is but
-# for this; ANSWER is what the slaves' side brought.
+# The line is cut, and each end has a port. What one port hears, the other sends: at once, as read,
+# in the order wait, read, take the time, pass on, record. So the record of a request always stands
+# before that of its response. The records are those of serial_reader.py, and ANSWER for what came
+# from the slaves' side.
 #
-# A port is not read while what it brought last is not yet with the other's driver. So at most one
-# read waits in each direction, and where a side stands still, the system's own buffer is what holds
-# and then loses, which its counters tell. A silence is not told meanwhile, as nobody knows of one.
+# A port is not read while bytes of its last read still wait for the other port's driver. So at most
+# one read waits in each direction. If a side takes nothing, the system's own buffer fills and then
+# loses bytes, which the driver counts. No silence is reported meanwhile, as none is known.
 #
-# What was recorded was passed on: when told to end, and when one side is lost, both are read a last
-# time, and what is still to be sent gets LAST_S to go out.
+# What was recorded was passed on: when told to end, and when one side is lost, both ports are read
+# a last time, and what is still to be sent gets LAST_S to leave.
 #
-# What goes on is the byte: the wrong parity of a damaged one is not made again, and a break goes on
-# as 00. Both are told as `line-error`.
+# Only the byte is passed on: a damaged byte leaves with correct parity, and a break leaves as 00.
+# Both are reported as `line-error`.
 
 from __future__ import annotations
 
-import gc
-import os
 import select
-import signal
 import sys
 import time
-from contextlib import ExitStack, suppress
-from threading import Event, Thread
+from contextlib import closing, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import LinkError, SerialFormat
 from mbtool.ports.clock import now_ns
-from mbtool.ports.line_errors import ErrorCounts, LineErrors, LineTrouble
-from mbtool.ports.serial_port import IDLE_S, explain
+from mbtool.ports.line_errors import ErrorCounts, LineErrors
+from mbtool.ports.serial_opening import open_passing
+from mbtool.ports.serial_port import IDLE_S
 from mbtool.ports.serial_records import RecordKind, RecordWriter
-from mbtool.sources.priority import run_promptly
+from mbtool.sources.serial_process import put_troubles, run_process
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from threading import Event
 
 LAST_S = 0.5
+"""How long what is still to be sent may take at the end, in each direction."""
 
 
 class Port(Protocol):
@@ -53,34 +53,23 @@ class Port(Protocol):
 
 
 def main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    run_promptly()
-    gc.disable()  # The loop makes no cycles, and a collection would delay what is passed on.
     master, slaves, settings = sys.argv[1:]
-    with suppress(BrokenPipeError):
-        _join_ports((master, slaves), SerialFormat.parse(settings), sys.stdout.fileno())
+    run_process(partial(_join_ports, (master, slaves), SerialFormat.parse(settings)))
 
 
-def _join_ports(names: tuple[str, str], format_: SerialFormat, pipe: int) -> None:
-    told_to_end = Event()
-    Thread(target=_await_end, args=(told_to_end,), daemon=True).start()
-    records = RecordWriter(pipe)
-    error = ""
-    try:
-        with ExitStack() as opened:
-            ports = []
-            for name in names:
-                ports.append(_open_passing(name, format_))
-                opened.callback(ports[-1].close)
-            records.put(RecordKind.QUIET, now_ns())
-            SerialRelay(ports[0], ports[1], records, format_).run_until(told_to_end)
-    except LinkError as link_error:
-        error = str(link_error)
-    records.end(now_ns(), error)
+def _join_ports(
+    names: tuple[str, str], format_: SerialFormat, records: RecordWriter, told_to_end: Event
+) -> None:
+    with (
+        closing(open_passing(names[0], format_)) as master,
+        closing(open_passing(names[1], format_)) as slaves,
+    ):
+        records.put(RecordKind.QUIET, now_ns())
+        SerialRelay(master, slaves, records, format_).run_until(told_to_end)
 
 
 class SerialRelay:
-    """Passes on between two ports and records both."""
+    """Passes bytes on between two ports and records both directions."""
 
     def __init__(
         self, master: Port, slaves: Port, records: RecordWriter, format_: SerialFormat
@@ -101,24 +90,24 @@ class SerialRelay:
         try:
             wait_s = IDLE_S
             while not told_to_end.is_set():
-                wait_s = self._turn(wait_s)
+                wait_s = self._wait_and_pass(wait_s)
         finally:
             self._finish()
 
-    def _turn(self, wait_s: float) -> float:
-        """Wait once and do what there is to do; how long to wait next."""
+    def _wait_and_pass(self, wait_s: float) -> float:
+        """Wait once, then pass on and record; gives how long to wait next, in seconds."""
         asked_ns = now_ns()
         waiting = [side for side in self._sides if side.unsent]
-        able = [side for side in self._sides if not side.unsent]
+        readable = [side for side in self._sides if not side.unsent]
         heard, _, _ = select.select(
-            [side.port for side in able],
+            [side.port for side in readable],
             [side.onward for side in waiting],
             [],
             min(wait_s, IDLE_S),
         )
         for side in waiting:
             side.send()
-        has_heard = [side.take(self._records) for side in able if side.port in heard]
+        has_heard = [side.take(self._records) for side in readable if side.port in heard]
         for side in self._sides:
             side.tell(self._records, now_ns())
         if any(has_heard):
@@ -138,20 +127,20 @@ class SerialRelay:
 
 
 class _SerialDirection:
-    """One direction: the port that brings it, and where it goes."""
+    """One direction of the line: the port that it is read from, and the port that it goes to."""
 
     onward: Port
 
     def __init__(self, port: Port, kind: RecordKind, name: str, format_: SerialFormat) -> None:
         self.port = port
         self.unsent = b""
-        """What the other port's driver had no room for."""
+        """The bytes that the other port's driver had no room for."""
         self._kind = kind
-        self._name = name
+        self._prefix = f"on {name}: "
         self._errors = LineErrors(port.counts, format_.character_ns, now_ns())
 
     def take(self, records: RecordWriter) -> bool:
-        """Read, pass on, record; False where nothing has come after all."""
+        """Read, pass on, record; True if anything was read."""
         data = self.port.read(0)
         read_ns = now_ns()
         if not data:
@@ -159,7 +148,7 @@ class _SerialDirection:
         self.unsent = data
         try:
             self.send()
-        finally:  # It was heard, wherever it could go.
+        finally:  # What was heard is recorded, also if it cannot be passed on.
             records.put(self._kind, read_ns, data)
             if self.port.damaged:
                 self._errors.mark(data, self.port.damaged, read_ns)
@@ -169,7 +158,7 @@ class _SerialDirection:
         self.unsent = self.unsent[self.onward.write(self.unsent) :]
 
     def finish(self, records: RecordWriter) -> None:
-        """Pass on what waits and what has arrived, for LAST_S at most."""
+        """Pass on pending bytes and what has arrived, for at most LAST_S each."""
         self._send_rest()
         if not self.unsent:
             self.take(records)
@@ -182,37 +171,11 @@ class _SerialDirection:
             self.send()
 
     def tell(self, records: RecordWriter, at_ns: int) -> None:
-        """Hand over what the driver tells of damage."""
-        for trouble in self._errors.tell(at_ns):
-            _put_trouble(records, trouble, self._name)
+        """Record what the driver reports of damage, if that is due."""
+        put_troubles(records, self._errors.tell(at_ns), self._prefix)
 
     def tell_all(self, records: RecordWriter) -> None:
-        for trouble in self._errors.tell_all(now_ns()):
-            _put_trouble(records, trouble, self._name)
-
-
-def _put_trouble(records: RecordWriter, trouble: LineTrouble, side: str) -> None:
-    if trouble.lost:
-        records.put_count(RecordKind.OVERRUN, trouble.ts_ns, trouble.lost)
-    else:
-        records.put(RecordKind.DAMAGE, trouble.ts_ns, f"on {side}: {trouble.text}".encode())
-
-
-def _open_passing(name: str, format_: SerialFormat) -> Port:
-    if sys.platform == "win32":
-        raise LinkError("a serial tap needs Linux or macOS")
-    from mbtool.ports.posix_serial import PassingPort
-
-    try:
-        return PassingPort(name, format_)
-    except (OSError, ValueError, OverflowError) as error:
-        raise explain(name, format_, error) from error
-
-
-def _await_end(told_to_end: Event) -> None:
-    while os.read(sys.stdin.fileno(), 1):
-        pass
-    told_to_end.set()
+        put_troubles(records, self._errors.tell_all(now_ns()), self._prefix)
 
 
 if __name__ == "__main__":

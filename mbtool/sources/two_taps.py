@@ -1,58 +1,51 @@
 """Two serial ports as one live source: one hears the master, the other the slaves."""
 
-# Each port has a reading process and a thread of its own; their chunks say who speaks. A port's
-# silence says nothing of the other's: a Quiet goes on with the time until which all that either
-# port heard has been put. When the clock is set back, so is that time. The two end together: when
-# one is lost the other is told to end, and what it had still heard comes before the one Ended.
+# Each port has a reading process and a thread of its own; their chunks say who speaks. That one
+# port is silent says nothing about the other: the inbox gets a Quiet with the earlier of the two
+# times until which everything that a port heard has been put. When the clock is set back, that time
+# goes back too. The two end together: when one is lost, the other is told to end, and what it had
+# still heard comes before the single Ended.
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from threading import Lock
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, LinkError, Quiet, SerialLink
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
-from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.inbox import Ended
 from mbtool.sources.serial_capture import SerialSource
+from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
-    from mbtool.sources.inbox import Item
+    from mbtool.sources.inbox import Item, Sink
 
 
-class TwoTapsSource:
+class TwoTapsSource(LiveSource[SerialLink]):
     """Listens to both ports of a link while its context is open. Entering raises LinkError."""
 
-    def __init__(self, link: SerialLink, inbox: Inbox) -> None:
-        self._link = link
-        self._inbox = inbox
+    def __init__(self, link: SerialLink, inbox: Sink) -> None:
+        super().__init__(link, inbox)
         self._lock = Lock()
         self._taps = {
             speaker: SerialSource(link, _Tap(self, speaker), speaker)
             for speaker in (Direction.REQUEST, Direction.RESPONSE)
         }
         self._known_ns = dict.fromkeys(self._taps, 0)
-        """Until when all that a port heard has been put."""
+        """By port: the time until which all that it heard has been put."""
         self._quiet_ns = 0
-        """Until when the inbox knows it of both."""
+        """The time of the last Quiet in the inbox, which holds for both ports."""
         self._listening = set(self._taps)
         self._error: LinkError | None = None
         self._opened = ExitStack()
 
     @property
-    def link(self) -> str:
-        return self._link.name
-
-    @property
-    def place(self) -> str:
-        return str(self._link)
-
-    @property
     def taps(self) -> list[SerialSource]:
-        """The master's side, the slaves' side."""
+        """The source of the master's side and that of the slaves' side."""
         return list(self._taps.values())
 
-    def __enter__(self) -> Self:
+    def open(self) -> None:
         with ExitStack() as opened:
             for tap in self._taps.values():
                 opened.enter_context(tap)
@@ -60,19 +53,14 @@ class TwoTapsSource:
         with self._lock:
             if self._error is not None:  # One was lost before the other was open.
                 self._tell_to_end()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
-        """End both; all that they have read is in the inbox, then Ended."""
         with self._lock:
             self._tell_to_end()
         self._opened.close()
 
     def put(self, item: Item, speaker: Direction) -> None:
-        """Pass on what one of the ports brings."""
+        """Take an item of one of the ports."""
         with self._lock:
             if isinstance(item, Ended):
                 self._end(item, speaker)
@@ -103,12 +91,12 @@ class TwoTapsSource:
 
 
 def _known(until_ns: int, ts_ns: int) -> int:
-    """Until when something is known, where it is now known until a time."""
+    """The later of two times; the new one also where the clock was set back."""
     return ts_ns if ts_ns < until_ns - MAX_CLOCK_STEP_NS else max(until_ns, ts_ns)
 
 
 class _Tap:
-    """Where one of the two puts what it hears."""
+    """The sink of one of the two ports."""
 
     def __init__(self, source: TwoTapsSource, speaker: Direction) -> None:
         self._source = source

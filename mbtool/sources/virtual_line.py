@@ -1,11 +1,11 @@
-"""A serial line without hardware: pseudo-terminals joined as the ends of one bus."""
+"""A serial line without hardware: pseudo-terminals connected like the ends of one bus."""
 
-# What one end writes, every other end hears, at the pace of the line's baud rate and character
+# What one end writes, every other end hears, at the speed of the line's baud rate and character
 # format. The line runs in a process of its own (virtual_line_hub.py): in a thread beside a busy
-# interpreter, characters would come in lumps.
+# decoder, characters would come in bursts.
 #
-# The ends are named like any terminal (/dev/pts/7) and can have symbolic links with names of the
-# user's choice. A symbolic link of that name is replaced; anything else of that name is an error.
+# The ends are named like any terminal (/dev/pts/7). Symbolic links can give them other names. An
+# existing symbolic link of such a name is replaced; any other file of that name is an error.
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from mbtool.core import LinkError, SerialFormat, UsageError
-from mbtool.sources.child import see_off, start_child
+from mbtool.sources.child import end_child, start_child
 
 MAX_ENDS = 16
 _START_S = 20.0
@@ -27,12 +27,12 @@ _START_S = 20.0
 
 @dataclass(slots=True, kw_only=True)
 class VirtualLine:
-    """A line that is there while its context is open. Entering raises LinkError."""
+    """A line that exists while its context is open. Entering raises LinkError."""
 
     ends: int = 2
     format: SerialFormat = field(default_factory=SerialFormat)
     link_names: Sequence[str] = ()
-    """Paths of links to make to the first ends."""
+    """Paths of symbolic links to make, for the first ends."""
     _ports: list[str] = field(default_factory=list, init=False)
     _child: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
@@ -53,7 +53,7 @@ class VirtualLine:
 
     @property
     def ports(self) -> list[str]:
-        """What to open: an end's link where it has one, else its terminal."""
+        """The path of each end: its symbolic link if it has one, else its terminal."""
         return list(self._ports)
 
     def __enter__(self) -> Self:
@@ -76,9 +76,9 @@ class VirtualLine:
         self.close()
 
     def close(self) -> None:
-        """Take the line away, and the links that it made."""
+        """Remove the line, and the links that it made."""
         if self._child is not None:
-            see_off(self._child)
+            end_child(self._child)
 
 
 def _await_ports(child: subprocess.Popen[bytes]) -> list[str]:

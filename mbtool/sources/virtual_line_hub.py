@@ -1,24 +1,24 @@
 """The process of a virtual line: mbtool.sources.virtual_line_hub ENDS CHARACTER_NS [LINK...]."""
 
-# A character that is written while the line's end is idle is heard by the others one character time
-# later, as on a wire, where it has been received when its stop bit has passed; the next one a
-# character time after that. Deadlines are absolute, so a late wake-up delays its characters and
-# does not shift those that follow. No character is early. Between two deliveries lie at least 250
-# us: up to 38400 baud every character is delivered alone, at 115200 baud they come by threes.
+# If a character is written while its end is idle, the others hear it one character time later, as
+# on a wire, where it is received when its stop bit has passed. The next one follows a character
+# time after that. The times are absolute, so a late wake-up delays its characters and does not
+# shift those that follow. No character is early. Two deliveries are at least GRAIN_NS apart: up to
+# 38400 baud every character is delivered alone, at 115200 baud three come at once.
 #
-# Two ends that write at once are both heard, their characters interleaved: the others hear bytes
-# that make no sense, as on a wire. Nobody hears himself.
+# If two ends write at once, the others hear the characters of both, interleaved: nonsense, as on a
+# wire. No end hears itself.
 #
-# Bounds: the line takes from an end while less than 4096 characters wait, so a writer feels the
-# line's pace as he would feel a port's buffer. An end that nobody reads keeps what the system holds
-# for a terminal (Linux: 4095 bytes) and loses what comes after, as a port that overruns. A program
-# that opens the end later finds it, unless it flushes its input as pyserial and this package do.
+# Limits: the line reads an end while fewer than MAX_PENDING characters of it are pending, so a
+# writer is slowed as by a port's buffer. An end that nobody reads keeps what the system holds for a
+# terminal (Linux: 4095 bytes) and loses what comes after, like an overrun port. A program that
+# opens the end later reads that, unless it flushes its input as pyserial and this package do.
 #
-# The hub keeps both sides of each pseudo-terminal open: without the far side, the near one reports
-# EIO as soon as a user closes his end, and the terminal forgets that it is raw.
+# The hub keeps both sides of each pseudo-terminal open. Otherwise the near side reports EIO as soon
+# as a user closes the far side, and the terminal loses its raw mode.
 #
-# The process ends when its standard input ends (child.py), and then removes the links that it made
-# and that still lead where it had them lead.
+# The process ends when its standard input ends (child.py). It then removes the links that it made,
+# unless they lead elsewhere by then.
 
 from __future__ import annotations
 
@@ -37,40 +37,41 @@ from mbtool.sources.priority import run_promptly
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-MAX_WAITING = 4096
+MAX_PENDING = 4096
 GRAIN_NS = 250_000
+"""The shortest time between two deliveries."""
 
 
 class Sender:
-    """What one end has written and the others have not yet heard."""
+    """The characters that one end has written and the others have not yet heard."""
 
     def __init__(self, character_ns: int) -> None:
         self._character_ns = character_ns
-        self._waiting = bytearray()
+        self._pending = bytearray()
         self._next_ns = 0
 
     @property
     def room(self) -> int:
-        return MAX_WAITING - len(self._waiting)
+        return MAX_PENDING - len(self._pending)
 
     @property
     def next_ns(self) -> int | None:
-        """When the next character has passed; None where none waits."""
-        return self._next_ns if self._waiting else None
+        """When the next character is due; None if none is pending."""
+        return self._next_ns if self._pending else None
 
     def put(self, data: bytes, now_ns: int) -> None:
-        if not self._waiting:
+        if not self._pending:
             self._next_ns = max(self._next_ns, now_ns + self._character_ns)
-        self._waiting += data
+        self._pending += data
 
     def take(self, now_ns: int) -> bytes:
-        """The characters that have passed by this time."""
-        if not self._waiting or now_ns < self._next_ns:
+        """Take the characters that are due at this time."""
+        if not self._pending or now_ns < self._next_ns:
             return b""
-        count = min((now_ns - self._next_ns) // self._character_ns + 1, len(self._waiting))
+        count = min((now_ns - self._next_ns) // self._character_ns + 1, len(self._pending))
         self._next_ns += count * self._character_ns
-        passed = bytes(self._waiting[:count])
-        del self._waiting[:count]
+        passed = bytes(self._pending[:count])
+        del self._pending[:count]
         return passed
 
 
@@ -104,7 +105,7 @@ def main() -> None:
 
 
 def run(control: int, ends: Sequence[int], character_ns: int) -> None:
-    """Carry characters between the ends until the control descriptor reads as ended."""
+    """Carry characters between the ends until the control descriptor is at its end of file."""
     senders = {end: Sender(character_ns) for end in ends}
     delivered_ns = 0
     while True:

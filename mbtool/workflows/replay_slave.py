@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import InputError, SerialLink, UsageError
 from mbtool.devices import NamedTransaction
 from mbtool.modbus import Transport
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
     FixedLatency,
     LatencyModel,
@@ -105,7 +106,7 @@ class SlaveRun:
                 f"{path}: no request to play an answer for{where_none(options.window)}"
             )
 
-    def on(self, link: LinkSpec, *, allow_remote: bool = False) -> PlayedSlave:
+    def on(self, link: LinkSpec, *, allowed: AllowedPeers = THIS_MACHINE) -> PlayedSlave:
         """The recording's slaves on a link, not yet started. Raises InputError, UsageError."""
         where = slave_link(link)
         options = self._options
@@ -126,7 +127,7 @@ class SlaveRun:
         spoilt: Responder = slave
         if options.fault_file is not None:
             spoilt = faulty(slave, options.fault_file, where, self._profiles)
-        return PlayedSlave(slave, spoilt, where, allow_remote=allow_remote)
+        return PlayedSlave(slave, spoilt, where, allowed=allowed)
 
     def _latency(self) -> LatencyModel:
         if self._fixed_ns is not None:
@@ -145,12 +146,12 @@ class PlayedSlave:
         spoilt: Responder,
         link: SerialLink | TcpLink,
         *,
-        allow_remote: bool,
+        allowed: AllowedPeers,
     ) -> None:
         self._slave = slave
         self._spoilt = spoilt
         self._lock = threading.Lock()
-        self.shell: Shell = open_shell(link, self, allow_remote=allow_remote)
+        self.shell: Shell = open_shell(link, self, allowed=allowed)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:

@@ -10,6 +10,7 @@ from mbtool.core import SerialLink, UsageError
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignment, Assignments, Profile, Who
 from mbtool.modbus import Transport
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.slave.device import (
     DeviceResponder,
     DrivenDevice,
@@ -50,7 +51,7 @@ def device_slave(
     others: Mapping[int, Station] | None = None,
     state_file: Path | None = None,
     fault_file: Path | None = None,
-    allow_remote: bool = False,
+    allowed: AllowedPeers = THIS_MACHINE,
     exchanges: SlaveMonitor | None = None,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> Shell:
@@ -78,7 +79,7 @@ def device_slave(
     return open_shell(
         where,
         slaves,
-        allow_remote=allow_remote,
+        allowed=allowed,
         rules=behaviours[unit].rules,
         on_exchange=exchanges.take if exchanges is not None else None,
     )

@@ -9,12 +9,13 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from mbtool.core import Chunk, EventKind, LinkError, Packet, SerialLink, UsageError, WireEvent
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.live import Accepting, live_source
+from mbtool.sources.live import live_source
 from mbtool.workflows.refusals import Refusals
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.decode.decoder import Decoder, Evidence, Record
     from mbtool.devices import NamedTransaction
-    from mbtool.sources.live import LiveSource
+    from mbtool.sources.source import LiveSource
 
 POLL_S = 0.1
 """How long the loop waits for an item before it looks at the clock."""
@@ -51,6 +52,7 @@ class Sniffer:
         *,
         begin_log: Callable[[], Log] | None = None,
         ports: Sequence[int] = (),
+        allowed: AllowedPeers = THIS_MACHINE,
         on_lost: Callable[[LinkError], None] = lambda _error: None,
         on_refused: Callable[[WireEvent], None] = lambda _event: None,
         on_discarded: Callable[[WireEvent], None] = lambda _event: None,
@@ -66,13 +68,14 @@ class Sniffer:
         self._begin_log = begin_log
         self._log: Log | None = None
         self._ports = ports
+        self._allowed = allowed
         self._on_lost = on_lost
         self._on_refused = on_refused
         self._on_discarded = on_discarded
         self._refusals = Refusals()
         self._inbox = Inbox()
         self._open_sources = ExitStack()
-        self.sources: list[LiveSource] = []
+        self.sources: list[LiveSource[Any]] = []
         """One for each link, in their order, once the context is entered."""
         self._open = 0
         self._discarded_packets = 0
@@ -88,13 +91,12 @@ class Sniffer:
         """Raises LinkError, and what beginning the log raises."""
         with ExitStack() as opened:
             for link in self._links:
-                source = live_source(link, self._inbox, ports=self._ports)
+                source = live_source(link, self._inbox, ports=self._ports, allowed=self._allowed)
                 self.sources.append(opened.enter_context(source))
             if self._begin_log is not None:
                 self._log = self._begin_log()
             for source in self.sources:
-                if isinstance(source, Accepting):
-                    source.accept()
+                source.accept()
             self._open_sources = opened.pop_all()
         self._open = len(self._links)
         return self

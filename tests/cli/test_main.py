@@ -144,7 +144,21 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         ),
         (["sniff", "rtu:a", "--duration", "-1"], "Invalid value for '--duration'"),
         (["slave", "pump", "--on", "tcp:127.0.0.1:0"], "profile 'pump'"),
-        (["slave", "fa3-at1m8x", "--on", "tcp:0.0.0.0:0"], "add --allow-remote"),
+        (["slave", "fa3-at1m8x", "--on", "tcp:0.0.0.0:0"], "that may connect: --allow 192.168"),
+        (
+            ["slave", "fa3-at1m8x", "--on", "tcp:0.0.0.0:0", "--allow", "10.0.0.0/33"],
+            "--allow '10.0.0.0/33': write a network",
+        ),
+        (
+            ["sniff", "tap:0.0.0.0:0=127.0.0.1:9", "--allow", "10.0.0.0/8", "--allow", "x"],
+            "--allow 'x': write a network",
+        ),
+        (["sniff", "tap:0.0.0.0:0=127.0.0.1:9"], "other machines can reach 0.0.0.0"),
+        (["sniff", "net:lo", "--allow", "10.0.0.0/8"], "--allow is for taps, and there is none"),
+        (
+            ["replay", "a", "--as-slave", "--on", "tcp:0.0.0.0:0", "--allow", "10.0.0.1/8"],
+            "is an address inside 10.0.0.0/8; write 10.0.0.0/8",
+        ),
         (["slave", "fa3-at1m8x", "--on", "net:lo"], "link net:lo: a slave needs rtu:PORT"),
         (["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0", "--unit", "256"], "--unit '256'"),
         (["replay", "a", "--on", "tcp:127.0.0.1:0"], "say which side to play: --as-slave"),

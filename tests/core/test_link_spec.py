@@ -158,6 +158,7 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("tap:0.0.0.0:1704=127.0.0.1:1704", "for example tap:0.0.0.0:0=127.0.0.1:1704"),
         ("tap:localhost:1704=127.0.0.1:1704", "the tap would call itself"),
         ("tap:[::]=[::1]", "the tap would call itself"),
+        ("tap:[::]=127.0.0.1", "the tap would call itself"),
         ("tap:127.0.0.1:1704=10.0.0.9:0", "for example tap:127.0.0.1:1704=10.0.0.9:502"),
         ("tcp:1502:", "is no address"),
         ("tcp::1502", "is no address"),

@@ -155,7 +155,6 @@ def test_a_changed_register_in_a_recording_of_others_is_found(public_captures: P
     ("name", "line"),
     [
         ("ZZ_text_logs/tio__tio/issue226.hex.txt", "rtu@9600-8N1"),
-        ("ZZ_text_logs/otti__FroniusModbusRtu/20230228_record.txt", None),
         ("sigrokproject__sigrok-dumps/brainchild-io-16do.bytes.csv", None),
         ("sigrokproject__sigrok-dumps/flowmeter_graph_tool.bytes.csv", None),
         ("derived/noisy_bus_flowmeter.bus.bin", "rtu@9600-8N1"),

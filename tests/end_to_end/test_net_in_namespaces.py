@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tests.end_to_end.namespaces import Cable
 
 PORT = 1502
+ALLOWED = ("--allow", "10.0.0.0/8", "--allow", "fd90::/64")
 ASKED = 20
 
 CLIENT = f"""
@@ -146,6 +147,41 @@ def test_a_flow_is_followed_across_interfaces_only_where_that_is_asked(
     assert sorted(str(one["outcome"]) for one in decoded(log, "--raw")) == outcomes
 
 
+CONNECT = """
+import socket, sys
+try:
+    with socket.create_connection((sys.argv[1], int(sys.argv[2])), 10) as connection:
+        print(len(connection.recv(100)))
+except ConnectionResetError:  # Perhaps before the call has returned.
+    print(0)
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("slave", "idec-ft1a-touch", "--on", f"tcp:[::]:{PORT}"),
+        ("sniff", f"tap:[::]:{PORT}=127.0.0.1:9"),
+    ],
+    ids=["slave", "tap"],
+)
+@pytest.mark.parametrize("side", [0, 1], ids=["ipv4", "ipv6"])
+def test_a_machine_outside_the_allowed_networks_is_turned_away(
+    ends: Cable, command: Sequence[str], side: int
+) -> None:
+    allowed = ("--allow", "192.0.2.0/24", "--allow", "fd90:1::/64")
+    with Program(*ends.within(ends.slave, MBTOOL, *command, *allowed)) as program:
+        program.said.find("Ctrl-C ends")
+        host, own = (IPV4[1], IPV4[0]) if side == 0 else (IPV6[1], IPV6[0])
+        connect = (sys.executable, "-c", CONNECT, host, str(PORT))
+        asked = subprocess.run(
+            ends.within(ends.master, *connect), check=True, capture_output=True, timeout=PATIENCE_S
+        )
+        assert asked.stdout == b"0\n"
+        program.said.find(f"a master was turned away: {own} is in no network of --allow")
+        assert program.interrupt() == 130
+
+
 class listening(ExitStack):  # noqa: N801
     """A slave, and a sniffer at each end of the cable, while the context is open."""
 
@@ -153,7 +189,7 @@ class listening(ExitStack):  # noqa: N801
         self, ends: Cable, folder: Path, link: str, slave: str, options: Sequence[str]
     ) -> None:
         super().__init__()
-        answers = ("slave", "idec-ft1a-touch", "--on", f"tcp:{slave}", "--allow-remote")
+        answers = ("slave", "idec-ft1a-touch", "--on", f"tcp:{slave}", *ALLOWED)
         self._programs: list[Program] = []
         self._logs = []
         self._start(ends.within(ends.slave, MBTOOL, *answers), "Ctrl-C ends")

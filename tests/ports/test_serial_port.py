@@ -6,19 +6,27 @@ import errno
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import pytest
 
-from mbtool.core import LinkError, SerialFormat
-from mbtool.ports.serial_port import IDLE_S, PyserialPort, explain, open_listening
+from mbtool.core import LinkError, SerialFormat, SerialLink
+from mbtool.ports.portable_serial import PyserialPort
+from mbtool.ports.serial_opening import open_listening, open_passing, open_port
+from mbtool.ports.serial_port import IDLE_S, explain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-pytestmark = pytest.mark.skipif(
-    sys.platform == "win32", reason="pseudo-terminals need Linux or macOS"
-)
+    class Closable(Protocol):
+        def close(self) -> None: ...
+
+    Opening = Callable[[str, SerialFormat], Closable]
+
+if sys.platform == "win32":
+    pytest.skip("pseudo-terminals need Linux or macOS", allow_module_level=True)
+
+import fcntl
 
 EVEN = SerialFormat(19200, 8, "E", 1)
 
@@ -32,27 +40,59 @@ def pty() -> Iterator[tuple[int, str]]:
     os.close(far)
 
 
-def test_an_absent_port_is_named_with_those_that_are_there() -> None:
+def _open_to_speak(port: str, format_: SerialFormat) -> Closable:
+    return open_port(SerialLink(port, format_), 0.0)
+
+
+each_way = pytest.mark.parametrize(
+    "open_", [open_listening, open_passing, _open_to_speak], ids=["listen", "pass on", "speak"]
+)
+
+
+@each_way
+def test_an_absent_port_is_named_with_those_that_are_there(open_: Opening) -> None:
     with pytest.raises(LinkError, match=r"^serial port /dev/tty-no: is not there; .*here"):
-        open_listening("/dev/tty-no", EVEN)
+        open_("/dev/tty-no", EVEN)
 
 
-def test_a_file_is_no_serial_port(tmp_path: Path) -> None:
+@each_way
+def test_a_file_is_no_serial_port(tmp_path: Path, open_: Opening) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("no port")
     for path in (file, tmp_path, Path(os.devnull)):
         with pytest.raises(LinkError, match=r"is not a serial port; .*here"):
-            open_listening(str(path), EVEN)
+            open_(str(path), EVEN)
 
 
-def test_a_second_listener_is_refused(pty: tuple[int, str]) -> None:
+@each_way
+def test_a_second_user_of_a_port_is_refused(pty: tuple[int, str], open_: Opening) -> None:
     port = open_listening(pty[1], EVEN)
     try:
-        with pytest.raises(LinkError, match="in use by another program"):
-            open_listening(pty[1], EVEN)
+        with pytest.raises(LinkError, match="is in use by another program; end that one first"):
+            open_(pty[1], EVEN)
     finally:
         port.close()
-    open_listening(pty[1], EVEN).close()
+    open_(pty[1], EVEN).close()
+
+
+@each_way
+def test_a_baud_rate_that_the_driver_does_not_do_is_told(
+    pty: tuple[int, str], open_: Opening
+) -> None:
+    with pytest.raises(LinkError, match="its driver does not do 99999999999-8N1; are baud rate"):
+        open_(pty[1], SerialFormat(99999999999, 8, "N", 1))
+
+
+@each_way
+def test_an_error_that_the_system_gives_no_reason_for_is_told_as_it_is(
+    pty: tuple[int, str], open_: Opening, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    with pytest.raises(LinkError, match=rf"^serial port {pty[1]}: cannot be opened: .*Broken"):
+        open_(pty[1], EVEN)
 
 
 def test_a_port_of_a_group_says_how_to_join_it(tmp_path: Path) -> None:
@@ -116,7 +156,7 @@ def test_the_portable_port_says_when_it_is_gone() -> None:
     os.close(far)
     os.close(near)
     try:
-        with pytest.raises(LinkError, match="lost while reading"):
+        with pytest.raises(LinkError, match="lost; is it still plugged in"):
             port.read(IDLE_S)
     finally:
         port.close()

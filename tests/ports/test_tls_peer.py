@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import ssl
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.ports.tls_peer import MAX_TEXT, ROLE_OID, end_of, role_of, subject_of
-from tests.certificates import CA, EXPIRED, MASTER, NO_ROLE, SLAVE
+from mbtool.core import ListenTls
+from mbtool.ports.tls import server_context, why_outdated
+from mbtool.ports.tls_peer import MAX_TEXT, ROLE, described, end_of, role_of, subject_of
+from tests.certificates import CA, EXPIRED, LATIN_1, MASTER, NO_ROLE, SLAVE
+
+KEY = ec.generate_private_key(ec.SECP256R1())
 
 
 def der_of(path: str) -> bytes:
@@ -20,53 +28,84 @@ def der_of(path: str) -> bytes:
     return ssl.PEM_cert_to_DER_cert(text[: text.index(end) + len(end)])
 
 
-def element(tag: int, content: bytes) -> bytes:
-    """DER with the length in its short form, or with two bytes."""
-    size = len(content)
-    length = bytes([size]) if size < 0x80 else b"\x82" + size.to_bytes(2, "big")
-    return bytes([tag]) + length + content
-
-
-def certificate(*extensions: bytes) -> bytes:
-    """As much of a certificate as counts here: X.509 with its extensions."""
-    listed = element(0xA3, element(0x30, b"".join(extensions)))
-    body = element(0xA0, bytes.fromhex("02 01 02")) + element(0x02, b"\x01") + listed
-    return element(0x30, element(0x30, body))
-
-
-def extension(value: bytes, *, oid: bytes = ROLE_OID, critical: bool = False) -> bytes:
-    flag = bytes.fromhex("01 01 ff") if critical else b""
-    return element(0x30, element(0x06, oid) + flag + element(0x04, value))
+def certificate(role: bytes, *, critical: bool = False) -> bytes:
+    """A certificate with the role as its last extension."""
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "a")])
+    at = datetime(2026, 1, 1, tzinfo=UTC)
+    builder = x509.CertificateBuilder(name, name, KEY.public_key(), 1, at, at)
+    builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), True)
+    extension = x509.UnrecognizedExtension(x509.ObjectIdentifier(ROLE), role)
+    builder = builder.add_extension(extension, critical)
+    signed = builder.sign(KEY, hashes.SHA256())
+    der: bytes = signed.public_bytes(serialization.Encoding.DER)
+    return der
 
 
 def test_the_role_of_a_client_is_read() -> None:
     assert role_of(der_of(MASTER)) == "Operator"
 
 
-@pytest.mark.parametrize("path", [NO_ROLE, SLAVE, CA])
+@pytest.mark.parametrize("path", [NO_ROLE, SLAVE, CA, LATIN_1])
 def test_a_certificate_without_a_role_gives_none(path: str) -> None:
     assert role_of(der_of(path)) is None
 
 
 @pytest.mark.parametrize("critical", [False, True])
 def test_the_role_is_found_behind_other_extensions(critical: bool) -> None:
-    other = extension(b"\x04\x01\x00", oid=bytes.fromhex("551d0e"))
-    role = extension(element(0x0C, "Prüfer".encode()), critical=critical)
-    assert role_of(certificate(other, role)) == "Prüfer"
+    role = b"\x0c\x07" + "Prüfer".encode()  # UTF8String
+    assert role_of(certificate(role, critical=critical)) == "Prüfer"
 
 
-def test_a_role_of_another_type_is_none() -> None:
-    assert role_of(certificate(extension(element(0x02, b"\x01")))) is None
-    assert role_of(certificate(extension(b""))) is None
+@pytest.mark.parametrize("value", ["020101", "0c01ff", "0c05", "", "0c016100"])
+def test_a_role_that_is_no_text_is_none(value: str) -> None:
+    assert role_of(certificate(bytes.fromhex(value))) is None
+
+
+class _Peer:
+    """As much of an SSLObject as counts here."""
+
+    context = ssl.create_default_context()
+
+    def __init__(self, der: bytes) -> None:
+        self._der = der
+
+    def version(self) -> str:
+        return "TLSv1.3"
+
+    def getpeercert(self, binary_form: bool = False) -> object:
+        return self._der if binary_form else {"subject": ((("commonName", "master"),),)}
+
+
+@pytest.mark.parametrize(
+    ("path", "with_the_extra", "without"),
+    [
+        (
+            MASTER,
+            "TLS 1.3, CN=master, role Operator",
+            "TLS 1.3, CN=master, a role, which the extra mbtool[tls] would show",
+        ),
+        (NO_ROLE, "TLS 1.3, CN=master", "TLS 1.3, CN=master"),
+    ],
+)
+def test_without_the_extra_only_the_role_is_missing(
+    monkeypatch: pytest.MonkeyPatch, path: str, with_the_extra: str, without: str
+) -> None:
+    peer = _Peer(der_of(path))
+    assert described(peer) == with_the_extra  # type: ignore[arg-type]
+    for name in ("cryptography", "cryptography.x509", "cryptography.hazmat.asn1"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert described(peer) == without  # type: ignore[arg-type]
+    assert why_outdated("--tls-cert", EXPIRED) is None
+    assert server_context(ListenTls(SLAVE, ca=CA)).verify_mode is ssl.CERT_REQUIRED
 
 
 @given(st.binary(max_size=300))
-def test_any_bytes_are_walked_to_an_end(data: bytes) -> None:
+def test_any_bytes_are_read_without_an_error(data: bytes) -> None:
     role_of(data)
 
 
 @given(st.data())
-def test_a_damaged_certificate_is_walked_to_an_end(data: st.DataObject) -> None:
+def test_a_damaged_certificate_is_read_without_an_error(data: st.DataObject) -> None:
     der = bytearray(der_of(MASTER))
     at = data.draw(st.integers(0, len(der) - 1))
     der[at] = data.draw(st.integers(0, 255))
@@ -97,14 +136,12 @@ def test_what_a_terminal_would_act_on_is_escaped_and_long_names_are_cut() -> Non
 
 
 def test_the_end_of_a_certificates_validity_is_read() -> None:
-    assert end_of(der_of(EXPIRED)) == datetime(2020, 2, 1, tzinfo=UTC)
-    assert end_of(der_of(SLAVE)) == datetime(2120, 1, 1, tzinfo=UTC)  # A time of another kind.
+    assert end_of(Path(EXPIRED).read_bytes()) == datetime(2020, 2, 1, tzinfo=UTC)
+    assert end_of(Path(SLAVE).read_bytes()) == datetime(2120, 1, 1, tzinfo=UTC)
+    assert end_of(Path(LATIN_1).read_bytes()) is not None
 
 
 @given(st.binary(max_size=80))
-def test_a_validity_that_cannot_be_read_has_no_end(noise: bytes) -> None:
-    validity = element(0x30, element(0x17, b"200101000000Z") + element(0x17, noise))
-    body = element(0x30, b"") * 2 + validity
-    end = end_of(element(0x30, element(0x30, body)))
-    assert end is None or len(noise) >= 8
+def test_a_certificate_that_cannot_be_read_has_no_end(noise: bytes) -> None:
     assert end_of(noise) is None
+    assert end_of(ssl.DER_cert_to_PEM_cert(noise).encode()) is None

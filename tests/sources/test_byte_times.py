@@ -27,8 +27,7 @@ def _rows(
 
 def _read(text: str, line: LineSettings | None = None) -> tuple[SerialFormat, list[Chunk]]:
     settings, pieces = read_byte_times(io.BytesIO(text.encode()), "a.csv", "a", line)
-    chunks = [piece for piece in pieces if isinstance(piece, Chunk)]
-    return settings.format, chunks
+    return settings.format, list(pieces)
 
 
 def test_each_byte_has_the_time_when_its_last_bit_arrived() -> None:

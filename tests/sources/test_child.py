@@ -10,7 +10,7 @@ import pytest
 
 from mbtool.ports.serial_records import RecordKind, RecordReader
 from mbtool.sources import child
-from mbtool.sources.child import see_off, start_child
+from mbtool.sources.child import end_child, start_child
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,11 +26,11 @@ def test_a_module_in_the_current_folder_does_not_get_in_the_way(
     (record,) = RecordReader().feed(reader.stdout.read())
     assert record.kind is RecordKind.ERROR
     assert record.data.startswith(b"serial port /dev/tty-no: is not there")
-    assert see_off(reader) == 0
+    assert end_child(reader) == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are of POSIX")
 def test_a_child_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child, "GRACE_S", 0.1)
     stubborn = start_child("http.server", "--bind", "127.0.0.1", "0")
-    assert see_off(stubborn) == -signal.SIGKILL
+    assert end_child(stubborn) == -signal.SIGKILL

@@ -269,14 +269,14 @@ def test_packets_of_several_interfaces_come_in_the_order_of_their_times(
     """However many are fetched at once, also where one interface lags behind the others."""
     inbox = Inbox()
     source = InterfaceSource(InterfaceLink(("a", "b")), inbox)
-    source._ears = [
-        interface._Ear(str(number), Scripted([float(time) for time in sorted(way)]), ETHERNET)
+    source._captures = [
+        interface._Capture(str(number), Scripted([float(time) for time in sorted(way)]), ETHERNET)
         for number, way in enumerate(ways)
     ]
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(interface, "_FETCH", fetch)
         while source._fetch():
-            assert all(len(ear.held) <= fetch for ear in source._ears)
+            assert all(len(one.held) <= fetch for one in source._captures)
     heard = [item.ts_ns for item in drain(inbox) if isinstance(item, Packet)]
     assert heard == sorted(time * 10**9 for way in ways for time in way)
 
@@ -285,9 +285,9 @@ def of_two_interfaces(times: list[float]) -> tuple[InterfaceSource, Inbox]:
     """One has heard packets, the other none."""
     inbox = Inbox()
     source = InterfaceSource(InterfaceLink(("a", "b")), inbox)
-    source._ears = [
-        interface._Ear("a", Scripted(times), ETHERNET),
-        interface._Ear("b", Scripted([]), ETHERNET),
+    source._captures = [
+        interface._Capture("a", Scripted(times), ETHERNET),
+        interface._Capture("b", Scripted([]), ETHERNET),
     ]
     return source, inbox
 
@@ -303,7 +303,7 @@ def test_what_another_interface_may_yet_precede_is_held_back_for_a_moment(
     monkeypatch.setattr(interface, "now_ns", lambda: 5 * 10**9)
     source._fetch()
     assert seconds(inbox) == [1]
-    assert len(source._ears[0].held) == 1
+    assert len(source._captures[0].held) == 1
     monkeypatch.setattr(interface, "now_ns", lambda: 6 * 10**9)
     source._fetch()
     assert seconds(inbox) == [5]

@@ -155,7 +155,7 @@ def test_a_port_that_goes_away_ends_the_source_after_what_came() -> None:
         os.close(near)
         last = take_until(inbox, lambda item: isinstance(item, Ended))[-1]
     assert isinstance(last, Ended)
-    assert "lost while reading" in str(last.error)
+    assert "lost; is it still plugged in" in str(last.error)
 
 
 def test_a_reading_process_that_is_killed_is_an_error(pty: tuple[int, str]) -> None:

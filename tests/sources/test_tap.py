@@ -22,12 +22,14 @@ from mbtool.core import (
     Quiet,
     Stamp,
     TapLink,
+    UsageError,
     WireEvent,
 )
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
+from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.relay import _why
-from mbtool.sources.tap import TapSource, _remedy
+from mbtool.sources.tap import TapSource
 from tests.sources.live_helpers import PATIENCE_S, drain, start_program, take_until
 from tests.sources.tap_bench import ANY_PORT, Bench
 
@@ -351,7 +353,6 @@ def test_that_no_more_files_can_be_opened_is_told_once(
         "exception": OSError(errno.EMFILE, os.strerror(errno.EMFILE)),
     }
     loop = tap._loop
-    assert loop is not None
     for _ in range(100):
         loop.call_soon_threadsafe(loop.call_exception_handler, context)
     other = {"message": "something else", "exception": ValueError("of another kind")}
@@ -402,20 +403,48 @@ def test_the_consumer_is_told_that_time_passes(bench: Bench) -> None:
 def test_an_address_in_use_says_what_would_be_right(bench: Bench) -> None:
     link = TapLink(bench.target, Endpoint("127.0.0.1", 502))
     with (
-        pytest.raises(LinkError, match=rf"cannot listen at {bench.target}: the address is in use"),
+        pytest.raises(LinkError, match=rf"cannot listen at {bench.target}: the port is in use"),
         TapSource(link, bench.inbox),
     ):
         pass
 
 
-@pytest.mark.parametrize(
-    ("error", "remedy"),
-    [
-        (PermissionError(errno.EACCES, ""), "ports below 1024 need a privilege"),
-        (OSError(errno.EADDRNOTAVAIL, ""), "no interface here has this address"),
-        (socket.gaierror(socket.EAI_NONAME, ""), "no such host"),
-        (OSError(errno.ENOBUFS, "No buffer space"), "No buffer space"),
-    ],
-)
-def test_a_failed_listening_is_explained(error: OSError, remedy: str) -> None:
-    assert _remedy(error).startswith(remedy)
+class _Nobody(AllowedPeers):
+    """No machine at all, so that a connection from this one is refused."""
+
+    def __contains__(self, host: object) -> bool:
+        return False
+
+
+def test_a_master_that_is_not_allowed_is_reset_with_an_event_and_reaches_no_target(
+    bench: Bench,
+) -> None:
+    link = TapLink(ANY_PORT, bench.target)
+    with TapSource(link, bench.inbox, allowed=_Nobody()) as tap, socket.socket() as master:
+        with pytest.raises(ConnectionResetError):
+            call_and_read(master, tap.endpoint)
+        event = take_until(bench.inbox, lambda item: isinstance(item, WireEvent))[-1]
+    assert isinstance(event, WireEvent)
+    assert event.kind is EventKind.REFUSED
+    assert event.message == "127.0.0.1 is in no network of --allow"
+    assert event.source.startswith("127.0.0.1:")
+    assert event.destination == str(bench.target)
+    bench.server.settimeout(0)
+    with pytest.raises(BlockingIOError):
+        bench.accept()
+
+
+def test_a_tap_that_other_machines_can_reach_wants_to_know_which(bench: Bench) -> None:
+    link = TapLink(Endpoint("0.0.0.0", 0), bench.target)
+    with (
+        pytest.raises(UsageError, match=r"other machines can reach 0\.0\.0\.0; .*--allow"),
+        TapSource(link, bench.inbox),
+    ):
+        pass
+    allowed = AllowedPeers.parse(["10.0.0.0/8"])
+    with (
+        TapSource(link, bench.inbox, allowed=allowed) as tap,
+        socket.create_connection(("127.0.0.1", tap.endpoint.port), PATIENCE_S) as master,
+    ):
+        master.sendall(REQUEST)
+        assert bench.accept().recv(100) == REQUEST

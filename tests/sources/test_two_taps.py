@@ -124,7 +124,7 @@ def test_a_port_that_goes_away_ends_both_with_what_came(
         assert isinstance(last, Ended)
         assert last.link == source.link
         assert str(last.error).startswith(f"link {source.place} needs both its ports: ")
-        assert f"serial port {port}: lost while reading" in str(last.error)
+        assert f"serial port {port}: lost; is it still plugged in" in str(last.error)
     assert not any(isinstance(item, Ended) for item in drain(inbox))
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 if sys.platform == "win32":
     pytest.skip("a virtual line needs Linux or macOS", allow_module_level=True)
 
-from mbtool.sources.virtual_line_hub import MAX_WAITING, Sender
+from mbtool.sources.virtual_line_hub import MAX_PENDING, Sender
 
 CHARACTER_NS = 573_000
 
@@ -43,7 +43,7 @@ def test_what_is_written_during_a_character_follows_it() -> None:
 
 def test_room_ends_at_the_bound() -> None:
     sender = Sender(CHARACTER_NS)
-    sender.put(bytes(MAX_WAITING), 0)
+    sender.put(bytes(MAX_PENDING), 0)
     assert sender.room == 0
     sender.take(CHARACTER_NS)
     assert sender.room == 1

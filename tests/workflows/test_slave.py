@@ -77,8 +77,8 @@ def test_a_device_takes_on_its_line_what_it_takes_in_that_mode(
     assert (answer.pdu[0] == 3) == answered
 
 
-def test_others_are_let_in_only_with_leave() -> None:
-    with pytest.raises(UsageError, match="--allow-remote"):
+def test_other_machines_can_connect_only_if_they_are_named() -> None:
+    with pytest.raises(UsageError, match="--allow"):
         device_slave(TOUCH, parse_link("tcp:0.0.0.0:0")).start()
 
 

@@ -1,4 +1,4 @@
-"""What plays a responder on a TCP endpoint or a serial line."""
+"""Slaves on a TCP endpoint or a serial line: a shell around a responder."""
 
 from mbtool.slave.shells.opening import open_shell, slave_link
 from mbtool.slave.shells.serial_shell import SerialSlave

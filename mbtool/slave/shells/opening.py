@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialLink, TcpLink, UsageError
 from mbtool.core.link_spec import ANSWERED
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.slave.shells.serial_shell import SerialSlave
 from mbtool.slave.shells.tcp_shell import TcpSlave
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def slave_link(link: LinkSpec) -> SerialLink | TcpLink:
-    """The same link, if a slave can be on it. Raises UsageError."""
+    """The same link, if a slave can answer on it. Raises UsageError."""
     if isinstance(link, SerialLink):
         link.demand_one_port()
     if isinstance(link, SerialLink | TcpLink):
@@ -28,17 +29,15 @@ def open_shell(
     link: LinkSpec,
     responder: Responder,
     *,
-    allow_remote: bool = False,
+    allowed: AllowedPeers = THIS_MACHINE,
     rules: ConnectionPolicy | None = None,
     on_exchange: OnExchange | None = None,
 ) -> Shell:
     """A shell that will play a responder on a link, not yet started. Raises UsageError.
 
-    `rules` are those of a device for its connections; a serial line has none.
+    `allowed` and `rules`, those of a device for its connections, have no use on a serial line.
     """
     where = slave_link(link)
     if isinstance(where, SerialLink):
         return SerialSlave(where, responder, on_exchange=on_exchange)
-    return TcpSlave(
-        where, responder, allow_remote=allow_remote, rules=rules, on_exchange=on_exchange
-    )
+    return TcpSlave(where, responder, allowed=allowed, rules=rules, on_exchange=on_exchange)

@@ -1,20 +1,20 @@
 """Plays slaves on a serial line: RTU or ASCII."""
 
-# One thread reads, hands what it read to the splitter, and writes the answers. A read waits for
-# t3.5 at most, and a read that brings nothing is the silence that ends an RTU frame. An answer
-# leaves no earlier than t3.5 after its request's last byte (Serial Line V1.02, 2.5.1.1), or later
-# where the slave takes longer. Answers leave in the order of their requests.
+# One thread reads, gives what it read to the splitter, and writes the responses. A read waits for
+# at most t3.5, and a read without bytes is the silence that ends an RTU frame. A response leaves at
+# least t3.5 after its request's last byte (Serial Line V1.02, 2.5.1.1), or later if the slave takes
+# longer. Responses leave in the order of their requests.
 #
-# Heard and not answered: requests for the units of other slaves, and their answers; frames whose
-# check is wrong; noise. Only the slaves played here answer to their units, so a frame for one of
-# them is a request, also where it equals the answer to the one before (05, 06): nobody's turn
-# counts.
+# No response goes to: requests for other slaves, and their responses; frames whose check is wrong;
+# noise. No other slave answers for the units played here, so a frame for one of them is a request,
+# also if it equals the response before it (functions 05 and 06).
 #
-# Not for adapters that give back what is written to them: their echo would look like a request.
+# Adapters that give back what is written to them cannot be used: their echo would look like a
+# request.
 #
-# Bounds: MAX_WAITING answers that wait, or pieces of one where it is sent in pieces on purpose
-# (modbus/distortion.py); while there are so many, no request is answered. A write that the line
-# does not take for WRITE_TIMEOUT_S is given up.
+# Limits: MAX_PENDING responses wait, or pieces of one that is sent in pieces
+# (modbus/distortion.py); with so many, requests get no response. A write that the port does not
+# take in WRITE_TIMEOUT_S is given up.
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, SerialLink
 from mbtool.modbus.adu import Adu
 from mbtool.modbus.distortion import wire_pieces
+from mbtool.ports.clock import steady_clock
 from mbtool.ports.serial_opening import WriteTimeout, open_port, port_in_use
-from mbtool.ports.steady_clock import steady_clock
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.bus_model import BusModel, Classification, roles_of
 from mbtool.serial_line.bus_state import BusState
@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.response import Responder
 
-MAX_WAITING = 16
+MAX_PENDING = 16
+"""How many responses, or pieces of them, may wait."""
 _NEVER = 32.0
-"""Bits: more than a request costs that says what none does."""
+"""The extra cost, in bits, of a frame that cannot be a request: more than any request costs."""
 
 
 class SerialSlave(Shell):
@@ -58,8 +59,8 @@ class SerialSlave(Shell):
         self._stopping = threading.Event()
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _NobodysTurn())
-        self._waiting: deque[tuple[int, bytes]] = deque()
-        """Answers, or pieces of them, and when they are due."""
+        self._pending: deque[tuple[int, bytes]] = deque()
+        """Responses, or pieces of them, each with the time when it leaves."""
 
     @property
     def place(self) -> str:
@@ -86,27 +87,27 @@ class SerialSlave(Shell):
                 self._take(event, now_ns)
 
     def _take(self, request: Adu, now_ns: int) -> None:
-        if len(self._waiting) >= MAX_WAITING:
+        if len(self._pending) >= MAX_PENDING:
             return
         answer = self._responder.respond(request.unit, request.pdu, now_ns)
         if answer is not None:
             due_ns = request.end_ns + max(answer.delay_ns, self.link.format.t3_5_ns)
             for later_ns, data in wire_pieces(answer, request.transport, request.unit):
-                self._waiting.append((due_ns + later_ns, data))
+                self._pending.append((due_ns + later_ns, data))
         if self._on_exchange is not None:
             self._on_exchange(request, answer)
 
     def _send_due(self) -> None:
-        """Send the answers that are due before the next read would return."""
-        while self._waiting:
-            due_ns, data = self._waiting[0]
+        """Send the responses that are due before the next read would return."""
+        while self._pending:
+            due_ns, data = self._pending[0]
             rest_ns = due_ns - self._clock()
             if rest_ns > self.link.format.t3_5_ns or self._stopping.wait(max(rest_ns, 0) / 1e9):
                 return
-            self._waiting.popleft()
+            self._pending.popleft()
             try:
                 self._port.write(data)
-            except WriteTimeout:  # Half an answer is none.
+            except WriteTimeout:  # Drop the rest: half a response is of no use.
                 self._port.reset_output_buffer()
 
 

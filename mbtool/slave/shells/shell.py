@@ -1,7 +1,7 @@
-"""What plays a responder on a link: opened, run in a thread of its own, and stopped."""
+"""What all slaves share: a link that a thread of its own answers on, until it is stopped."""
 
-# A shell owns the link and the clock; what to answer is the responder's matter. The responder is
-# called from the shell's thread only, so one responder belongs to one shell.
+# A shell owns the link and the clock; the responder decides what to answer. Only the shell's thread
+# calls the responder, so each shell has a responder of its own.
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Response
 
 OnExchange = Callable[["Adu", "Response | None"], None]
-"""Gets each request that was heard, and the answer or None for silence, in the shell's thread."""
+"""Called in the shell's thread with each request, and the response, or None if there is none."""
 
 STOP_TIMEOUT_S = 5.0
 
@@ -28,26 +28,26 @@ class Shell(ABC):
 
     def __init__(self) -> None:
         self.turned_away = 0
-        """How many connections were closed at once, because as many as `places` were open."""
+        """How many connections were closed because `places` others were open."""
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None
 
     @property
     @abstractmethod
     def place(self) -> str:
-        """The link it answers on, as opened: with the port it was given, where it asked for 0."""
+        """The link, as opened: with the port that the system chose where 0 was asked for."""
 
     @property
     def places(self) -> int:
-        """How many masters it takes at once: a line has one."""
+        """How many masters may be connected at once; a serial line has one."""
         return 1
 
     def notes(self) -> list[str]:
-        """What it has done by the device's rules since the last time, in sentences for the user."""
+        """What has happened to connections since the last call, in sentences for the user."""
         return []
 
     def start(self) -> None:
-        """Open the link and begin to answer. Raises LinkError or UsageError."""
+        """Open the link and begin to answer. Raises LinkError, UsageError."""
         if self._thread is not None:
             raise RuntimeError("a shell is started once")
         self._open()
@@ -57,7 +57,7 @@ class Shell(ABC):
     def wait(self, timeout_s: float | None = None) -> None:
         """Return when the shell has ended or the time is over.
 
-        Raises what ended it: LinkError for a lost link.
+        Raises the error that ended it: LinkError for a lost link.
         """
         if self._thread is not None:
             self._thread.join(timeout_s)
@@ -65,9 +65,9 @@ class Shell(ABC):
             raise self._failure
 
     def stop(self) -> None:
-        """End, and give the link free. Does nothing the second time."""
+        """End, and close the link. A second call does nothing."""
         if self._thread is not None and self._thread.is_alive():
-            with suppress(RuntimeError):  # It has just ended, and its event loop with it.
+            with suppress(RuntimeError):  # Its event loop has just been closed.
                 self._interrupt()
             self._thread.join(STOP_TIMEOUT_S)
 
@@ -95,7 +95,7 @@ class Shell(ABC):
 
     @abstractmethod
     def _run(self) -> None:
-        """Answer until interrupted, and close the link. Raises LinkError where it is lost."""
+        """Answer until interrupted, and close the link. Raises LinkError if the link is lost."""
 
     @abstractmethod
     def _interrupt(self) -> None:

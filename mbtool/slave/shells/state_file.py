@@ -1,10 +1,10 @@
-"""Keeps what a device keeps over a restart: its non-volatile registers, in a file."""
+"""Keeps a device's non-volatile registers in a file, from one run to the next."""
 
-# The file is TOML in the device's notation, as a file of start values is (image_file.py). It is
-# written whenever one of its registers has changed, before the master has its answer: into a file
-# beside it, which is on the disk before it takes the old one's name. So a crash or a power cut
-# leaves the old state or the new one, and perhaps the file beside it, which the next write takes
-# over: it has one name.
+# The file is TOML in the device's notation, like a file of start values (image_file.py). It is
+# written when one of its registers has changed, before the master gets the response. The content
+# goes into a second file, which is synced to the disk and then renamed. So after a crash or a power
+# cut the file holds the old state or the new one. The second file may remain; it always has the
+# same name, so the next write replaces it.
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def keep_state(
     device: DeviceResponder,
     on_trouble: Callable[[str], None],
 ) -> None:
-    """Give a device the state of a file, if it exists, and write it there from now on.
+    """Load a device's state from a file, if it exists, and write it there from now on.
 
-    Raises UsageError for a device that keeps nothing or a file that says other things, InputError
-    for one that cannot be read, OutputError for one that cannot be written. Where that fails later
+    Raises UsageError for a device that keeps nothing or a file with other keys, InputError for a
+    file that cannot be read, OutputError for one that cannot be written. If writing fails later,
     the device goes on, and `on_trouble` gets a line for the user.
     """
     kept = device.behaviour.kept
@@ -70,11 +70,11 @@ def keep_state(
 
 
 def _resolved(path: Path) -> Path:
-    """Where a file is, or would be, if one can look there. Raises InputError."""
+    """The path without symbolic links. Raises InputError if it cannot be looked up."""
     try:
         path = path.resolve()
         path.exists()
-    except (OSError, RuntimeError) as error:  # A folder that is closed to us, or links in a circle.
+    except (OSError, RuntimeError) as error:  # A folder without permission, or links in a circle.
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
     return path
@@ -85,7 +85,7 @@ def _key(reference: str) -> str:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Give a file another content, all or nothing. Raises OSError."""
+    """Replace a file's content in one step. Raises OSError."""
     beside = path.with_name(f".{path.name}.new")
     try:
         with beside.open("w", encoding="utf-8") as file:
@@ -97,7 +97,7 @@ def _replace(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             beside.unlink()
         raise
-    if hasattr(os, "O_DIRECTORY"):  # The new name is on the disk when its folder is.
+    if hasattr(os, "O_DIRECTORY"):  # The new name is on the disk once its folder is synced.
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(folder)

@@ -1,18 +1,20 @@
-"""One master's connection to a TCP shell: requests in, answers out in their order."""
+"""One master's connection to a TCP slave: requests in, responses out, in the same order."""
 
-# A request that comes alone and whole, as nearly all do, is answered where it stands in the buffer.
-# Whatever else comes goes through the splitter: requests in pieces, bytes that are none, RTU
-# frames, and everything while someone watches the exchanges.
+# Most reads bring exactly one request, which is answered straight from the buffer. Everything else
+# goes through the splitter: requests in pieces, bytes that are no request, RTU frames, and all
+# requests while someone watches the exchanges.
 #
-# Answers leave in the order of their requests; one that waits for its time holds up those behind
-# it. One that is spoilt leaves as modbus/distortion.py says, and may end the connection behind it.
+# Responses leave in the order of their requests; a delayed one delays those behind it. A distorted
+# one leaves as modbus/distortion.py says, and may end the connection.
 #
-# Timers, by the rules of the device (connection_rules.py): a connection without a whole request for
-# idle_s is closed; a request whose last part does not come within split_s of its first is given up.
+# Timers, by the rules of the device (connection_policy.py): a connection without a whole request
+# for idle_s is closed; a request whose last part does not come within split_s of its first is given
+# up, and its connection closed.
 #
-# Holds: the splitter's incomplete ADU, and the answers of Bounds.waiting requests; while there are
-# so many, or the master takes no answers, it is not read from. A read that came just before may add
-# READ_BYTES / 8 more, with RTU frames READ_BYTES / 4 (the shortest ADU has 8 bytes, or 4).
+# Holds: the splitter's incomplete ADU, and the responses to Bounds.waiting requests. With so many
+# pending responses, and while the master reads none, the connection is not read. A read that came
+# just before may add READ_BYTES / 8 responses, with RTU frames READ_BYTES / 4 (the shortest ADU has
+# 8 bytes, or 4).
 
 from __future__ import annotations
 
@@ -31,6 +33,7 @@ from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import MAX_TCP_ADU, Adu, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_adu
 from mbtool.modbus.distortion import ConnectionEnding, wire_pieces
+from mbtool.ports.tcp_listener import reset
 from mbtool.slave.device.connection_policy import Loss
 
 if TYPE_CHECKING:
@@ -47,18 +50,18 @@ _HEADER = struct.Struct(">HHHB")
 _MODBUS = 0
 
 _GONE = frozenset({errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH})
-"""How TCP reports a master that answers no probe or acknowledges nothing; the last two where the
-network has said why."""
+"""The errors of a master that answers no probe or acknowledges nothing; the last two come if the
+network gives a reason."""
 
-# What keep-alive is set with; a system that lacks one of these names keeps its own setting. Where
-# macOS has TCP_KEEPALIVE the others have TCP_KEEPIDLE.
+# The options that set TCP keep-alive. If a system lacks one, its own setting stays. macOS calls
+# TCP_KEEPALIVE what others call TCP_KEEPIDLE.
 _KEEP_START = getattr(socket, "TCP_KEEPIDLE", getattr(socket, "TCP_KEEPALIVE", None))
 _KEEP_INTERVAL = getattr(socket, "TCP_KEEPINTVL", None)
 _KEEP_COUNT = getattr(socket, "TCP_KEEPCNT", None)
 
 
 class Host(Protocol):
-    """What a connection needs of the shell that it belongs to."""
+    """What a connection needs of the slave that it belongs to."""
 
     responder: Responder
     rules: ConnectionPolicy
@@ -72,13 +75,13 @@ class Host(Protocol):
     def waiting(self) -> int: ...
 
     def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
-        """Ask for leave to stay; None where there is none."""
+        """Give the peer that the rules count for a new connection; None if it must be closed."""
 
     def left(self, connection: MasterConnection) -> None:
-        """Say that the connection has ended."""
+        """Learn that a connection has ended."""
 
     def follow_rules(self) -> None:
-        """Look what the rules want, as they have changed."""
+        """Apply the rules, as they have changed."""
 
 
 class MasterConnection(asyncio.BufferedProtocol):
@@ -99,11 +102,11 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._splitter = (RtuStreamSplitter if shell.is_rtu else MbapSplitter)(Direction.REQUEST)
         self._reads_in_place = not shell.is_rtu and shell.on_exchange is None
         self._is_in_pieces = False
-        """The splitter holds the beginning of a request, or has lost its place."""
-        self._waiting: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """Answers, or pieces of them, and what ends the connection; and when they are due."""
+        """True if the splitter holds part of a request, or looks for the next one."""
+        self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
+        """Responses, or pieces of them, and how the connection ends; each with its time."""
         self._has_ended = False
-        """The master sends no more."""
+        """True if the master sends no more."""
         self._peer_is_slow = False
         self._is_paused = False
         self._last_request_ns = self._clock()
@@ -116,7 +119,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._transport.abort()
 
     def keep_alive(self, setting: KeepAlive | None) -> None:
-        """Have TCP look after a silent master, or not."""
+        """Switch TCP keep-alive on with these times, or off."""
         sock = self._transport.get_extra_info("socket")
         with suppress(OSError):  # The connection may have broken just now; asyncio will say so.
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, setting is not None)
@@ -130,7 +133,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if option is not None:
                     sock.setsockopt(socket.IPPROTO_TCP, option, value)
 
-    # What asyncio calls.
+    # Called by asyncio.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -154,13 +157,13 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._split(bytes(self._buffer[:nbytes]), now_ns)
         if self._rules.changed:
             self._shell.follow_rules()
-        if self._waiting:
+        if self._pending:
             self._send_due()
 
     def eof_received(self) -> bool:
-        """A master that has said all still gets the answers that wait."""
+        """The master sends no more; true if it still gets pending responses."""
         self._has_ended = True
-        return bool(self._waiting)
+        return bool(self._pending)
 
     def pause_writing(self) -> None:
         self._peer_is_slow = True
@@ -180,10 +183,10 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._rules.lost(self.peer, loss, self._clock())
             self._shell.left(self)
 
-    # Their parts.
+    # Parts of these.
 
     def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
-        """Answer what is one whole request; False, and nothing done, where it is anything else."""
+        """Answer one whole request from the buffer; False, and nothing done, if it is not one."""
         if self._is_in_pieces or not self._reads_in_place or not MBAP_BYTES < nbytes <= MAX_TCP_ADU:
             return False
         transaction_id, protocol, length, unit = _HEADER.unpack_from(self._bytes)
@@ -194,14 +197,14 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._last_request_ns = now_ns
         if answer is None:
             return True
-        if answer.delay_ns or answer.distortion is not None or self._waiting:
+        if answer.delay_ns or answer.distortion is not None or self._pending:
             self._put(answer, transaction_id, unit, now_ns)
         else:
             self._transport.write(mbap_adu(transaction_id, unit, answer.pdu))
         return True
 
     def _split(self, data: bytes, now_ns: int) -> None:
-        """Take what is no single whole ADU."""
+        """Take bytes that are not exactly one request."""
         events = self._splitter.feed(data, now_ns)
         for event in events:
             if isinstance(event, Adu):
@@ -212,37 +215,37 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if self._shell.on_exchange is not None:
                     self._shell.on_exchange(event, answer)
                 if (self._rules.closed_until_ns or 0) > now_ns:
-                    break  # What stands behind a remote reset is lost with its connection.
+                    break  # Requests behind a remote reset are lost with their connection.
         self._is_in_pieces = not self._splitter.is_idle
         self._watch_parts(has_ended_one=bool(events))
 
     def _put(self, answer: Response, transaction_id: int | None, unit: int, now_ns: int) -> None:
-        """Have an answer leave when it is due, spoilt if it is to be."""
+        """Queue a response, in pieces if it is distorted."""
         due_ns = last_ns = now_ns + answer.delay_ns
         transport = Transport.RTU_TCP if transaction_id is None else Transport.TCP
         for after_ns, piece in wire_pieces(answer, transport, unit, transaction_id or 0):
             last_ns = due_ns + after_ns
-            self._waiting.append((last_ns, piece))
+            self._pending.append((last_ns, piece))
         if answer.distortion is not None and answer.distortion.ending is not None:
-            self._waiting.append((last_ns, answer.distortion.ending))
+            self._pending.append((last_ns, answer.distortion.ending))
 
     def _send_due(self) -> None:
-        """Send what is due, and come back for the next."""
+        """Send what is due, and set the timer for the rest."""
         if self._send_timer is not None:
             self._send_timer.cancel()
             self._send_timer = None
         now_ns = self._clock()
         due = bytearray()
-        while self._waiting and self._waiting[0][0] <= now_ns:
-            _, part = self._waiting.popleft()
+        while self._pending and self._pending[0][0] <= now_ns:
+            _, part = self._pending.popleft()
             if isinstance(part, ConnectionEnding):
                 self._end(bytes(due), part)
                 return
             due += part
         if due:
             self._transport.write(bytes(due))
-        if self._waiting:
-            rest_s = (self._waiting[0][0] - now_ns) / 1e9
+        if self._pending:
+            rest_s = (self._pending[0][0] - now_ns) / 1e9
             self._send_timer = self._loop.call_later(rest_s, self._send_due)
         elif self._has_ended:
             self._transport.close()
@@ -250,19 +253,17 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._pause_or_resume_reading()
 
     def _end(self, last: bytes, ending: ConnectionEnding) -> None:
-        """Send the last bytes and close the connection, or cut it off."""
-        self._waiting.clear()
+        """Send the last bytes and close the connection, or reset it."""
+        self._pending.clear()
         if last:
             self._transport.write(last)
         if ending is ConnectionEnding.CLOSE:
             self._transport.close()
-            return
-        sock = self._transport.get_extra_info("socket")
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self._transport.abort()
+        else:
+            reset(self._transport)
 
     def _pause_or_resume_reading(self) -> None:
-        pauses = self._peer_is_slow or len(self._waiting) >= self._shell.waiting
+        pauses = self._peer_is_slow or len(self._pending) >= self._shell.waiting
         if pauses is not self._is_paused:
             self._is_paused = pauses
             if pauses:
@@ -271,7 +272,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 self._transport.resume_reading()
 
     def _watch_idle(self) -> None:
-        """Close a connection that has been idle too long, else look again when it could be."""
+        """Close the connection if it was idle too long, else look again when it could have been."""
         if math.isinf(self._rules.idle_s):
             return
         rest_s = self._rules.idle_s - (self._clock() - self._last_request_ns) / 1e9
@@ -281,7 +282,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._idle_timer = self._loop.call_later(rest_s, self._watch_idle)
 
     def _watch_parts(self, *, has_ended_one: bool) -> None:
-        """Give a request time from its first part to its last."""
+        """Start the timer of a request in parts, or stop it."""
         if self._split_timer is not None and (has_ended_one or not self._is_in_pieces):
             self._split_timer.cancel()
             self._split_timer = None

@@ -1,37 +1,33 @@
 """Plays slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
 
-# Each master has a Connection (tcp_connection.py). Who may stay, and how long, is for the rules of
-# the device played here (connection_rules.py); without a device's own they are those of Bounds.
+# Each master has a MasterConnection (tcp_connection.py). Which machines may connect says the
+# listener (ports/tcp_listener.py). How many masters stay connected, and how long, say the rules of
+# the device that is played (connection_policy.py), or Bounds where the device has none.
 #
-# Not answered: a request whose protocol id is not 0, bytes that are no request, and whatever the
-# responder keeps silent about. What one peer sends harms no other connection.
+# No response goes to: a request whose protocol id is not 0, bytes that are no request, and requests
+# for which the responder gives none. What one peer sends harms no other connection.
 #
-# Bounds, of which Bounds has the first three, or the device's rules the first two:
+# Limits. Bounds has the first three; the rules of a device replace the first two:
 #
-#     connections   more are closed as soon as they are made, and counted
+#     connections   one more is closed as soon as it is made, and counted
 #     idle          a connection without a whole request for so long is closed
-#     waiting       with so many answers in its queue a connection is not read from
-#     unread        while a peer does not take its answers it is not read from either
+#     waiting       a connection with so many pending responses is not read
+#     unread        a connection whose master does not read its responses is not read
 #
-# While a device takes no connections its port stays bound, but nobody listens: who calls is
-# refused, as by a device that is starting.
-#
-# A socket that others could reach is opened only with leave: what is checked is the address that
-# the host's name stands for, not the name.
+# A FA3 takes no connections for a while after a remote reset. Its port then stays bound but does
+# not listen, so the system refuses masters, as it does while a real device starts.
 
 from __future__ import annotations
 
 import asyncio
-import errno
-import ipaddress
-import os
-import socket
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
-from mbtool.ports.steady_clock import steady_clock
+from mbtool.core import Endpoint, TcpLink
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.clock import steady_clock
+from mbtool.ports.tcp_listener import TcpListener
 from mbtool.slave.device.connection_policy import ConnectionPolicy
 from mbtool.slave.shells.shell import OnExchange, Shell
 from mbtool.slave.shells.tcp_connection import MasterConnection
@@ -40,10 +36,8 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Responder
     from mbtool.slave.device.connection_policy import Peer
 
-BACKLOG = 64
-SHORT_S = 10.0
-"""How often it is said, at most, that no more connections can be taken."""
-_SHORT = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
+MAX_REFUSED_HOSTS = 64
+"""How many machines that may not connect are reported by name; one more is refused silently."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,12 +58,12 @@ class TcpSlave(Shell):
         link: TcpLink,
         responder: Responder,
         *,
-        allow_remote: bool = False,
+        allowed: AllowedPeers = THIS_MACHINE,
         bounds: Bounds | None = None,
         rules: ConnectionPolicy | None = None,
         on_exchange: OnExchange | None = None,
     ) -> None:
-        """`rules` are those of the device played here, where it has its own."""
+        """`rules` are those of the device played here, if it has its own."""
         super().__init__()
         self.link = link
         self.responder = responder
@@ -78,21 +72,20 @@ class TcpSlave(Shell):
         self.on_exchange = on_exchange
         self.connections: set[MasterConnection] = set()
         self.clock = steady_clock()
-        self._allow_remote = allow_remote
-        self._endpoint = link.endpoint
+        self._listener = TcpListener(link, link.endpoint, allowed)
+        self._refused_hosts: set[str] = set()
         self._woken = asyncio.Event()
-        """It is to stop, or the rules want no connections for a while."""
+        """Set when the slave shall stop, and when the rules want no connections for a while."""
         self._is_stopping = False
-        self._short_s = -SHORT_S
 
     @property
     def endpoint(self) -> Endpoint:
-        """Where it listens; with the port that was given to it, if it asked for port 0."""
-        return self._endpoint
+        """Where it listens; with the port that the system chose where 0 was asked for."""
+        return self._listener.endpoint
 
     @property
     def place(self) -> str:
-        return str(TcpLink(self._endpoint, rtu=self.link.rtu))
+        return str(TcpLink(self.endpoint, rtu=self.link.rtu))
 
     @property
     def places(self) -> int:
@@ -101,7 +94,7 @@ class TcpSlave(Shell):
     def notes(self) -> list[str]:
         return [self.rules.notes.popleft() for _ in range(len(self.rules.notes))]
 
-    # What its connections ask.
+    # Called by its connections.
 
     @property
     def is_rtu(self) -> bool:
@@ -112,7 +105,10 @@ class TcpSlave(Shell):
         return self.bounds.waiting
 
     def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
-        if self._is_stopping:
+        refusal = self._listener.refusal(host)
+        if refusal is not None:
+            self._tell_refused(host, refusal)
+        if refusal is not None or self._is_stopping:
             return None
         admission = self.rules.admit(host, self.clock())
         if admission.leaves is not None:
@@ -135,12 +131,16 @@ class TcpSlave(Shell):
         if self._closed_s() > 0:
             self._woken.set()
 
+    def _tell_refused(self, host: str, refusal: str) -> None:
+        """Report each machine once: one that is refused usually tries again and again."""
+        if host not in self._refused_hosts and len(self._refused_hosts) < MAX_REFUSED_HOSTS:
+            self._refused_hosts.add(host)
+            self.rules.notes.append(f"a master was turned away: {refusal}")
+
     # How it runs.
 
     def _open(self) -> None:
-        self._socket = _listen(self.link, allow_remote=self._allow_remote)
-        host, port = self._socket.getsockname()[:2]
-        self._endpoint = Endpoint(host, port)
+        self._listener.open()
         self._loop = asyncio.new_event_loop()
 
     def _run(self) -> None:
@@ -148,7 +148,7 @@ class TcpSlave(Shell):
             with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
                 runner.run(self._serve())
         finally:  # Also where it was stopped before it began to serve.
-            self._socket.close()
+            self._listener.close()
 
     def _interrupt(self) -> None:
         self._loop.call_soon_threadsafe(self._stop)
@@ -158,45 +158,29 @@ class TcpSlave(Shell):
         self._woken.set()
 
     async def _serve(self) -> None:
-        loop = asyncio.get_running_loop()
-        loop.set_exception_handler(self._note_trouble)
         while not self._is_stopping:
-            try:
-                server = await loop.create_server(
-                    lambda: MasterConnection(self), sock=self._socket, backlog=BACKLOG
-                )
-            except OSError as error:  # Another may listen where nobody did for a while.
-                raise LinkError(f"{self.place}: {_why_not_listening(error)}") from error
+            server = await self._listener.serve(
+                lambda: MasterConnection(self), self.rules.notes.append
+            )
             await self._woken.wait()
-            address = self._socket.getsockname()
             await self._finish_accepting()
             server.close()
             await self._close_connections()
             await server.wait_closed()
             if not self._is_stopping:
-                self._socket = _bind(self._socket.family, address)
+                self._listener.hold()
                 await self._stay_closed()
 
     async def _finish_accepting(self) -> None:
-        """Let those arrive whom the loop has accepted: asyncio forgets them in a closed server.
+        """Wait until each accepted connection has its protocol: a closed server would drop it.
 
-        It has a task for each. Nobody else is accepted meanwhile where the loop can be told so.
+        asyncio runs a task for each. No other connection is accepted meanwhile, except by the event
+        loop of Windows, which cannot be told to stop.
         """
         with suppress(NotImplementedError):
-            asyncio.get_running_loop().remove_reader(self._socket)
+            asyncio.get_running_loop().remove_reader(self._listener.sock)
         while arriving := asyncio.all_tasks() - {asyncio.current_task()}:
             await asyncio.wait(arriving)
-
-    def _note_trouble(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Say once what asyncio says at each try: that no connection can be taken."""
-        error = context.get("exception")
-        if not isinstance(error, OSError) or error.errno not in _SHORT:
-            loop.default_exception_handler(context)
-        elif loop.time() - self._short_s >= SHORT_S:
-            self._short_s = loop.time()
-            self.rules.notes.append(
-                f"no more connections for now: {error.strerror}; ulimit -n allows more"
-            )
 
     async def _close_connections(self) -> None:
         while self.connections:
@@ -210,52 +194,6 @@ class TcpSlave(Shell):
             await asyncio.wait_for(self._woken.wait(), self._closed_s())
 
     def _closed_s(self) -> float:
-        """How long the rules want no connections."""
+        """How long the rules want no connections, in seconds from now."""
         until_ns = self.rules.closed_until_ns
         return 0.0 if until_ns is None else max(until_ns - self.clock(), 0) / 1e9
-
-
-def _listen(link: TcpLink, *, allow_remote: bool) -> socket.socket:
-    host, port = link.endpoint.host, link.endpoint.port
-    try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    except (socket.gaierror, UnicodeError) as error:
-        raise LinkError(
-            f"{link}: no host is named {host!r}; write an address of this one"
-        ) from error
-    family, _, _, _, address = found[0]
-    if not allow_remote and not ipaddress.ip_address(address[0]).is_loopback:
-        raise UsageError(
-            f"{link}: others can reach {address[0]}; name 127.0.0.1, or add --allow-remote"
-        )
-    try:
-        return socket.create_server((str(address[0]), port), family=family, backlog=BACKLOG)
-    except OSError as error:
-        raise LinkError(f"{link}: {_why_not_listening(error)}") from error
-
-
-def _bind(family: int, address: tuple[str | int, ...]) -> socket.socket:
-    """A socket that holds an address again, without listening. Raises LinkError."""
-    sock = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        if os.name == "posix":
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        sock.bind(address)
-    except OSError as error:
-        sock.close()
-        raise LinkError(f"{address[0]}:{address[1]}: {_why_not_listening(error)}") from error
-    return sock
-
-
-def _why_not_listening(error: OSError) -> str:
-    match error.errno:
-        case errno.EADDRINUSE:
-            return "the port is in use; end what listens there, or choose another port"
-        case errno.EACCES:
-            return "a port below 1024 needs a privilege; choose a higher one, for example 1502"
-        case errno.EADDRNOTAVAIL:
-            return "no interface here has this address"
-        case _:
-            return f"cannot listen: {error.strerror or error}"

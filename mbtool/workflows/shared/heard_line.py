@@ -1,10 +1,10 @@
 """Doubts whether a file's bytes went over the line that they are taken to have gone over."""
 
-# Packets of serial link types and the text of a monitor do not say how fast the line was. Each
-# piece ends at its time and began by so many characters earlier. Where the rate is taken for lower
-# than it was, pieces begin before the one before them has ended, and the latency between them comes
-# out as 0. One character is left to the clock of who captured. Of sigrok's recordings one overlaps
-# nowhere at 19200 baud, three nowhere at 9600; at half of that rate half of their packets do.
+# Packets of serial link types do not say how fast the line was. Each piece ends at its time and
+# began by so many characters earlier. Where the rate is taken for lower than it was, pieces begin
+# before the one before them has ended, and the latency between them comes out as 0. One character
+# is left to the clock of who captured. Of sigrok's recordings one overlaps nowhere at 19200 baud,
+# three nowhere at 9600; at half of that rate half of their packets do.
 #
 # Only neighbours of one link are looked at, so nothing is held but the last one.
 

@@ -279,10 +279,7 @@ class Reading:
         decoder = self._decoder = self._own_decoder()
         self.format_of = decoder.format_of
         decoder.begin_line(line.on(capture.link))
-        heard = self._hear(capture) if capture.kind is CaptureKind.MONITOR_TEXT else None
         for piece in pieces:
-            if heard is not None:
-                heard.note(piece)
             self._evidence += 1
             yield from decoder.feed(piece)
         yield from self._end_capture()

@@ -21,7 +21,7 @@ from mbtool.ports.serial_opening import port_in_use
 from mbtool.slave.device import RegisterImage, units_on
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import SerialSlave
-from mbtool.slave.shells.serial_shell import MAX_WAITING
+from mbtool.slave.shells.serial_shell import MAX_PENDING
 from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
@@ -174,13 +174,13 @@ def test_requests_that_wait_are_bounded(line: VirtualLine, master: serial.Serial
     heard: list[Adu] = []
     slave = SerialSlave(_link(line), scripted, on_exchange=lambda adu, answer: heard.append(adu))
     with slave:
-        for count in range(1, MAX_WAITING + 1):
+        for count in range(1, MAX_PENDING + 1):
             master.write(rtu_adu(1, READ))
             scripted.await_asked(count)
         master.write(rtu_adu(1, READ))
         master.timeout = 0.05
         assert master.read(1) == b""
-    assert len(heard) == MAX_WAITING
+    assert len(heard) == MAX_PENDING
 
 
 def test_answers_in_ascii() -> None:

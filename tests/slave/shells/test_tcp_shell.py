@@ -15,12 +15,12 @@ from pymodbus.client import ModbusTcpClient
 from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 from mbtool.devices import load_profile
 from mbtool.modbus import Response, Table, mbap_adu, rtu_adu
+from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.slave.device import RegisterImage, units_on
 from mbtool.slave.device.connection_policy import ConnectionPolicy
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import Bounds, TcpSlave
 from mbtool.slave.shells.tcp_connection import READ_BYTES
-from mbtool.slave.shells.tcp_shell import _bind
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
 if TYPE_CHECKING:
@@ -288,80 +288,37 @@ def test_wait_returns_when_another_thread_stops_it() -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
-def test_others_can_reach_it_only_with_leave(host: str) -> None:
+def test_a_slave_that_other_machines_can_reach_wants_to_know_which(host: str) -> None:
     link = TcpLink(Endpoint(host, 0))
-    with pytest.raises(UsageError, match=r"others can reach .*--allow-remote"):
+    with pytest.raises(UsageError, match=r"other machines can reach .*--allow"):
         TcpSlave(link, Scripted(echo)).start()
 
 
-def test_with_leave_others_can_reach_it() -> None:
-    link = TcpLink(Endpoint("0.0.0.0", 0))
-    with TcpSlave(link, Scripted(echo), allow_remote=True) as slave:
-        assert slave.endpoint.host == "0.0.0.0"
+@pytest.mark.parametrize(("host", "peer"), [("0.0.0.0", "127.0.0.1"), ("::", "127.0.0.1")])
+def test_a_slave_on_all_addresses_answers_this_machine(host: str, peer: str) -> None:
+    link = TcpLink(Endpoint(host, 0))
+    allowed = AllowedPeers.parse(["10.0.0.0/8"])
+    with TcpSlave(link, Scripted(echo), allowed=allowed) as slave:
+        assert slave.endpoint.host == host
+        with socket.create_connection((peer, slave.endpoint.port), PATIENCE_S) as connection:
+            _ask(connection)
 
 
-def test_a_host_name_counts_for_what_it_stands_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("192.0.2.1", 1502))]
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
-    link = TcpLink(Endpoint("localhost", 1502))
-    with pytest.raises(UsageError, match=r"others can reach 192\.0\.2\.1"):
-        TcpSlave(link, Scripted(echo)).start()
+class _Nobody(AllowedPeers):
+    """No machine at all, so that a connection from this one is refused."""
+
+    def __contains__(self, host: object) -> bool:
+        return False
 
 
-def test_a_port_in_use_is_said_to_be() -> None:
-    with TcpSlave(LOOPBACK, Scripted(echo)) as slave:
-        link = TcpLink(slave.endpoint)
-        with pytest.raises(LinkError, match=f"^{link}: the port is in use"):
-            TcpSlave(link, Scripted(echo)).start()
-
-
-@pytest.mark.parametrize(
-    ("number", "says"),
-    [
-        (errno.EACCES, "a port below 1024 needs a privilege"),
-        (errno.EADDRNOTAVAIL, "no interface here has this address"),
-        (errno.ENOBUFS, "cannot listen: no memory"),
-    ],
-)
-def test_what_keeps_it_from_listening_is_said(
-    monkeypatch: pytest.MonkeyPatch, number: int, says: str
-) -> None:
-    def refuse(*_: object, **__: object) -> socket.socket:
-        raise OSError(number, "no memory")
-
-    monkeypatch.setattr(socket, "create_server", refuse)
-    with pytest.raises(LinkError, match=f"^tcp:127.0.0.1:0: {says}"):
-        TcpSlave(LOOPBACK, Scripted(echo)).start()
-
-
-def test_a_host_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> list[object]:
-        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-
-    monkeypatch.setattr(socket, "getaddrinfo", fail)
-    with pytest.raises(LinkError, match="no host is named 'nowhere'"):
-        TcpSlave(TcpLink(Endpoint("nowhere", 1502)), Scripted(echo)).start()
-
-
-@pytest.mark.parametrize(
-    ("family", "host"), [(socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")]
-)
-def test_a_port_is_held_without_listening_while_no_connection_is_taken(
-    family: int, host: str
-) -> None:
-    try:
-        listening = socket.create_server((host, 0), family=family)
-    except OSError:
-        pytest.skip(f"no {host} here")
-    with listening:
-        address = listening.getsockname()
-        with pytest.raises(LinkError, match="the port is in use"):
-            _bind(family, address)
-    with _bind(family, address) as held:
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(address[:2], PATIENCE_S)
-        held.listen()
-        socket.create_connection(address[:2], PATIENCE_S).close()
+def test_a_master_that_is_not_allowed_is_closed_at_once_and_reported_once() -> None:
+    rules = ConnectionPolicy(places=1)
+    with TcpSlave(LOOPBACK, Scripted(echo), allowed=_Nobody(), rules=rules) as slave:
+        for _ in range(3):
+            with _connect(slave) as connection:
+                _await_end(connection)
+        assert slave.notes() == ["a master was turned away: 127.0.0.1 is in no network of --allow"]
+        assert (slave.turned_away, rules.peers) == (0, [])
 
 
 class _ClosedForAWhile(ConnectionPolicy):

@@ -1,11 +1,11 @@
-"""The clock of the shells."""
+"""The clock of the slaves."""
 
 from __future__ import annotations
 
 import time
 from typing import TYPE_CHECKING
 
-from mbtool.ports.steady_clock import steady_clock
+from mbtool.ports.clock import steady_clock
 
 if TYPE_CHECKING:
     import pytest

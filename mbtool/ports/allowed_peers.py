@@ -1,0 +1,75 @@
+"""Says which machines may connect to a TCP listener: this one, and those that --allow names."""
+
+# This machine may always connect, through its loopback address. Other machines may connect if their
+# address is in a network that --allow names. A network of prefix length 0 (0.0.0.0/0 or ::/0) lets
+# everybody in, over IPv4 and IPv6.
+#
+# A socket that takes IPv4 and IPv6 gives an IPv4 peer as ::ffff:10.0.0.1 (RFC 4291, 2.5.5.2). Such
+# an address is compared, and shown, as IPv4.
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
+from typing import TYPE_CHECKING, Self
+
+from mbtool.core import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_MAPPED_BITS = 96
+"""How many bits stand before the IPv4 address in a mapped one."""
+
+
+@dataclass(frozen=True, slots=True)
+class AllowedPeers:
+    """The machines that may connect: always this one, and those of some networks."""
+
+    networks: tuple[IPv4Network | IPv6Network, ...] = ()
+
+    @classmethod
+    def parse(cls, texts: Iterable[str]) -> Self:
+        """Read the values of --allow: networks, or single addresses. Raises UsageError."""
+        return cls(tuple(_network(text) for text in texts))
+
+    def __contains__(self, host: object) -> bool:
+        """True if a machine with this address may connect; False also for what is no address."""
+        try:
+            address = plain_address(str(host))
+        except ValueError:
+            return False
+        return address.is_loopback or any(
+            network.prefixlen == 0 or address in network for network in self.networks
+        )
+
+
+THIS_MACHINE = AllowedPeers()
+"""Nobody but this machine: the default of every listener."""
+
+
+def plain_address(host: str) -> IPv4Address | IPv6Address:
+    """Read an address, an IPv4 address in IPv6 form as IPv4. Raises ValueError."""
+    address = ipaddress.ip_address(host)
+    return (isinstance(address, IPv6Address) and address.ipv4_mapped) or address
+
+
+def _network(text: str) -> IPv4Network | IPv6Network:
+    try:
+        network = ipaddress.ip_network(text, strict=False)
+    except ValueError:
+        raise UsageError(
+            f"--allow {text!r}: write a network, such as 192.168.1.0/24 or fd00::/8, "
+            "or the address of one machine; 0.0.0.0/0 lets everybody in"
+        ) from None
+    address = text.partition("/")[0]
+    if ipaddress.ip_address(address) != network.network_address:
+        raise UsageError(
+            f"--allow {text!r}: is an address inside {network}; write {network} for the whole "
+            f"network, or {address} for one machine"
+        )
+    if isinstance(network, IPv6Network) and network.prefixlen >= _MAPPED_BITS:
+        mapped = network.network_address.ipv4_mapped
+        return IPv4Network((mapped, network.prefixlen - _MAPPED_BITS)) if mapped else network
+    return network

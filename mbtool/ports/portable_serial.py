@@ -1,0 +1,52 @@
+"""A serial port that pyserial opens and reads, for systems where select takes no ports: Windows."""
+
+# pyserial opens a port for writing too, but this class has no way to write.
+#
+# A read waits IDLE_S or not at all: pyserial would set up the port anew for another timeout.
+# pyserial tells nothing of errors on the line.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import serial
+
+from mbtool.ports.serial_port import IDLE_S, explained, lost, settings_for
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import SerialFormat
+
+
+class PyserialPort:
+    """A port that can only be read. Opening raises LinkError."""
+
+    damaged: Sequence[int] = ()
+
+    def __init__(self, port: str, format_: SerialFormat) -> None:
+        self._name = port
+        with explained(port, format_):
+            self._port = serial.Serial(port, timeout=IDLE_S, **settings_for(port, format_))
+
+    def read(self, wait_s: float) -> bytes:
+        try:
+            if wait_s == 0 and not self._port.in_waiting:
+                return b""
+            data: bytes = self._port.read(1)
+            if data:
+                data += self._port.read(self._port.in_waiting)
+        except OSError as error:
+            raise lost(self._name) from error
+        return data
+
+    def counts(self) -> None:
+        return None
+
+    def tune(self, format_: SerialFormat) -> None:
+        with explained(self._name, format_):
+            self._port.apply_settings(settings_for(self._name, format_))
+            self._port.reset_input_buffer()
+
+    def close(self) -> None:
+        self._port.close()

@@ -1,0 +1,183 @@
+"""Listens at one TCP endpoint, for the slave and for the tap."""
+
+# An endpoint that other machines can reach is opened only with --allow. The address decides, not
+# the name: a host name counts as the address that the system finds for it.
+#
+#     endpoint             without --allow         with --allow
+#     127.0.0.1, ::1       this machine connects   the same
+#     any other address    UsageError              this machine and the named networks connect
+#
+# [::] takes IPv4 and IPv6 peers, on every system. Port 0 takes a free port.
+#
+# The system gives a server the connection before anyone can look at the peer, so whoever serves
+# asks `admits` for each connection and closes those that are refused.
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+import struct
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core import Endpoint, LinkError, UsageError
+from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers, plain_address
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.core import TapLink, TcpLink
+
+BACKLOG = 64
+"""How many connections wait in the system's queue until they are accepted."""
+TELL_EVERY_S = 10.0
+"""The shortest time between two reports that no more connections can be opened."""
+
+_EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
+
+
+class TcpListener:
+    """A socket that listens at the endpoint of a link, and who may connect to it."""
+
+    sock: socket.socket
+    """Bound once `open` was called."""
+
+    def __init__(
+        self, link: TcpLink | TapLink, endpoint: Endpoint, allowed: AllowedPeers = THIS_MACHINE
+    ) -> None:
+        self._link = link
+        self._endpoint = endpoint
+        self._allowed = allowed
+        self._told_s = -TELL_EVERY_S
+        """When `on_exhausted` was last called, on the event loop's clock."""
+
+    def open(self) -> None:
+        """Bind and listen. Raises LinkError, UsageError."""
+        self._family, self._address = self._resolve()
+        host = self._address[0]
+        if not self._allowed.networks and host not in THIS_MACHINE:
+            raise UsageError(
+                f"{self._link}: other machines can reach {host}; listen at 127.0.0.1, or name "
+                "those that may connect: --allow 192.168.1.0/24, or --allow 0.0.0.0/0 for all"
+            )
+        self.sock = self._bind()
+        try:
+            self.sock.listen(BACKLOG)
+        except OSError as error:
+            self.sock.close()
+            raise self._not_listening(error) from error
+        self._address = self.sock.getsockname()
+        self._endpoint = Endpoint(*self._address[:2])
+
+    @property
+    def endpoint(self) -> Endpoint:
+        """Where it listens, with the port that the system chose where 0 was asked for."""
+        return self._endpoint
+
+    def refusal(self, host: str) -> str | None:
+        """Why a peer must not connect, in words; None if it may."""
+        return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
+
+    async def serve(
+        self,
+        protocol: Callable[[], asyncio.BaseProtocol],
+        on_exhausted: Callable[[str], None],
+    ) -> asyncio.Server:
+        """Accept connections in the running event loop. Raises LinkError.
+
+        `on_exhausted` gets a line for the user while the process can open no more connections, at
+        most one in TELL_EVERY_S.
+        """
+        loop = asyncio.get_running_loop()
+
+        def note_trouble(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+            error = context.get("exception")
+            if not isinstance(error, OSError) or error.errno not in _EXHAUSTED:
+                loop.default_exception_handler(context)
+            elif loop.time() - self._told_s >= TELL_EVERY_S:
+                self._told_s = loop.time()
+                on_exhausted(
+                    f"no more connections for now: {error.strerror}; ulimit -n allows more"
+                )
+
+        loop.set_exception_handler(note_trouble)
+        try:
+            return await loop.create_server(protocol, sock=self.sock, backlog=BACKLOG)
+        except OSError as error:  # Another program may listen where `hold` only kept the address.
+            raise self._not_listening(error) from error
+
+    def hold(self) -> None:
+        """Replace the socket, which a server has closed, by one that only keeps the address.
+
+        The system refuses whoever connects, until `serve` listens again. Raises LinkError.
+        """
+        self.sock = self._bind()
+
+    def close(self) -> None:
+        self.sock.close()
+
+    def _resolve(self) -> tuple[int, tuple[Any, ...]]:
+        """The address family and the address of the endpoint."""
+        try:
+            found = socket.getaddrinfo(
+                self._endpoint.host,
+                self._endpoint.port,
+                type=socket.SOCK_STREAM,
+                flags=socket.AI_PASSIVE,
+            )
+        except (socket.gaierror, UnicodeError) as error:
+            raise self._not_listening(error) from error
+        return found[0][0], found[0][4]
+
+    def _bind(self) -> socket.socket:
+        try:
+            bound = socket.socket(self._family, socket.SOCK_STREAM)
+            try:
+                if os.name == "posix":  # On Windows it would let two programs share a port.
+                    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                if self._family == socket.AF_INET6:
+                    bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
+                bound.bind(self._address)
+            except OSError:
+                bound.close()
+                raise
+        except OSError as error:
+            raise self._not_listening(error) from error
+        return bound
+
+    def _not_listening(self, error: OSError | UnicodeError) -> LinkError:
+        return LinkError(f"{self._link}: cannot listen at {self._endpoint}: {_remedy(error)}")
+
+
+def reset(transport: asyncio.Transport) -> None:
+    """Close a connection with RST instead of FIN; what was not sent is lost."""
+    no_linger = struct.pack("hh" if sys.platform == "win32" else "ii", 1, 0)
+    with suppress(OSError):
+        transport.get_extra_info("socket").setsockopt(
+            socket.SOL_SOCKET, socket.SO_LINGER, no_linger
+        )
+    transport.abort()
+
+
+def _shown(host: str) -> str:
+    try:
+        return str(plain_address(host))
+    except ValueError:
+        return host
+
+
+def _remedy(error: OSError | UnicodeError) -> str:
+    if isinstance(error, socket.gaierror | UnicodeError):
+        return "no such host; give an address of this machine, for example 127.0.0.1"
+    match error.errno:
+        case errno.EADDRINUSE:
+            return "the port is in use; give another one, or 0 for any that is free"
+        case errno.EACCES | errno.EPERM:
+            return "ports below 1024 need a privilege; give a higher one, for example 1502"
+        case errno.EADDRNOTAVAIL:
+            return "no interface here has this address; give 127.0.0.1, or 0.0.0.0 for all"
+        case _:
+            return error.strerror or str(error)

@@ -1,0 +1,59 @@
+"""What the two processes that read serial ports share: serial_reader.py and serial_relay.py."""
+
+# Such a process ends when its standard input ends or its output breaks (child.py). Both happen when
+# the parent ends, in whatever way.
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from contextlib import suppress
+from threading import Event, Thread
+from typing import TYPE_CHECKING
+
+from mbtool.core import LinkError
+from mbtool.ports.clock import now_ns
+from mbtool.ports.serial_records import RecordKind, RecordWriter
+from mbtool.sources.priority import run_promptly
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from mbtool.ports.line_errors import LineTrouble
+
+
+def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
+    """Read until told to end, and hand over what is recorded, the error of a lost port last.
+
+    `read` gets where to put records, and the event that tells it to end. It may raise LinkError.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    run_promptly()
+    gc.disable()  # The loops make no cycles, and a collection would delay a time stamp.
+    told_to_end = Event()
+    Thread(target=_await_end, args=(told_to_end,), daemon=True).start()
+    records = RecordWriter(sys.stdout.fileno())
+    error = ""
+    with suppress(BrokenPipeError):
+        try:
+            read(records, told_to_end)
+        except LinkError as link_error:
+            error = str(link_error)
+        records.end(now_ns(), error)
+
+
+def put_troubles(records: RecordWriter, troubles: Iterable[LineTrouble], prefix: str = "") -> None:
+    """Record what a driver reports: lost bytes as a number, damage in words behind a prefix."""
+    for trouble in troubles:
+        if trouble.lost:
+            records.put_count(RecordKind.OVERRUN, trouble.ts_ns, trouble.lost)
+        else:
+            records.put(RecordKind.DAMAGE, trouble.ts_ns, f"{prefix}{trouble.text}".encode())
+
+
+def _await_end(told_to_end: Event) -> None:
+    while os.read(sys.stdin.fileno(), 1):
+        pass
+    told_to_end.set()
