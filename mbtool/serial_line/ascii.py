@@ -50,7 +50,7 @@ class AsciiSplitter:
     def __init__(
         self,
         line: SerialFormat,
-        turns: BusModel | None = None,
+        bus_model: BusModel | None = None,
         *,
         speaker: Direction | None = None,
         timed: bool = True,
@@ -61,7 +61,7 @@ class AsciiSplitter:
         """
         self._character_ns = line.character_ns
         self._eight_bits = line.data_bits == 8
-        self._turns = turns or BusModel(timed=timed)
+        self._model = bus_model or BusModel(timed=timed)
         self._speaker = speaker
         self._timed = timed
         self._delimiter = LF
@@ -98,10 +98,10 @@ class AsciiSplitter:
             events += self.advance(first_ns - self._character_ns)
         self._read_ns, self._least_ns = first_ns, self._last_ns
         seen = data.translate(SEVEN_BITS) if self._eight_bits else data
-        place = 0
-        while place < len(data):
+        offset = 0
+        while offset < len(data):
             take = self._take_inside if self._frame else self._take_outside
-            place = take(data, seen, place, events)
+            offset = take(data, seen, offset, events)
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
@@ -121,48 +121,48 @@ class AsciiSplitter:
         self._resynchronised = False
         return events
 
-    def _time(self, place: int) -> int:
+    def _time(self, offset: int) -> int:
         """When a character of this read arrived: not before the last one of the read before."""
-        return max(self._read_ns + place * self._character_ns, self._least_ns)
+        return max(self._read_ns + offset * self._character_ns, self._least_ns)
 
     def _take_outside(
-        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+        self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
         """Take what stands before a colon, and the colon. Returns the place behind."""
-        colon = seen.find(b":", place)
+        colon = seen.find(b":", offset)
         end = colon if colon >= 0 else len(data)
-        while place < end:
-            until = min(end, place + self._noise.room)
-            self._noise.add(data[place:until], self._time(place), events)
-            place = until
-            self._last_ns = self._time(place - 1)
+        while offset < end:
+            until = min(end, offset + self._noise.room)
+            self._noise.add(data[offset:until], self._time(offset), events)
+            offset = until
+            self._last_ns = self._time(offset - 1)
         if colon < 0:
             return end
         self._begin(data, colon)
         return colon + 1
 
     def _take_inside(
-        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+        self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
         """Take what goes on with a frame, up to where it may end. Returns the place behind."""
         frame = self._frame
         behind_cr = self._cr == len(frame) - 1
         stop: int | None
         if behind_cr:
-            end, stop = place + 1, seen[place]
+            end, stop = offset + 1, seen[offset]
         else:
-            until = place + MAX_ASCII_ADU - len(frame)
-            match = _STOP.search(seen, place, until)
+            until = offset + MAX_ASCII_ADU - len(frame)
+            match = _STOP.search(seen, offset, until)
             end = match.end() if match else min(until, len(data))
             stop = seen[end - 1] if match else None
         if stop == _COLON:
-            if end - 1 > place:
-                self._add(data, place, end - 1)
+            if end - 1 > offset:
+                self._add(data, offset, end - 1)
             self._end(events, "a frame that another colon cuts off")
             self._resynchronised = isinstance(events[-1], Skipped)
             self._begin(data, end - 1)
             return end
-        self._add(data, place, end)
+        self._add(data, offset, end)
         if stop == LF or (behind_cr and self._is_whole(stop)):
             self._end(events)
         elif len(frame) >= MAX_ASCII_ADU:
@@ -177,8 +177,8 @@ class AsciiSplitter:
         self._frame.append(data[colon])
         self._cr = -1
 
-    def _add(self, data: bytes, place: int, end: int) -> None:
-        self._frame += data[place:end]
+    def _add(self, data: bytes, offset: int, end: int) -> None:
+        self._frame += data[offset:end]
         self._last_ns = self._time(end - 1)
 
     def _is_whole(self, delimiter: int | None) -> bool:
@@ -210,21 +210,21 @@ class AsciiSplitter:
         else:
             reason = cut or why_unreadable(raw, eight_bits=self._eight_bits)
             events.append(Skipped(self._first_ns, EventKind.SKIPPED, reason, raw))
-        self._turns.heard_damage()
+        self._model.hear_damage()
 
     def _give(self, frame: AsciiFrame, raw: bytes, events: list[Adu | Skipped]) -> None:
         unit, pdu = frame.body[0], frame.body[1:]
-        judgement = self._judge(unit, pdu)
-        verdicts = self._verdicts(frame, judgement)
+        classification = self._classify(unit, pdu)
+        verdicts = self._verdicts(frame, classification)
         self._noise.end(events)
         events.append(
             Adu(
                 start_ns=self._first_ns - self._character_ns,
                 end_ns=self._last_ns,
                 transport=Transport.ASCII,
-                direction=judgement.direction,
-                direction_by=judgement.by,
-                confidence=judgement.confidence,
+                direction=classification.direction,
+                direction_by=classification.by,
+                confidence=classification.confidence,
                 unit=unit,
                 pdu=pdu,
                 raw=raw,
@@ -236,18 +236,18 @@ class AsciiSplitter:
         self._resynchronised = False
         if pdu.startswith(_CHANGE_DELIMITER) and len(pdu) == 5:
             self._asked_delimiter = pdu[3] if self._eight_bits else pdu[3] & 0x7F
-            if judgement.direction is Direction.RESPONSE and judgement.confidence >= SURE:
+            if classification.direction is Direction.RESPONSE and classification.confidence >= SURE:
                 self._delimiter = self._asked_delimiter
 
-    def _judge(self, unit: int, pdu: bytes) -> Classification:
+    def _classify(self, unit: int, pdu: bytes) -> Classification:
         if self._speaker is not None:
             return Classification(self._speaker, DirectionBy.PORT, 1.0)
         start_ns = self._first_ns - self._character_ns
-        judgement = self._turns.judge(unit, pdu, start_ns)
-        self._turns.hear(judgement, unit, pdu, start_ns, self._last_ns)
-        return judgement
+        classification = self._model.classify(unit, pdu, start_ns)
+        self._model.hear(classification, unit, pdu, start_ns, self._last_ns)
+        return classification
 
-    def _verdicts(self, frame: AsciiFrame, judgement: Classification) -> tuple[Verdict, ...]:
+    def _verdicts(self, frame: AsciiFrame, classification: Classification) -> tuple[Verdict, ...]:
         """What is to be noticed about a frame; its end may change the line's delimiter."""
         if frame.end == bytes((CR, self._asked_delimiter)):
             self._delimiter = self._asked_delimiter
@@ -264,7 +264,7 @@ class AsciiSplitter:
             verdicts.append(Verdict.LOWER_CASE)
         if frame.end != bytes((CR, self._delimiter)):
             verdicts.append(Verdict.OTHER_END)
-        if judgement.confidence < SURE:
+        if classification.confidence < SURE:
             verdicts.append(Verdict.AMBIGUOUS)
         return tuple(verdicts)
 

@@ -46,7 +46,7 @@ ENOUGH = 600
 BAUD_RATES = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
 
 
-def settings_to_hear() -> list[SerialFormat]:
+def settings_to_try() -> list[SerialFormat]:
     """What to listen to, the likelier first."""
     # Even parity before none: without marks, some receivers hear 8E1 as 8N1, and the frames have
     # correct CRCs, but they would have at 8E1 too, and the times would be right.
@@ -60,7 +60,7 @@ def other_parity(line: SerialFormat) -> SerialFormat:
 
 
 @dataclass(frozen=True, slots=True)
-class LineScore:
+class SettingsScore:
     """How well settings explain what was heard."""
 
     settings: LineSettings
@@ -103,7 +103,7 @@ class LineScore:
         )
 
 
-class Hearing:
+class SettingsTrial:
     """What was heard at one setting, read in every way that it may be meant."""
 
     def __init__(self, heard_as: SerialFormat, *, only_ascii: bool = False) -> None:
@@ -135,7 +135,7 @@ class Hearing:
             or (self.heard >= ENOUGH_WITHOUT_FIT and best.fit < LIKELY_FIT)
         )
 
-    def scores(self) -> list[LineScore]:
+    def scores(self) -> list[SettingsScore]:
         """Every way to read it, the best first."""
         scores = [reading.score(self.heard) for reading in self._readings]
         return sorted(scores, key=lambda score: score.rank, reverse=True)
@@ -173,8 +173,8 @@ class _SettingsReading:
             self._failures += not is_frame
             self._framed += len(event.raw) if is_frame else 0
 
-    def score(self, heard: int) -> LineScore:
-        return LineScore(
+    def score(self, heard: int) -> SettingsScore:
+        return SettingsScore(
             self._settings, self._frames, self._failures, self._framed, heard, self._damaged
         )
 

@@ -362,13 +362,13 @@ class CountingTurns(BusModel):
 
     weighed = 0
 
-    def weigh(self, *arguments: Any) -> float:
+    def cost(self, *arguments: Any) -> float:
         self.weighed += 1
-        return super().weigh(*arguments)
+        return super().cost(*arguments)
 
-    def judge(self, *arguments: Any) -> Classification:
+    def classify(self, *arguments: Any) -> Classification:
         self.weighed += 1
-        return super().judge(*arguments)
+        return super().classify(*arguments)
 
 
 def calls(fed: Splitter, reads: Iterable[Read]) -> int:

@@ -8,13 +8,13 @@ from mbtool.core import Direction
 from mbtool.modbus.adu import DirectionBy
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import (
-    MAX_KNOWN,
     SURE,
-    TURN_NS,
     BusModel,
     Classification,
     roles_of,
 )
+from mbtool.serial_line.bus_state import MAX_PENDING_NS
+from mbtool.serial_line.line_history import MAX_REQUESTS
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
 MS = 1_000_000
@@ -28,26 +28,26 @@ class Spoken:
     """Turns after some frames, each judged and noted, a millisecond apart."""
 
     def __init__(self, *, timed: bool = True) -> None:
-        self.turns = BusModel(timed=timed)
+        self.bus_model = BusModel(timed=timed)
         self.now_ns = 0
 
     def hear(self, unit: int, pdu: bytes, after_ns: int = MS) -> Classification:
         self.now_ns += after_ns
-        judgement = self.turns.judge(unit, pdu, self.now_ns)
-        self.turns.hear(judgement, unit, pdu, self.now_ns, self.now_ns)
-        return judgement
+        classification = self.bus_model.classify(unit, pdu, self.now_ns)
+        self.bus_model.hear(classification, unit, pdu, self.now_ns, self.now_ns)
+        return classification
 
     def learn_latency(self, latency_ns: int = 5 * MS) -> Spoken:
         """A line that polls and is answered."""
-        for _ in range(LatencyStatistics.FEW + 4):
+        for _ in range(LatencyStatistics.ENOUGH_RESPONSES + 4):
             self.hear(1, READ, 30 * MS)
             self.hear(1, ANSWER, latency_ns)
         return self
 
 
-def says(judgement: Classification) -> tuple[Direction, DirectionBy, bool]:
+def says(classification: Classification) -> tuple[Direction, DirectionBy, bool]:
     """What it says, and whether it is sure."""
-    return judgement.direction, judgement.by, judgement.confidence >= SURE
+    return classification.direction, classification.by, classification.confidence >= SURE
 
 
 def test_answer_to_the_request_that_waits_is_a_response() -> None:
@@ -66,7 +66,7 @@ def test_form_that_fits_both_is_decided_by_the_turn() -> None:
 def test_turn_goes_back_to_the_master_after_a_while() -> None:
     spoken = Spoken()
     spoken.hear(1, WRITE)
-    assert spoken.hear(1, WRITE, after_ns=TURN_NS + 1).direction is REQUEST
+    assert spoken.hear(1, WRITE, after_ns=MAX_PENDING_NS + 1).direction is REQUEST
     assert spoken.hear(1, WRITE).direction is RESPONSE
 
 
@@ -86,7 +86,7 @@ def test_slow_line_waits_longer_for_an_answer() -> None:
 def test_echoes_teach_the_latency_warily() -> None:
     """Writes take longer than reads in many devices; but one of two may have been a retry."""
     spoken = Spoken()
-    for number in range(8 * LatencyStatistics.FEW):
+    for number in range(8 * LatencyStatistics.ENOUGH_RESPONSES):
         spoken.hear(1, bytes((0x03, 0, number % 2, 0, 3)), 50 * MS)
         spoken.hear(1, ANSWER, 5 * MS)
     heard = []
@@ -102,7 +102,7 @@ def test_echoes_teach_the_latency_warily() -> None:
 
 def test_silences_say_nothing_where_times_are_made_up() -> None:
     spoken = Spoken(timed=False)
-    for _ in range(LatencyStatistics.FEW + 4):
+    for _ in range(LatencyStatistics.ENOUGH_RESPONSES + 4):
         spoken.hear(1, READ)
         spoken.hear(1, ANSWER)
     spoken.hear(1, WRITE)
@@ -121,8 +121,8 @@ def test_other_write_on_a_line_of_echoes_is_a_request_or_ambiguous() -> None:
     """No echo teaches a latency, and 200 ms are supposed; many masters wait less."""
     spoken = Spoken()
     spoken.hear(1, WRITE)
-    judgement = spoken.hear(1, bytes.fromhex("06 0002 0003"), 100 * MS)
-    assert judgement.direction is REQUEST or judgement.confidence < SURE
+    classification = spoken.hear(1, bytes.fromhex("06 0002 0003"), 100 * MS)
+    assert classification.direction is REQUEST or classification.confidence < SURE
 
 
 def test_response_of_another_unit_does_not_end_the_turn() -> None:
@@ -136,13 +136,13 @@ def test_wrong_response_of_the_same_unit_ends_the_turn() -> None:
     spoken = Spoken()
     spoken.hear(1, READ)
     assert spoken.hear(1, bytes.fromhex("03 02 022B")).direction is RESPONSE
-    assert spoken.turns.turn.waiting is None
+    assert spoken.bus_model.state.pending is None
 
 
 def test_nobody_answers_a_broadcast() -> None:
     spoken = Spoken()
     spoken.hear(0, WRITE)
-    assert spoken.turns.turn.waiting is None
+    assert spoken.bus_model.state.pending is None
     assert spoken.hear(0, WRITE).direction is REQUEST
 
 
@@ -150,7 +150,7 @@ def test_nobody_answers_force_listen_only() -> None:
     spoken = Spoken()
     listen_only = bytes.fromhex("08 0004 0000")
     spoken.hear(1, listen_only)
-    assert spoken.turns.turn.waiting is None
+    assert spoken.bus_model.state.pending is None
     assert spoken.hear(1, listen_only).direction is REQUEST
 
 
@@ -181,7 +181,7 @@ def test_late_answer_to_a_request_that_was_repeated_is_a_response() -> None:
     spoken.hear(1, WRITE)
     assert spoken.hear(1, WRITE, 300 * MS).direction is REQUEST
     assert spoken.hear(1, WRITE, 3 * MS).direction is RESPONSE
-    assert spoken.turns.turn.owed is not None
+    assert spoken.bus_model.state.overdue is not None
     assert spoken.hear(1, ANSWER, 3 * MS).direction is RESPONSE
 
 
@@ -198,7 +198,7 @@ def test_second_answer_is_waited_for_from_the_retry_on() -> None:
     spoken = Spoken().learn_latency(5 * MS)
     asked, answer = b"\x45\x01", b"\x45\x02\x03"
     spoken.hear(1, asked, 30 * MS)
-    assert spoken.hear(1, asked, TURN_NS - 2 * MS).direction is REQUEST
+    assert spoken.hear(1, asked, MAX_PENDING_NS - 2 * MS).direction is REQUEST
     assert spoken.hear(1, answer, 5 * MS).direction is RESPONSE
     assert spoken.hear(1, answer, 5 * MS).direction is RESPONSE
 
@@ -209,22 +209,22 @@ def test_master_that_never_asks_twice_makes_a_third_equal_frame_an_answer() -> N
     for number in range(300):
         spoken.hear(1, bytes((0x03, 0, number % 2, 0, 3)))
         spoken.hear(1, ANSWER)
-    turns, turn, costs = spoken.turns, spoken.turns.turn, []
+    bus_model, state, costs = spoken.bus_model, spoken.bus_model.state, []
     for roles in ((REQUEST, REQUEST, RESPONSE), (REQUEST, RESPONSE, REQUEST)):
-        supposed, cost = turn, 0.0
+        supposed, cost = state, 0.0
         for role in roles:
-            cost += turns.weigh(supposed, 1, WRITE, role, 0)
-            supposed = turns.follow(supposed, 1, WRITE, role, 0, 0)
+            cost += bus_model.cost(supposed, 1, WRITE, role, 0)
+            supposed = bus_model.next_state(supposed, 1, WRITE, role, 0, 0)
         costs.append(cost)
     assert costs[0] + 2 < costs[1]
 
 
 def test_answer_behind_damage_to_what_is_never_asked_is_less_likely() -> None:
     spoken = Spoken().learn_latency()
-    spoken.turns.heard_damage()
+    spoken.bus_model.hear_damage()
     at_ns = spoken.now_ns + MS
     polled, odd, unheard = (
-        spoken.turns.weigh(spoken.turns.turn, 1, bytes.fromhex(pdu), RESPONSE, at_ns)
+        spoken.bus_model.cost(spoken.bus_model.state, 1, bytes.fromhex(pdu), RESPONSE, at_ns)
         for pdu in ("83 02", "83 93", "92 02")
     )
     assert polled < unheard
@@ -237,8 +237,8 @@ def test_answer_behind_damage_to_what_is_never_asked_is_less_likely() -> None:
 def glued() -> Spoken:
     """A line whose frames come four at once, 60 ms apart."""
     spoken = Spoken()
-    spoken.turns.trusts_silences = False
-    for _ in range(2 * LatencyStatistics.FEW):
+    spoken.bus_model.history.trusts_silences = False
+    for _ in range(2 * LatencyStatistics.ENOUGH_RESPONSES):
         spoken.hear(1, READ, 60 * MS)
         spoken.hear(1, ANSWER, 0)
         spoken.hear(2, READ, 0)
@@ -250,26 +250,28 @@ def glued() -> Spoken:
 def test_long_silence_among_glued_frames_is_a_missing_answer(
     pause_ns: int, called: Direction
 ) -> None:
-    turns = (spoken := glued()).turns
+    bus_model = (spoken := glued()).bus_model
     costs = []
     for role in (RESPONSE, REQUEST):
         at_ns = spoken.now_ns + pause_ns
-        asked = turns.follow(turns.turn, 1, WRITE, REQUEST, at_ns, at_ns)
-        cost = turns.weigh(asked, 1, WRITE, role, at_ns)
-        costs.append(cost + turns.pause_cost(turns.follow(asked, 1, WRITE, role, at_ns, at_ns)))
+        asked = bus_model.next_state(bus_model.state, 1, WRITE, REQUEST, at_ns, at_ns)
+        cost = bus_model.cost(asked, 1, WRITE, role, at_ns)
+        costs.append(
+            cost + bus_model.silence_cost(bus_model.next_state(asked, 1, WRITE, role, at_ns, at_ns))
+        )
     assert (costs[1] < costs[0]) is (called is REQUEST)
 
 
 def test_silence_of_a_master_that_pauses_is_no_missing_answer() -> None:
-    turns = (spoken := glued()).turns
+    bus_model = (spoken := glued()).bus_model
     for _ in range(8):
         spoken.hear(1, READ, 600 * MS)
         spoken.hear(1, ANSWER, 0)
-    assert turns.pause_cost(turns.turn) == 0
+    assert bus_model.silence_cost(bus_model.state) == 0
 
 
 def test_silences_are_not_kept_where_they_are_trusted() -> None:
-    assert Spoken().learn_latency().turns.turn.pause_ns == 0
+    assert Spoken().learn_latency().bus_model.state.unexplained_silence_ns == 0
 
 
 def test_echo_of_an_ambiguous_frame_is_ambiguous() -> None:
@@ -293,7 +295,9 @@ def test_request_for_bits_that_comes_again_is_no_answer_to_itself() -> None:
 # Answers as long as a request. Late is what takes longer than any answer before it.
 
 CONTACTS = "01 03E8 0018"
-LATE = pytest.mark.parametrize("late_ns", [40 * MS, 600 * MS, TURN_NS + MS, 3 * TURN_NS])
+LATE = pytest.mark.parametrize(
+    "late_ns", [40 * MS, 600 * MS, MAX_PENDING_NS + MS, 3 * MAX_PENDING_NS]
+)
 
 
 @LATE
@@ -368,7 +372,7 @@ def test_request_that_is_none_stays_an_answer_though_it_was_heard_as_one(
     spoken = Spoken().learn_latency(5 * MS)
     spoken.hear(1, READ, 30 * MS)
     pdu = bytes.fromhex(none)
-    spoken.turns.hear(Classification(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, 0, spoken.now_ns)
+    spoken.bus_model.hear(Classification(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, 0, spoken.now_ns)
     spoken.hear(1, bytes((pdu[0] | 0x80, 3)), 5 * MS)
     spoken.hear(1, bytes.fromhex(asked), 30 * MS)
     assert says(spoken.hear(1, pdu, 900 * MS)) == (RESPONSE, DirectionBy.PENDING, True)
@@ -378,7 +382,7 @@ def test_another_request_ends_the_wait_for_a_late_answer() -> None:
     spoken = Spoken().learn_latency(5 * MS)
     spoken.hear(1, bytes.fromhex(CONTACTS), 30 * MS)
     spoken.hear(1, READ, 600 * MS)
-    late = spoken.hear(1, bytes.fromhex("01 0320 0010"), TURN_NS + MS)
+    late = spoken.hear(1, bytes.fromhex("01 0320 0010"), MAX_PENDING_NS + MS)
     assert says(late) == (REQUEST, DirectionBy.IDLE, True)
 
 
@@ -394,40 +398,40 @@ def test_read_of_bits_that_comes_again_is_no_second_answer_to_itself() -> None:
 def test_damage_leaves_the_turn_in_doubt() -> None:
     spoken = Spoken()
     spoken.hear(1, READ)
-    spoken.turns.heard_damage()
-    turn = spoken.turns.turn
-    assert (turn.waiting, turn.lost) == (None, True)
-    assert turn.owed is not None
-    assert turn.owed.pdu == READ
+    spoken.bus_model.hear_damage()
+    state = spoken.bus_model.state
+    assert (state.pending, state.follows_damage) == (None, True)
+    assert state.overdue is not None
+    assert state.overdue.pdu == READ
     assert spoken.hear(1, ANSWER).direction is RESPONSE
-    assert not spoken.turns.turn.lost
+    assert not spoken.bus_model.state.follows_damage
 
 
 def test_frame_is_expected_that_the_waiting_request_asks_for() -> None:
     spoken = Spoken()
-    turns = spoken.turns
-    assert not turns.expects(turns.turn, 1, 0x03, len(ANSWER), RESPONSE)
-    assert not turns.expects(turns.turn, 1, 0x03, len(READ), REQUEST)
+    bus_model = spoken.bus_model
+    assert not bus_model.expects(bus_model.state, 1, 0x03, len(ANSWER), RESPONSE)
+    assert not bus_model.expects(bus_model.state, 1, 0x03, len(READ), REQUEST)
     spoken.hear(1, READ)
-    assert turns.expects(turns.turn, 1, 0x03, len(ANSWER), RESPONSE)
-    assert turns.expects(turns.turn, 1, 0x03, 0, RESPONSE)
-    assert turns.expects(turns.turn, 1, 0x83, 2, RESPONSE)
-    assert not turns.expects(turns.turn, 1, 0x03, len(ANSWER) + 2, RESPONSE)
-    assert not turns.expects(turns.turn, 2, 0x03, len(ANSWER), RESPONSE)
-    assert not turns.expects(turns.turn, 1, 0x03, len(READ), REQUEST)
+    assert bus_model.expects(bus_model.state, 1, 0x03, len(ANSWER), RESPONSE)
+    assert bus_model.expects(bus_model.state, 1, 0x03, 0, RESPONSE)
+    assert bus_model.expects(bus_model.state, 1, 0x83, 2, RESPONSE)
+    assert not bus_model.expects(bus_model.state, 1, 0x03, len(ANSWER) + 2, RESPONSE)
+    assert not bus_model.expects(bus_model.state, 2, 0x03, len(ANSWER), RESPONSE)
+    assert not bus_model.expects(bus_model.state, 1, 0x03, len(READ), REQUEST)
     spoken.hear(1, ANSWER)
-    assert turns.expects(turns.turn, 1, 0x03, len(READ), REQUEST)
+    assert bus_model.expects(bus_model.state, 1, 0x03, len(READ), REQUEST)
 
 
 def test_turn_can_be_supposed_without_being_taken() -> None:
-    turns = BusModel()
-    before = turns.turn
-    asked = turns.follow(before, 1, READ, REQUEST, 0, 1)
-    assert asked.waiting is not None
-    assert asked.waiting.fits(1, ANSWER)
-    assert turns.weigh(asked, 1, ANSWER, RESPONSE, 2) == costs.ANSWER
-    assert turns.follow(asked, 1, ANSWER, RESPONSE, 2, 3).waiting is None
-    assert turns.turn is before
+    bus_model = BusModel()
+    before = bus_model.state
+    asked = bus_model.next_state(before, 1, READ, REQUEST, 0, 1)
+    assert asked.pending is not None
+    assert asked.pending.fits(1, ANSWER)
+    assert bus_model.cost(asked, 1, ANSWER, RESPONSE, 2) == costs.RESPONSE
+    assert bus_model.next_state(asked, 1, ANSWER, RESPONSE, 2, 3).pending is None
+    assert bus_model.state is before
 
 
 def test_roles_are_those_whose_form_fits() -> None:
@@ -438,11 +442,11 @@ def test_roles_are_those_whose_form_fits() -> None:
 
 
 def test_what_is_known_of_a_line_is_bounded() -> None:
-    turns = BusModel()
-    for number in range(3 * MAX_KNOWN):
+    bus_model = BusModel()
+    for number in range(3 * MAX_REQUESTS):
         pdu = bytes((0x06, *number.to_bytes(2), 0, 0))
-        turns.hear(Classification(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, number, number)
-    assert len(turns._known) <= MAX_KNOWN
+        bus_model.hear(Classification(REQUEST, DirectionBy.IDLE, 1.0), 1, pdu, number, number)
+    assert len(bus_model.history.requests) <= MAX_REQUESTS
 
 
 def test_doubt_ends_with_the_echo_of_what_was_doubted() -> None:
@@ -470,26 +474,26 @@ def test_master_that_never_repeats_a_read_hardly_repeats_a_write() -> None:
     costs = []
     for spoken in (repeating, other):
         spoken.hear(1, WRITE)
-        costs.append(spoken.turns.weigh(spoken.turns.turn, 1, WRITE, REQUEST, 0))
+        costs.append(spoken.bus_model.cost(spoken.bus_model.state, 1, WRITE, REQUEST, 0))
     assert costs[0] < costs[1]
 
 
 def test_doubt_about_a_response_does_not_make_it_a_request() -> None:
     """Where it is in doubt is another question than who sent it."""
-    turns = BusModel()
-    turns.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), 1, READ, 0, 1)
-    turns.hear(Classification(RESPONSE, DirectionBy.PENDING, 0.5), 1, ANSWER, 2, 3)
-    assert len(turns.likely) == 1
-    assert turns.turn.waiting is None
+    bus_model = BusModel()
+    bus_model.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), 1, READ, 0, 1)
+    bus_model.hear(Classification(RESPONSE, DirectionBy.PENDING, 0.5), 1, ANSWER, 2, 3)
+    assert len(bus_model.states) == 1
+    assert bus_model.state.pending is None
 
 
 def test_request_that_was_damaged_may_wait_or_not() -> None:
     """The slave may have heard the damage, or this adapter alone."""
-    turns = BusModel()
-    turns.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), 1, READ, 0, 1)
-    turns.hear(Classification(RESPONSE, DirectionBy.PENDING, 1.0), 1, ANSWER, 2, 3)
-    turns.heard_damaged(b"\x01" + WRITE + b"\x00\x00", REQUEST, 4, 5)
-    assert {turn.waiting is not None for _, turn in turns.likely} == {True, False}
+    bus_model = BusModel()
+    bus_model.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), 1, READ, 0, 1)
+    bus_model.hear(Classification(RESPONSE, DirectionBy.PENDING, 1.0), 1, ANSWER, 2, 3)
+    bus_model.hear_damaged_frame(b"\x01" + WRITE + b"\x00\x00", REQUEST, 4, 5)
+    assert {state.pending is not None for _, state in bus_model.states} == {True, False}
 
 
 def test_echo_of_an_unknown_function_at_the_start_is_its_answer() -> None:

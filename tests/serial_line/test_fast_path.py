@@ -20,11 +20,11 @@ MOST = 512
 
 def front(*heard: bytes, speaker: Direction | None = None) -> FastPath:
     """What looks at a line on which these were heard, requests and responses by turns."""
-    turns = BusModel()
+    bus_model = BusModel()
     for place, raw in enumerate(heard):
         role = (REQUEST, RESPONSE)[place % 2]
-        turns.hear(Classification(role, DirectionBy.FORM, 1.0), raw[0], raw[1:-2], 0, 1)
-    return FastPath(turns, speaker, MOST)
+        bus_model.hear(Classification(role, DirectionBy.FORM, 1.0), raw[0], raw[1:-2], 0, 1)
+    return FastPath(bus_model, speaker, MOST)
 
 
 def taken(
@@ -37,7 +37,7 @@ def taken(
 def test_whole_frame_is_told_when_a_silence_or_a_byte_follows() -> None:
     looking = front()
     assert taken(looking, READ, burst_over=False) is None
-    assert looking.awaited == len(READ) + 1
+    assert looking.needed == len(READ) + 1
     assert taken(looking, READ + OTHER[:1], burst_over=False) == (len(READ), REQUEST)
     assert taken(front(READ), ANSWER) == (len(ANSWER), RESPONSE)
     assert taken(front(READ), REFUSAL) == (len(REFUSAL), RESPONSE)
@@ -46,7 +46,7 @@ def test_whole_frame_is_told_when_a_silence_or_a_byte_follows() -> None:
 def test_what_begins_anew_is_measured_anew() -> None:
     looking = front()
     assert taken(looking, READ[:4]) is None
-    looking.begin(behind_noise=False)
+    looking.restart(behind_noise=False)
     assert taken(looking, OTHER) == (len(OTHER), REQUEST)
 
 
@@ -58,7 +58,7 @@ def test_response_that_nobody_asked_for_needs_a_search() -> None:
 def test_request_of_this_line_is_one_though_another_waits() -> None:
     assert taken(front(READ, ANSWER, OTHER), READ) == (len(READ), REQUEST)
     behind_noise = front(READ, ANSWER, OTHER)
-    behind_noise.begin(behind_noise=True)
+    behind_noise.restart(behind_noise=True)
     assert taken(behind_noise, READ) is None
 
 
@@ -79,24 +79,24 @@ def test_request_whose_crc_ends_in_zero_is_not_the_shorter_response_in_it() -> N
 
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_beginning_of_what_is_due_is_no_more_than_that(size: int) -> None:
-    assert front(READ).is_begun(ANSWER[:size], ())
-    assert front(READ, ANSWER).is_begun(READ[:size], ())
+    assert front(READ).is_incomplete(ANSWER[:size], ())
+    assert front(READ, ANSWER).is_incomplete(READ[:size], ())
 
 
 def test_what_is_not_due_is_searched() -> None:
-    assert not front().is_begun(READ[:5], ())
-    assert not front(READ).is_begun(OTHER[:5], ())
-    assert not front(READ, speaker=RESPONSE).is_begun(ANSWER[:5], ())
-    assert not front(READ).is_begun(ANSWER, ())
+    assert not front().is_incomplete(READ[:5], ())
+    assert not front(READ).is_incomplete(OTHER[:5], ())
+    assert not front(READ, speaker=RESPONSE).is_incomplete(ANSWER[:5], ())
+    assert not front(READ).is_incomplete(ANSWER, ())
 
 
 def test_frame_behind_a_silence_shows_that_what_was_begun_is_not_due_any_more() -> None:
     data = ANSWER[:3] + OTHER
     long_read = rtu_adu(1, bytes.fromhex("03 0000 0014"))
     head = rtu_adu(1, bytes.fromhex("03 28") + bytes(40))[:3]
-    assert front(long_read).is_begun(head + b"\x01\x02", (3,))
-    assert not front(long_read).is_begun(head + OTHER, (3,))
-    assert not front(READ).is_begun(data, (3,))
+    assert front(long_read).is_incomplete(head + b"\x01\x02", (3,))
+    assert not front(long_read).is_incomplete(head + OTHER, (3,))
+    assert not front(READ).is_incomplete(data, (3,))
 
 
 def test_who_is_known_to_speak_decides() -> None:

@@ -14,7 +14,7 @@ from mbtool.modbus.adu_bytes import crc, rtu_adu
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.bus_model import SURE
-from mbtool.serial_line.rtu import HOLD_NS, MAX_TEARS, WINDOW
+from mbtool.serial_line.rtu import HOLD_NS, MAX_SILENCES, WINDOW
 from tests.benchmarks.adapters import Column, Wire, delivered
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import adus, pdus, raw, skipped
@@ -444,7 +444,7 @@ def test_long_response_torn_into_pieces_is_joined(size: int) -> None:
 def test_frame_with_too_many_silences_is_given_up() -> None:
     response = rtu_adu(0x11, bytes((3, 40, *range(40))))
     sent = line()
-    for byte in response[: MAX_TEARS + 1]:
+    for byte in response[: MAX_SILENCES + 1]:
         sent.frame(bytes([byte]), 5 * MS)
     fed = splitter()
     events: list[Adu | Skipped] = []
@@ -773,7 +773,7 @@ def test_noise_across_a_full_window_puts_the_turn_in_doubt() -> None:
     fed = splitter()
     fed.feed(rtu_adu(5, bytes.fromhex("06 0001 0003")), START_NS)
     fed.feed(noise, START_NS + 3000 * CHARACTER)
-    assert fed._turns.turn.lost
+    assert fed._model.state.follows_damage
 
 
 def test_reads_that_seem_to_overlap_belong_together() -> None:

@@ -15,10 +15,10 @@ import pytest
 from mbtool.core import Direction, SerialFormat
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
 from mbtool.modbus.adu_bytes import crc, rtu_adu
-from mbtool.serial_line import RtuSplitter, costs
+from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel
 from mbtool.serial_line.candidates import ByteWindow
-from mbtool.serial_line.line_statistics import LearnedCost, LineStatistics
+from mbtool.serial_line.line_statistics import LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
 from tests.feeding import Line, feed_all
@@ -545,12 +545,12 @@ class Searched:
     data: bytes
     silent: frozenset[int] = frozenset()
     """Before which bytes it was silent for t3.5, the first and the end apart."""
-    may_go_on: bool = False
+    may_continue: bool = False
     is_behind_noise: bool = False
     roles: tuple[Direction, ...] = ROLES
-    turns: BusModel = field(default_factory=BusModel)
+    bus_model: BusModel = field(default_factory=BusModel)
 
-    def pieces(self) -> list[Segment]:
+    def segments(self) -> list[Segment]:
         times, now_ns = [], 0
         for place in range(len(self.data)):
             now_ns += CHARACTER + (2 * T3_5 if place in self.silent else 0)
@@ -563,25 +563,19 @@ class Searched:
             CHARACTER,
             [*silences, True],
             is_behind_noise=self.is_behind_noise,
-            may_go_on=self.may_go_on,
+            may_continue=self.may_continue,
         )
-        habits = LineStatistics(
-            skip=LearnedCost(costs.SKIP, costs.SKIP_LIMITS),
-            noise=LearnedCost(costs.NOISE, costs.NOISE_LIMITS),
-            glue=LearnedCost(costs.GLUED, costs.GLUED_LIMITS),
-            tear=LearnedCost(costs.TORN, costs.TORN_LIMITS),
-            flip=LearnedCost(costs.FLIPPED, costs.FLIPPED_LIMITS),
-        )
-        pieces = PathSearch(window, self.turns, habits, self.roles).pieces()
+        search = PathSearch(window, self.bus_model, LineStatistics(), self.roles)
+        segments = search.segments()
         ends = [0]
-        for piece in pieces:
-            assert piece.place == ends[-1]
-            ends.append(piece.place + piece.size)
+        for segment in segments:
+            assert segment.offset == ends[-1]
+            ends.append(segment.offset + segment.size)
         assert ends[-1] == len(self.data)
-        return pieces
+        return segments
 
     def told(self) -> list[tuple[SegmentKind, int]]:
-        return [(piece.kind, piece.size) for piece in self.pieces()]
+        return [(segment.kind, segment.size) for segment in self.segments()]
 
 
 def test_pieces_lie_in_order_without_a_hole() -> None:
@@ -594,7 +588,7 @@ def test_pieces_lie_in_order_without_a_hole() -> None:
 
 
 def test_frame_has_the_roles_of_its_form() -> None:
-    request, response, echo = (Searched(raw).pieces()[0] for raw in (*NEIGHBOURS, WRITE))
+    request, response, echo = (Searched(raw).segments()[0] for raw in (*NEIGHBOURS, WRITE))
     assert (request.role, request.roles) == (REQUEST, (REQUEST,))
     assert (response.role, response.roles) == (RESPONSE, (RESPONSE,))
     assert echo.roles == ROLES
@@ -602,8 +596,8 @@ def test_frame_has_the_roles_of_its_form() -> None:
 
 def test_frame_that_has_begun_is_open_only_where_it_may_go_on() -> None:
     data = NEIGHBOURS[0] + NEIGHBOURS[1][:6]
-    assert Searched(data, frozenset({8}), may_go_on=True).told() == [
-        (SegmentKind.FRAME, 8), (SegmentKind.OPEN, 6),
+    assert Searched(data, frozenset({8}), may_continue=True).told() == [
+        (SegmentKind.FRAME, 8), (SegmentKind.INCOMPLETE, 6),
     ]  # fmt: skip
     assert Searched(data, frozenset({8})).told() == [
         (SegmentKind.FRAME, 8),
@@ -648,27 +642,27 @@ def test_frames_behind_silences_are_not_hidden_by_a_damaged_one() -> None:
 
 def test_only_the_form_of_the_one_who_speaks_is_looked_for() -> None:
     searched = Searched(NEIGHBOURS[0] + NEIGHBOURS[1], roles=(RESPONSE,))
-    *_, last = searched.pieces()
-    assert [piece.size for piece in searched.pieces()] == [8, 11]
+    *_, last = searched.segments()
+    assert [segment.size for segment in searched.segments()] == [8, 11]
     assert (last.kind, last.role, last.roles) == (SegmentKind.FRAME, RESPONSE, (RESPONSE,))
 
 
 def test_another_explanation_that_is_nearly_as_likely_raises_doubt() -> None:
-    first, second, third = Searched(WRITE * 3, turns=BusModel(timed=False)).pieces()
+    first, second, third = Searched(WRITE * 3, bus_model=BusModel(timed=False)).segments()
     assert first.kind is second.kind is third.kind is SegmentKind.FRAME
     assert max(first.confidence, second.confidence, third.confidence) <= SURE
 
 
 def test_window_of_one_byte_is_explained() -> None:
     assert Searched(b"\x01").told() == [(SegmentKind.SKIPPED, 1)]
-    assert Searched(b"\x01", may_go_on=True).told() == [(SegmentKind.OPEN, 1)]
+    assert Searched(b"\x01", may_continue=True).told() == [(SegmentKind.INCOMPLETE, 1)]
 
 
 def test_no_frame_is_waited_for_that_would_be_too_long() -> None:
     """A frame has 256 bytes at most, so none of that length can be open."""
     head = bytes.fromhex("01 10 0000 007B F6")
-    told_ = Searched(head + bytes(MAX_RTU_ADU - len(head)), may_go_on=True).told()
-    assert told_[0][0] is not SegmentKind.OPEN
+    told_ = Searched(head + bytes(MAX_RTU_ADU - len(head)), may_continue=True).told()
+    assert told_[0][0] is not SegmentKind.INCOMPLETE
     assert sum(size for _, size in told_) == MAX_RTU_ADU
 
 
