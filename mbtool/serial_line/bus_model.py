@@ -170,7 +170,7 @@ class BusModel:
         `inside_ns` is the longest silence in it.
         """
         role, state = classification.direction, self.state
-        self._learn(classification, unit, pdu, start_ns)
+        self._learn(state, classification, unit, pdu, start_ns)
         if state.settles_silence(role, start_ns, inside_ns):
             self.history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
@@ -186,8 +186,10 @@ class BusModel:
             states += [(bits + extra, rival) for bits, rival in rivals]
         self.states = most_likely(states)
 
-    def _learn(self, classification: Classification, unit: int, pdu: bytes, start_ns: int) -> None:
-        state, is_sure = self.state, classification.confidence >= SURE
+    def _learn(
+        self, state: BusState, classification: Classification, unit: int, pdu: bytes, start_ns: int
+    ) -> None:
+        is_sure = classification.confidence >= SURE
         if classification.direction is Direction.REQUEST:
             if is_sure:
                 by_form = classification.by is DirectionBy.FORM
@@ -250,34 +252,21 @@ class BusModel:
         by_form: bool = False,
     ) -> BusState:
         """The bus state after a frame. `by_form`: its form allows one direction only."""
-        pending, by_form = state.pending, by_form or state.direction_known
         silence_ns = self._unexplained_silence_ns(state, role, start_ns, inside_ns)
+        pending, overdue, answered = state.pending, state.overdue, None
         if role is Direction.REQUEST:
-            request = overdue = None
-            expected = ExpectedResponse.of(pdu) if unit else None  # Nobody responds to a broadcast.
-            if expected is not None:
+            overdue = pending and replace(pending, awaited_from_ns=end_ns)
+            expected = ExpectedResponse.of(pdu) if unit else None
+            if expected is None:  # Nobody responds to a broadcast.
+                pending = overdue = None
+            else:
                 before_ns = None if state.last_ns is None else start_ns - state.last_ns
-                request = PendingRequest(unit, pdu, expected, end_ns, before_ns)
-                overdue = pending and replace(pending, awaited_from_ns=end_ns)
-            return BusState(
-                pending=request,
-                overdue=overdue,
-                direction_known=by_form,
-                last_ns=end_ns,
-                unexplained_silence_ns=silence_ns,
-            )
-        overdue, answered = state.overdue, None
-        if pending is None or pending.unit == unit:
+                pending = PendingRequest(unit, pdu, expected, end_ns, before_ns)
+            pdu = b""
+        elif pending is None or pending.unit == unit:
             overdue, answered, pending = (overdue if pending else None), pending or overdue, None
-        return BusState(
-            pending,
-            overdue,
-            answered,
-            last_response=pdu,
-            direction_known=by_form,
-            last_ns=end_ns,
-            unexplained_silence_ns=silence_ns,
-        )
+        known, last_ns = by_form or state.direction_known, end_ns
+        return BusState(pending, overdue, answered, pdu, False, known, last_ns, silence_ns)
 
     def _unexplained_silence_ns(
         self, state: BusState, role: Direction, start_ns: int, inside_ns: int

@@ -88,10 +88,10 @@ class FastPath:
         Each frame that ends in 00 has a correct CRC without it too. Of two sizes the longer one
         counts, if the other is far less likely.
         """
-        found = 0
+        found, have = 0, len(head)
         roles: list[Direction] = []
         for role, size in sizes:
-            if size <= len(head) and crc(head[:size]) == 0:
+            if size <= have and crc(head[:size]) == 0:
                 if found not in (0, size):
                     return self._longer_size(head, start_ns, (found, roles[0]), (size, role))
                 found = size

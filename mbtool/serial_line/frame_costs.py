@@ -51,22 +51,23 @@ def _request_cost(
     cost = costs.REQUEST
     if is_odd_request(pdu):
         cost += costs.IMPLAUSIBLE_REQUEST
-    pending, answered = state.pending_at(at_ns), state.answered
+    pending, overdue = state.pending_at(at_ns), state.overdue
     is_retry = pending is not None and pending.is_same(unit, pdu)
-    is_repeat = answered is not None and answered.is_same(unit, pdu)
+    is_repeat = state.answered is not None and state.answered.is_same(unit, pdu)
     if is_repeat:
-        if not history.trusts_silences or state.overdue is not None:
+        if not history.trusts_silences or overdue is not None:
             cost += history.repeat.bits
-    elif state.last_response == pdu and _may_be_second_response(answered, unit, pdu):
+    elif state.last_response == pdu and _may_be_second_response(state.answered, unit, pdu):
         cost += costs.REQUEST_EQUALS_RESPONSE
     if not (is_retry or is_repeat or (unit, pdu) in history.requests):
         cost += _new_request_cost(pdu)
     if pending is None:
         return cost, 0.0
-    if is_retry:
-        cost += _retry_cost(history, state.overdue, unit, pdu)
-    else:
+    if not is_retry:
         cost += costs.PREVIOUS_UNANSWERED
+    else:
+        is_second = overdue is not None and overdue.is_same(unit, pdu)
+        cost += costs.SECOND_RETRY if is_second else history.retry.bits
     latency, waited_ns = history.latency, at_ns - pending.awaited_from_ns
     is_early = latency.is_known and latency.doublings_late(waited_ns) < 0
     return cost, costs.EARLY_REQUEST if is_early else 0.0
@@ -83,14 +84,6 @@ def _new_request_cost(pdu: bytes) -> float:
     if pdu[0] in FUNCTIONS and request.problem is None and not keeps_limits(request):
         return costs.NEW_REQUEST + costs.MALFORMED
     return costs.NEW_REQUEST
-
-
-def _retry_cost(
-    history: LineHistory, overdue: PendingRequest | None, unit: int, pdu: bytes
-) -> float:
-    """The cost of a retry; `overdue` is the request before the one it repeats."""
-    is_second = overdue is not None and overdue.is_same(unit, pdu)
-    return costs.SECOND_RETRY if is_second else history.retry.bits
 
 
 def _response_cost(

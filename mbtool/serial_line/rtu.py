@@ -148,7 +148,7 @@ class RtuSplitter:
         return events
 
     def _restart(self) -> list[Adu | Skipped]:
-        """The clock was set back: give out the bytes held, and forget the times and the bus state."""
+        """Give out the bytes held; forget the times and the bus state. The clock was set back."""
         events = self.close()
         self._last_end = None
         self._fast_path.restart(behind_noise=False)
