@@ -15,10 +15,10 @@ import pytest
 from mbtool.core import Direction, SerialFormat
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
 from mbtool.modbus.adu_bytes import crc, rtu_adu
-from mbtool.serial_line import RtuSplitter
+from mbtool.serial_line import RtuSplitter, costs
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel
 from mbtool.serial_line.candidates import ByteWindow
-from mbtool.serial_line.line_statistics import LineStatistics
+from mbtool.serial_line.line_statistics import LearnedCost, LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
 from tests.feeding import Line, feed_all
@@ -549,6 +549,7 @@ class Searched:
     is_behind_noise: bool = False
     roles: tuple[Direction, ...] = ROLES
     bus_model: BusModel = field(default_factory=BusModel)
+    statistics: LineStatistics = field(default_factory=LineStatistics)
 
     def segments(self) -> list[Segment]:
         times, now_ns = [], 0
@@ -565,7 +566,7 @@ class Searched:
             is_behind_noise=self.is_behind_noise,
             may_continue=self.may_continue,
         )
-        search = PathSearch(window, self.bus_model, LineStatistics(), self.roles)
+        search = PathSearch(window, self.bus_model, self.statistics, self.roles)
         segments = search.segments()
         ends = [0]
         for segment in segments:
@@ -699,6 +700,16 @@ def test_write_behind_a_damaged_frame_is_waited_for_though_it_holds_frames() -> 
     lost = rtu_adu(7, b"\x03\x14" + bytes(range(20)))[3:]
     events = on_a_clean_line(lost + write[:24], write[24:] + answer)
     assert told(events)[-2:] == [(write, REQUEST), (answer, RESPONSE)]
+
+
+def test_zero_before_a_silence_is_the_end_of_a_frame_though_stray_bytes_come() -> None:
+    """At one stray byte in 19 frames, the 00 is noise only if no silence follows it."""
+    raw = ending_in_zero("41 0102 0304")
+    statistics = LineStatistics()
+    statistics.noise = LearnedCost(4.25, costs.NOISE_LIMITS)
+    assert Searched(raw, statistics=statistics).told() == [(SegmentKind.FRAME, len(raw))]
+    glued_told = Searched(raw + NEIGHBOURS[0], statistics=statistics).told()
+    assert glued_told[:2] == [(SegmentKind.FRAME, len(raw) - 1), (SegmentKind.SKIPPED, 1)]
 
 
 @pytest.mark.parametrize("zeros", [2, 3])
