@@ -21,7 +21,7 @@ def test_wrong_bit_is_found_wherever_it_is(unit: int, pdu: bytes, data: st.DataO
 
 
 @given(frame=st.binary(min_size=4, max_size=256))
-def test_what_is_mended_differs_in_one_bit_and_is_right(frame: bytes) -> None:
+def test_repaired_frame_differs_in_one_bit_and_is_correct(frame: bytes) -> None:
     whole = repaired(frame)
     if whole is not None:
         assert repaired(whole) is None
@@ -29,7 +29,7 @@ def test_what_is_mended_differs_in_one_bit_and_is_right(frame: bytes) -> None:
         assert differing.bit_count() == 1
 
 
-def test_two_wrong_bits_of_a_short_frame_are_not_mended() -> None:
+def test_two_wrong_bits_of_a_short_frame_are_not_repaired() -> None:
     frame = bytearray(rtu_adu(1, bytes.fromhex("03 0000 0001")))
     frame[2] ^= 0x41
     assert repaired(bytes(frame)) is None

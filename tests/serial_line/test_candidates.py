@@ -1,4 +1,4 @@
-"""What may begin at a place of a window."""
+"""The candidates at the offsets of a window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ANSWER = rtu_adu(1, bytes.fromhex("03 04 0001 0002"))
 def candidates(
     data: bytes, *heard: bytes, silent_at: tuple[int, ...] = (), glue: float = costs.GLUED
 ) -> tuple[Candidates, BusModel]:
-    """Those of a window between two silences, on a line where requests were heard."""
+    """The candidates of a window between two silences, after these requests were heard."""
     bus_model = BusModel()
     for raw in heard:
         bus_model.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), raw[0], raw[1:-2], 0, 1)
@@ -49,24 +49,24 @@ def test_frames_are_found_in_each_form_that_they_have() -> None:
     assert found.frames(1) == []
 
 
-def test_one_wrong_bit_is_mended_wherever_it_is() -> None:
+def test_one_wrong_bit_is_repaired_wherever_it_is() -> None:
     for at in range(len(ANSWER)):
         for bit in range(8):
             assert (ANSWER, RESPONSE) in repaired(flipped(ANSWER, at, bit) + READ)
 
 
-def test_function_that_was_never_asked_is_not_looked_for() -> None:
+def test_function_that_was_never_requested_is_not_repaired() -> None:
     found, bus_model = candidates(flipped(ANSWER, 1, 6) + READ)
     assert [one for one in found.damaged(0, bus_model.state) if one.repaired] == []
 
 
-def test_wrong_bit_in_the_byte_count_is_mended_where_all_bytes_are_there() -> None:
+def test_wrong_bit_in_the_byte_count_is_repaired_if_no_byte_is_lost() -> None:
     damaged = flipped(ANSWER, 2, 1)  # Six bytes of registers instead of four.
     assert (ANSWER, RESPONSE) in repaired(damaged)
     assert repaired(damaged[:-1]) == []
 
 
-def test_request_of_this_line_is_seen_under_the_shorter_response_in_it() -> None:
+def test_damaged_known_request_is_found_over_a_shorter_response() -> None:
     raw = next(
         raw
         for quantity in range(1, 256)

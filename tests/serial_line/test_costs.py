@@ -35,8 +35,8 @@ def test_limits_hold_what_is_learned_between_them() -> None:
     )
 
 
-def test_answer_that_is_asked_for_is_the_cheapest_of_answers() -> None:
-    answers = (
+def test_fitting_response_is_the_cheapest_response() -> None:
+    responses = (
         costs.RESPONSE,
         costs.LATE_RESPONSE,
         costs.RESPONSE_AFTER_DAMAGE,
@@ -45,15 +45,15 @@ def test_answer_that_is_asked_for_is_the_cheapest_of_answers() -> None:
         costs.MISMATCHED_RESPONSE,
         costs.UNREQUESTED_RESPONSE,
     )
-    assert list(answers) == sorted(answers)
+    assert list(responses) == sorted(responses)
 
 
-def test_retry_is_likelier_than_an_answer_that_never_came() -> None:
+def test_retry_is_likelier_than_another_request_without_a_response() -> None:
     assert costs.SECOND_RETRY < costs.RETRY < costs.PREVIOUS_UNANSWERED
 
 
-def test_stray_bytes_and_the_end_of_a_crc_are_weighed_by_the_line() -> None:
-    """The shorter frame and a 00 on a line of many stray bytes, the longer on a clean one."""
+def test_frequency_of_stray_bytes_decides_about_a_zero_at_the_end() -> None:
+    """On a line of many stray bytes the 00 is one of them; on a clean line it ends the CRC."""
     assert costs.NOISE_LIMITS[0] < costs.ENDS_IN_ZERO - costs.ZERO_BEFORE_SILENCE
     assert costs.ENDS_IN_ZERO < costs.NOISE <= costs.NOISE_LIMITS[1]
     assert confidence_of(costs.ENDS_IN_ZERO - costs.MIN_NOISE_IN_WINDOW) < SURE
@@ -65,17 +65,17 @@ def test_lateness_can_make_an_echo_a_retry() -> None:
     assert retry + costs.EARLY_REQUEST > costs.RESPONSE + costs.LATE
 
 
-def test_lateness_alone_makes_no_answer_a_request_that_is_none() -> None:
-    """Not even one that was heard before, and the turn is over."""
+def test_lateness_alone_makes_no_improbable_request_a_request() -> None:
+    """Not even if it was heard before, and the pending request has timed out."""
     request = costs.REQUEST + costs.REQUEST_FITS_PENDING
     assert confidence_of(request - costs.RESPONSE - costs.MAX_LATENESS) >= SURE
 
 
-def test_crc_that_is_right_outweighs_noise() -> None:
+def test_correct_crc_outweighs_noise() -> None:
     found = costs.REQUEST + costs.NEW_REQUEST + costs.GLUED_LIMITS[1]
     assert found < costs.CRC_COINCIDENCE
 
 
-def test_doubt_is_wider_than_what_is_called_ambiguous() -> None:
+def test_doubt_is_wider_than_ambiguity() -> None:
     assert confidence_of(DOUBT_BITS) > SURE
     assert DOUBT_BITS < costs.BEAM_MARGIN

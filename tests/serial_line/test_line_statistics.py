@@ -1,4 +1,4 @@
-"""What a line does often."""
+"""Learned costs and response times."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from mbtool.serial_line.line_statistics import LatencyStatistics, LearnedCost
 MS = 1_000_000
 
 
-def test_habit_costs_at_first_what_it_is_supposed_to() -> None:
+def test_learned_cost_begins_with_its_start_value() -> None:
     assert LearnedCost(2.0, (0.2, 5.0)).bits == 2.0
     assert LearnedCost(0.0, (0.2, 5.0)).bits == 0.0
 
 
-def test_what_is_seen_costs_less_and_what_is_not_costs_more() -> None:
+def test_what_is_seen_costs_less_and_what_is_not_seen_costs_more() -> None:
     learned = LearnedCost(2.0, (0.2, 5.0))
     learned.learn(True)
     cheaper = learned.bits
@@ -24,7 +24,7 @@ def test_what_is_seen_costs_less_and_what_is_not_costs_more() -> None:
 
 
 @pytest.mark.parametrize(("seen", "bits"), [(True, 0.2), (False, 5.0)])
-def test_habit_stays_within_its_limits(seen: bool, bits: float) -> None:
+def test_learned_cost_stays_within_its_limits(seen: bool, bits: float) -> None:
     learned = LearnedCost(2.0, (0.2, 5.0))
     for _ in range(10_000):
         learned.learn(seen)
@@ -32,14 +32,14 @@ def test_habit_stays_within_its_limits(seen: bool, bits: float) -> None:
     assert learned.bits == bits
 
 
-def test_few_dozen_frames_teach_a_habit() -> None:
+def test_few_dozen_frames_teach_a_frequency() -> None:
     learned = LearnedCost(2.0, (0.2, 5.0))
     for number in range(64):
         learned.learn(number % 2 == 0)
     assert learned.bits == pytest.approx(1.0, abs=0.3)
 
 
-def test_line_that_changes_is_learned_anew() -> None:
+def test_changed_frequency_is_learned_again() -> None:
     learned = LearnedCost(8.0, (3.0, 10.0))
     for _ in range(1000):
         learned.learn(False)
@@ -48,7 +48,7 @@ def test_line_that_changes_is_learned_anew() -> None:
     assert learned.bits == 3.0
 
 
-def test_latency_is_supposed_to_be_long_while_little_was_heard() -> None:
+def test_response_time_is_assumed_long_until_enough_is_heard() -> None:
     latency = LatencyStatistics()
     assert latency.doublings_late(LatencyStatistics.INITIAL_NS) == 0
     before = 0.0
@@ -61,7 +61,7 @@ def test_latency_is_supposed_to_be_long_while_little_was_heard() -> None:
     assert latency.doublings_late(LatencyStatistics.MIN_NS) == 0
 
 
-def test_silence_is_late_by_its_doublings_of_the_longest_latency() -> None:
+def test_lateness_is_counted_in_doublings_of_the_longest_response_time() -> None:
     latency = LatencyStatistics()
     for each in (20, 40, 30) * LatencyStatistics.ENOUGH_RESPONSES:
         latency.learn(each * MS)
@@ -96,7 +96,7 @@ def test_latency_that_a_clock_got_wrong_is_no_error() -> None:
     assert latency.doublings_late(LatencyStatistics.MIN_NS) == 0
 
 
-def test_one_silence_that_may_be_none_does_no_more_than_double_the_longest() -> None:
+def test_one_capped_response_time_can_only_double_the_longest() -> None:
     latency = LatencyStatistics()
     for _ in range(LatencyStatistics.ENOUGH_RESPONSES):
         latency.learn_capped(40 * MS)
@@ -104,7 +104,7 @@ def test_one_silence_that_may_be_none_does_no_more_than_double_the_longest() -> 
     assert latency.doublings_late(80 * MS) == pytest.approx(0, abs=0.1)
 
 
-def test_a_steady_habit_forgets_less_of_what_is_rare() -> None:
+def test_slow_cost_remembers_rare_events_longer() -> None:
     hasty, steady = (
         LearnedCost(8.0, (0.0, 10.0)),
         LearnedCost(8.0, (0.0, 10.0), is_slow=True),

@@ -88,11 +88,11 @@ def test_ascii_with_eight_bits_is_known_by_its_high_bit(heard_as: SerialFormat) 
     assert str(score).endswith("3 of 3 frames have a correct LRC")
 
 
-def test_where_only_ascii_is_looked_for_rtu_is_nothing() -> None:
+def test_rtu_frames_do_not_count_if_only_ascii_is_tried() -> None:
     assert not best(heard(EVEN, *[rtu_adu(1, READ)] * 3, only_ascii=True)).frames
 
 
-def test_what_explains_nothing_is_given_up_early_and_noise_late() -> None:
+def test_settings_without_a_frame_are_given_up_early_and_noisy_ones_late() -> None:
     assert not heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME - 1)).is_decided
     assert heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME)).is_decided
     frame, noise = rtu_adu(1, READ), b"\x55" * 8
@@ -113,9 +113,7 @@ def test_the_other_parity_of_even_is_odd() -> None:
 
 
 @given(st.lists(st.binary(max_size=60), max_size=20), st.sampled_from([EVEN, NONE]), st.booleans())
-def test_whatever_is_heard_a_fit_is_a_share(
-    reads: list[bytes], heard_as: SerialFormat, damaged: bool
-) -> None:
+def test_fit_is_always_a_share(reads: list[bytes], heard_as: SerialFormat, damaged: bool) -> None:
     trial = heard(heard_as, *reads, damaged=damaged)
     assert trial.heard == sum(map(len, reads))
     assert all(0 <= score.fit <= 1 for score in trial.scores())
