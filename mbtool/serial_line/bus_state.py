@@ -81,10 +81,7 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
 
     def has_recent_request(self, unit: int, code: int) -> bool:
         """True if the request just answered, or the overdue one, has this unit and function."""
-        answered, overdue = self.answered, self.overdue
-        return (answered is not None and answered.is_named_by(unit, code)) or (
-            overdue is not None and overdue.is_named_by(unit, code)
-        )
+        return any(one.is_named_by(unit, code) for one in (self.answered, self.overdue) if one)
 
     def awaits_exactly(self, unit: int, code: int, size: int) -> bool:
         """True if the pending request's normal response has this unit, function and PDU size."""
@@ -120,11 +117,7 @@ def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
     """At most MAX_STATES different states below DOUBT_BITS, the cheapest first."""
     kept: list[CostedState] = []
     for bits, state in sorted(states, key=lambda one: one[0]):
-        if (
-            bits < DOUBT_BITS
-            and len(kept) < MAX_STATES
-            and all(state != other for _, other in kept)
-        ):
+        if bits < DOUBT_BITS and len(kept) < MAX_STATES and all(state != one for _, one in kept):
             kept.append((bits, state))
     return kept
 

@@ -85,18 +85,21 @@ class FastPath:
     ) -> tuple[int, list[Direction]]:
         """The size with a correct CRC, and the directions that have it; 0 if there is no such size.
 
-        Each frame that ends in 00 has a correct CRC without it too. Of two sizes the longer one
-        counts, if the other is far less likely.
+        A frame that ends in 00 has a correct CRC one byte shorter too. So of two sizes, the longer
+        one counts if the other is far less likely. Otherwise the result is 0.
         """
-        found, have = 0, len(head)
-        roles: list[Direction] = []
-        for role, size in sizes:
-            if size <= have and crc(head[:size]) == 0:
-                if found not in (0, size):
-                    return self._longer_size(head, start_ns, (found, roles[0]), (size, role))
-                found = size
-                roles.append(role)
-        return found, roles
+        have = len(head)
+        valid = [(size, role) for role, size in sizes if size <= have and crc(head[:size]) == 0]
+        if len(valid) < 2 or valid[0][0] == valid[1][0]:
+            return (valid[0][0] if valid else 0), [role for _, role in valid]
+        model = self._model
+        shorter, longer = (
+            model.cost(model.state, head[0], head[1 : size - 2], role, start_ns)
+            for size, role in sorted(valid)
+        )
+        size, role = max(valid)
+        is_certain = len(model.states) == 1 and longer + _FAR_LESS_LIKELY <= shorter
+        return (size, [role]) if is_certain else (0, [])
 
     def is_incomplete(self, data: bytes, silences_at: Sequence[int]) -> bool:
         """True if all bytes are the beginning of the frame that is due.
@@ -134,19 +137,6 @@ class FastPath:
         self.needed = longest + 1 if sizes else self._max_size
         self._sizes = sizes
         return sizes
-
-    def _longer_size(
-        self, head: bytes, start_ns: int, *frames: tuple[int, Direction]
-    ) -> tuple[int, list[Direction]]:
-        """The longer of two frames, if the shorter one is far less likely; size 0 otherwise."""
-        model = self._model
-        shorter, longer = (
-            model.cost(model.state, head[0], head[1 : size - 2], role, start_ns)
-            for size, role in sorted(frames)
-        )
-        size, role = max(frames)
-        is_certain = len(model.states) == 1 and longer + _FAR_LESS_LIKELY <= shorter
-        return (size, [role]) if is_certain else (0, [])
 
     def _is_known_request(self, unit: int, pdu: bytes) -> bool:
         """True for a request heard before, if it cannot begin the response that is due."""

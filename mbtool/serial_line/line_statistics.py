@@ -107,7 +107,6 @@ class LatencyStatistics:
         longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
             # Moves from INITIAL_NS to the longest time heard, by equal factors for each response.
-            longest_ns *= (self.INITIAL_NS / longest_ns) ** (
-                1 - self._heard / self.ENOUGH_RESPONSES
-            )
+            missing = 1 - self._heard / self.ENOUGH_RESPONSES
+            longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)
