@@ -133,10 +133,7 @@ class RtuSplitter:
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
         """Take the information that the line was silent from the last byte until now."""
         events: list[Adu | Skipped] = []
-        if not self._data:
-            return events
-        silence_ns = now_ns - self._times[-1]
-        if silence_ns >= self._t3_5_ns:
+        if self._data and (silence_ns := now_ns - self._times[-1]) >= self._t3_5_ns:
             self._hear_silence(events, silence_ns >= HOLD_NS)
         return events
 
