@@ -1,19 +1,18 @@
 """Cuts what one tap hears on a Modbus ASCII line into frames."""
 
-# A frame (ascii_frame.py) begins with a colon, which always begins one anew, and ends with LF. It
-# also ends with the character behind its first CR where that is the line's delimiter or makes its
-# LRC right, and with CR alone where a colon, a second of silence or the end of the capture follows.
-# A second of silence ends an incomplete frame (Serial Line V1.02, 2.5.2.1), and so does a clock
-# that was set back. The silences t1.5 and t3.5 mean nothing here.
+# A frame (ascii_frame.py) begins with a colon; a colon always begins a new frame. It ends with LF.
+# It also ends with the character after its first CR, if that character is the line's delimiter or
+# if the LRC is correct there. And it ends with CR alone if a colon, a second of silence or the end
+# of the capture follows. A second of silence ends an incomplete frame (Serial Line V1.02, 2.5.2.1),
+# and so does a clock that was set back. The silences t1.5 and t3.5 have no meaning here.
 #
-# The delimiter is LF until function 08, sub-function 3 changes it (V1.1b3, 6.8.1): when the slave
-# has answered, or when a frame ends with the character that was asked for.
+# The delimiter is LF until function 08, sub-function 3 changes it (V1.1b3, 6.8.1). The change takes
+# effect when the slave has responded, or when a frame ends with the requested delimiter.
 #
-# Where the port has 8 data bits bit 7 may be a parity bit, so colon, CR and LF are looked for
-# without it.
+# If the port has 8 data bits, bit 7 may be a parity bit. So it is ignored in colon, CR and LF.
 #
-# Holds at most one incomplete frame (513 characters) and a run of skipped ones (skips.MAX_RUN). A
-# frame is read twice at most: behind its first CR and where it ends.
+# Holds at most one incomplete frame (513 characters) and one run of skipped characters
+# (skips.MAX_RUN). A frame is parsed at most twice: after its first CR, and at its end.
 
 from __future__ import annotations
 
@@ -45,43 +44,43 @@ _CHANGE_DELIMITER = b"\x08\x00\x03"
 
 
 class AsciiSplitter:
-    """Timed characters of a line in, `Adu` and `Skipped` out, in order."""
+    """Takes timed characters of a line and gives out `Adu` and `Skipped`, in order."""
 
     def __init__(
         self,
         line: SerialFormat,
-        turns: BusModel | None = None,
+        bus_model: BusModel | None = None,
         *,
         speaker: Direction | None = None,
         timed: bool = True,
     ) -> None:
-        """`speaker` is who alone speaks where this tap hears, where that is known.
+        """`speaker` is set if only one side is heard: the direction of all frames.
 
-        `timed` says whether times are known; where they are not, no silence ends anything.
+        `timed` is False if the times are not known; then no silence ends a frame.
         """
         self._character_ns = line.character_ns
         self._eight_bits = line.data_bits == 8
-        self._turns = turns or BusModel(timed=timed)
+        self._model = bus_model or BusModel(timed=timed)
         self._speaker = speaker
         self._timed = timed
         self._delimiter = LF
         self._asked_delimiter = LF
         self._frame = bytearray()
         self._cr = -1
-        """Where the first CR of the frame stands."""
+        """The offset of the first CR in the frame; -1 if there is none."""
         self._resynchronised = False
         self._first_ns = 0
         self._last_ns = 0
         self._read_ns = 0
-        """When the first character of this read arrived."""
+        """When the first character of this read ended."""
         self._least_ns = 0
         self._given_ns: int | None = None
-        """When the last frame given out ended."""
+        """When the last frame given out ended; None at the start."""
         self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame", None))
 
     @property
     def is_idle(self) -> bool:
-        """Whether no frame has begun."""
+        """True if no frame is incomplete."""
         return not self._frame
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
@@ -98,14 +97,14 @@ class AsciiSplitter:
             events += self.advance(first_ns - self._character_ns)
         self._read_ns, self._least_ns = first_ns, self._last_ns
         seen = data.translate(SEVEN_BITS) if self._eight_bits else data
-        place = 0
-        while place < len(data):
+        offset = 0
+        while offset < len(data):
             take = self._take_inside if self._frame else self._take_outside
-            place = take(data, seen, place, events)
+            offset = take(data, seen, offset, events)
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
-        """Learn that the line was silent from the last character until now."""
+        """Take the information that the line was silent from the last character until now."""
         events: list[Adu | Skipped] = []
         if self._timed and now_ns - self._last_ns > CHARACTER_TIMEOUT_NS:
             self._end(events, "a frame that ends in more than 1 s of silence")
@@ -114,55 +113,55 @@ class AsciiSplitter:
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """The capture ends; what is held comes out."""
+        """End the capture: give out all that is held."""
         events: list[Adu | Skipped] = []
         self._end(events, "a frame that never ends")
         self._noise.end(events)
         self._resynchronised = False
         return events
 
-    def _time(self, place: int) -> int:
-        """When a character of this read arrived: not before the last one of the read before."""
-        return max(self._read_ns + place * self._character_ns, self._least_ns)
+    def _time(self, offset: int) -> int:
+        """When a character of this read ended; at the earliest, the end of the read before."""
+        return max(self._read_ns + offset * self._character_ns, self._least_ns)
 
     def _take_outside(
-        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+        self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
-        """Take what stands before a colon, and the colon. Returns the place behind."""
-        colon = seen.find(b":", place)
+        """Take the characters up to and including a colon. Returns the offset after them."""
+        colon = seen.find(b":", offset)
         end = colon if colon >= 0 else len(data)
-        while place < end:
-            until = min(end, place + self._noise.room)
-            self._noise.add(data[place:until], self._time(place), events)
-            place = until
-            self._last_ns = self._time(place - 1)
+        while offset < end:
+            until = min(end, offset + self._noise.room)
+            self._noise.add(data[offset:until], self._time(offset), events)
+            offset = until
+            self._last_ns = self._time(offset - 1)
         if colon < 0:
             return end
         self._begin(data, colon)
         return colon + 1
 
     def _take_inside(
-        self, data: bytes, seen: bytes, place: int, events: list[Adu | Skipped]
+        self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
-        """Take what goes on with a frame, up to where it may end. Returns the place behind."""
+        """Take characters of a frame, up to where it may end. Returns the offset after them."""
         frame = self._frame
         behind_cr = self._cr == len(frame) - 1
         stop: int | None
         if behind_cr:
-            end, stop = place + 1, seen[place]
+            end, stop = offset + 1, seen[offset]
         else:
-            until = place + MAX_ASCII_ADU - len(frame)
-            match = _STOP.search(seen, place, until)
+            until = offset + MAX_ASCII_ADU - len(frame)
+            match = _STOP.search(seen, offset, until)
             end = match.end() if match else min(until, len(data))
             stop = seen[end - 1] if match else None
         if stop == _COLON:
-            if end - 1 > place:
-                self._add(data, place, end - 1)
+            if end - 1 > offset:
+                self._add(data, offset, end - 1)
             self._end(events, "a frame that another colon cuts off")
             self._resynchronised = isinstance(events[-1], Skipped)
             self._begin(data, end - 1)
             return end
-        self._add(data, place, end)
+        self._add(data, offset, end)
         if stop == LF or (behind_cr and self._is_whole(stop)):
             self._end(events)
         elif len(frame) >= MAX_ASCII_ADU:
@@ -177,19 +176,19 @@ class AsciiSplitter:
         self._frame.append(data[colon])
         self._cr = -1
 
-    def _add(self, data: bytes, place: int, end: int) -> None:
-        self._frame += data[place:end]
+    def _add(self, data: bytes, offset: int, end: int) -> None:
+        self._frame += data[offset:end]
         self._last_ns = self._time(end - 1)
 
     def _is_whole(self, delimiter: int | None) -> bool:
-        """Whether the frame ends with this character behind its first CR."""
+        """True if the frame ends with this character, the one after its first CR."""
         if delimiter == self._delimiter:
             return True
         frame = read_frame(bytes(self._frame), eight_bits=self._eight_bits)
         return frame is not None and frame.checksum.ok
 
     def _end(self, events: list[Adu | Skipped], cut: str | None = None) -> None:
-        """Give out the frame, or what there is of it and why. `cut` says what cuts it off."""
+        """Give out the frame, or skip it and tell why. `cut` is the reason if it has no end."""
         if not self._frame:
             return
         raw = bytes(self._frame)
@@ -210,21 +209,21 @@ class AsciiSplitter:
         else:
             reason = cut or why_unreadable(raw, eight_bits=self._eight_bits)
             events.append(Skipped(self._first_ns, EventKind.SKIPPED, reason, raw))
-        self._turns.heard_damage()
+        self._model.hear_damage()
 
     def _give(self, frame: AsciiFrame, raw: bytes, events: list[Adu | Skipped]) -> None:
         unit, pdu = frame.body[0], frame.body[1:]
-        judgement = self._judge(unit, pdu)
-        verdicts = self._verdicts(frame, judgement)
+        classification = self._classify(unit, pdu)
+        verdicts = self._verdicts(frame, classification)
         self._noise.end(events)
         events.append(
             Adu(
                 start_ns=self._first_ns - self._character_ns,
                 end_ns=self._last_ns,
                 transport=Transport.ASCII,
-                direction=judgement.direction,
-                direction_by=judgement.by,
-                confidence=judgement.confidence,
+                direction=classification.direction,
+                direction_by=classification.by,
+                confidence=classification.confidence,
                 unit=unit,
                 pdu=pdu,
                 raw=raw,
@@ -236,19 +235,19 @@ class AsciiSplitter:
         self._resynchronised = False
         if pdu.startswith(_CHANGE_DELIMITER) and len(pdu) == 5:
             self._asked_delimiter = pdu[3] if self._eight_bits else pdu[3] & 0x7F
-            if judgement.direction is Direction.RESPONSE and judgement.confidence >= SURE:
+            if classification.direction is Direction.RESPONSE and classification.confidence >= SURE:
                 self._delimiter = self._asked_delimiter
 
-    def _judge(self, unit: int, pdu: bytes) -> Classification:
+    def _classify(self, unit: int, pdu: bytes) -> Classification:
         if self._speaker is not None:
             return Classification(self._speaker, DirectionBy.PORT, 1.0)
         start_ns = self._first_ns - self._character_ns
-        judgement = self._turns.judge(unit, pdu, start_ns)
-        self._turns.hear(judgement, unit, pdu, start_ns, self._last_ns)
-        return judgement
+        classification = self._model.classify(unit, pdu, start_ns)
+        self._model.hear(classification, unit, pdu, start_ns, self._last_ns)
+        return classification
 
-    def _verdicts(self, frame: AsciiFrame, judgement: Classification) -> tuple[Verdict, ...]:
-        """What is to be noticed about a frame; its end may change the line's delimiter."""
+    def _verdicts(self, frame: AsciiFrame, classification: Classification) -> tuple[Verdict, ...]:
+        """The verdicts on a frame. Its end may change the line's delimiter."""
         if frame.end == bytes((CR, self._asked_delimiter)):
             self._delimiter = self._asked_delimiter
         verdicts = []
@@ -264,11 +263,11 @@ class AsciiSplitter:
             verdicts.append(Verdict.LOWER_CASE)
         if frame.end != bytes((CR, self._delimiter)):
             verdicts.append(Verdict.OTHER_END)
-        if judgement.confidence < SURE:
+        if classification.confidence < SURE:
             verdicts.append(Verdict.AMBIGUOUS)
         return tuple(verdicts)
 
     def _is_glued(self) -> bool:
-        """Whether the frame begins where the one before it ended."""
+        """True if the frame begins where the one before it ended."""
         start_ns = self._first_ns - self._character_ns
         return self._timed and self._given_ns is not None and start_ns <= self._given_ns

@@ -1,8 +1,8 @@
-"""Finds the one bit that is wrong in a damaged RTU frame, so that its sense is known."""
+"""Bit repair: finds the one wrong bit of a damaged RTU frame, so that its meaning is known."""
 
-# A CRC is linear: what a frame with a wrong bit leaves of it depends on where that bit is, and on
-# nothing else. Each bit of a frame has one of the 65,536 values, so that a frame of 20 bytes which
-# is damaged otherwise has one chance in 400 to look like one with a single wrong bit.
+# A CRC is linear: after one wrong bit, its remainder depends only on that bit's place in the frame.
+# A frame of 20 bytes has 160 places and there are 65,536 remainders. So one in 400 of the frames
+# that are damaged otherwise looks by chance as if it had a single wrong bit.
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.modbus.adu_bytes import crc, crc_on
 
 
-def mended(frame: bytes) -> bytes | None:
-    """A frame with one bit changed so that its CRC is right; None where no bit would do.
+def repaired(frame: bytes) -> bytes | None:
+    """A frame with one bit changed so that its CRC is correct; None if no single bit does that.
 
-    Takes at most 256 bytes, with a CRC that is wrong.
+    Takes at most 256 bytes, whose CRC is wrong.
     """
     place = _wrong_bits().get(crc(frame))
     if place is None or place // 8 >= len(frame):
@@ -26,7 +26,7 @@ def mended(frame: bytes) -> bytes | None:
 
 @cache
 def _wrong_bits() -> dict[int, int]:
-    """By what is left of the CRC, which bit is wrong: 8 for each byte behind it, and its own."""
+    """By the CRC's remainder, where the wrong bit is: 8 times the bytes after it, plus the bit."""
     places = {}
     for behind in range(MAX_RTU_ADU):
         for bit in range(8):

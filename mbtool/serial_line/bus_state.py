@@ -1,4 +1,7 @@
-"""Whose turn it may be on a bus, as values: what waits for an answer, and what was answered."""
+"""The bus state of a serial line: which request is pending or overdue, and what came last."""
+
+# A bus state is an immutable value, so that the search can suppose one for each of its paths, and
+# compare them. bus_model.py computes the state that follows a frame.
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import math
 from typing import TYPE_CHECKING
 
 import msgspec
+from msgspec.structs import replace
 
 from mbtool.core import Direction
 from mbtool.modbus.expected_response import ExpectedResponse
@@ -13,115 +17,120 @@ from mbtool.modbus.expected_response import ExpectedResponse
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-DOUBT = 6.0
-"""Bits: what is so much dearer raises no doubt."""
-MOST_TURNS = 4
-"""How many turns are thought possible at once."""
+DOUBT_BITS = 6.0
+"""Bits. An alternative that costs so much more than the best one (1 in 65) raises no doubt."""
+MAX_PENDING_NS = 1_000_000_000
+"""How long a request is pending. After that the master may send again.
+
+Serial Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout.
+"""
+MAX_STATES = 4
+"""The most bus states that are considered possible at once."""
 
 
 class PendingRequest(msgspec.Struct, frozen=True, gc=False):
-    """A request that has not been answered."""
+    """A request without a response so far."""
 
     unit: int
     pdu: bytes
     expected: ExpectedResponse
-    since_ns: int
-    """The time of its last byte."""
-    before_ns: int | None
-    """The silence before it, where something was heard before."""
+    awaited_from_ns: int
+    """The end of its last byte, or of its retry."""
+    silence_before_ns: int | None
+    """The silence before it; None for the first frame of a capture."""
 
-    def since(self, since_ns: int) -> PendingRequest:
-        """The same, as if it had been asked at another time."""
-        return PendingRequest(self.unit, self.pdu, self.expected, since_ns, self.before_ns)
-
-    def asks(self, unit: int, pdu: bytes) -> bool:
-        """Whether it is this very request."""
+    def is_same(self, unit: int, pdu: bytes) -> bool:
+        """True if a frame's unit and PDU equal this request's."""
         return unit == self.unit and pdu == self.pdu
 
     def fits(self, unit: int, pdu: bytes) -> bool:
+        """True if a frame can be the response to this request, or its exception response."""
         return unit == self.unit and self.expected.fits(pdu)
 
     def is_named_by(self, unit: int, code: int) -> bool:
+        """True if a response with this unit and function code (or exception code) answers it."""
         return unit == self.unit and self.expected.is_named_by(code)
 
 
 class BusState(msgspec.Struct, frozen=True, gc=False):
-    """Who may speak next."""
+    """What decides who may speak next."""
 
-    waiting: PendingRequest | None = None
-    owed: PendingRequest | None = None
-    """A request that the master gave up, or whose answer was damaged: it may still come."""
+    pending: PendingRequest | None = None
+    overdue: PendingRequest | None = None
+    """A request that the master gave up, or whose response was damaged. It may come late."""
     answered: PendingRequest | None = None
     """The request that the last frame answered."""
-    answer: bytes = b""
-    """The PDU of the last frame, if that is a response, whether or not it answers any."""
-    lost: bool = False
-    """Whether damage came before, in which a request may have gone unheard."""
-    sure: bool = False
-    """Whether a frame was heard that is surely a request, or surely a response."""
+    last_response: bytes = b""
+    """The PDU of the last frame if that was a response, to a known request or not."""
+    follows_damage: bool = False
+    """True if damaged bytes came last. They may have held a request."""
+    direction_known: bool = False
+    """True if some frame before could only be a request, or only a response, by its form."""
     last_ns: int | None = None
-    """The time of the last frame's last byte; None at the start of a capture."""
-    pause_ns: int = 0
-    """On a line whose frames are glued, the last silence heard, if no missing answer explains it:
-    it may have been anywhere among the frames glued behind it."""
+    """The end of the last frame; None at the start of a capture."""
+    unexplained_silence_ns: int = 0
+    """Length of the last silence that no missing response explains. Used only when the adapter
+    merges frames: the true position of the silence among them is then unknown."""
 
-    def is_of_turn(self, unit: int, code: int) -> bool:
-        """Whether the request that was just answered, or is owed an answer, is named so."""
-        answered, owed = self.answered, self.owed
-        return (answered is not None and answered.is_named_by(unit, code)) or (
-            owed is not None and owed.is_named_by(unit, code)
-        )
+    def pending_at(self, at_ns: int) -> PendingRequest | None:
+        """The pending request, if its time is not over."""
+        pending = self.pending
+        if pending is None or at_ns - pending.awaited_from_ns > MAX_PENDING_NS:
+            return None
+        return pending
 
-    def foresees(self, unit: int, code: int, size: int) -> bool:
-        """Whether just a response of this size of its PDU is due now."""
-        waiting = self.waiting
-        return waiting is not None and (
-            waiting.unit,
-            waiting.expected.code,
-            waiting.expected.size,
-        ) == (unit, code, size)
+    def has_recent_request(self, unit: int, code: int) -> bool:
+        """True if the request just answered, or the overdue one, has this unit and function."""
+        return any(one.is_named_by(unit, code) for one in (self.answered, self.overdue) if one)
 
-    def ends_pause(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
-        """Whether a frame leaves the last silence to what came before it."""
-        if not self.pause_ns or (role is Direction.REQUEST and self.answered is None):
+    def awaits_exactly(self, unit: int, code: int, size: int) -> bool:
+        """True if the pending request's normal response has this unit, function and PDU size."""
+        pending = self.pending
+        if pending is None:
+            return False
+        expected = pending.expected
+        return (pending.unit, expected.code, expected.size) == (unit, code, size)
+
+    def settles_silence(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
+        """True if a new silence takes the place of the last unexplained one at this frame.
+
+        `inside_ns` is the longest silence in the frame. A request with no response before it does
+        not count, since that missing response explains the silence.
+        """
+        if not self.unexplained_silence_ns or (role is Direction.REQUEST and self.answered is None):
             return False
         return inside_ns > 0 or start_ns - (self.last_ns or start_ns) > 0
 
-    def behind_damage(self) -> BusState:
-        """The turn after bytes that could not be read."""
-        owed = self.waiting or self.owed
-        return BusState(
-            None, owed, self.answered, self.answer, lost=True, sure=self.sure, last_ns=self.last_ns
+    def after_damage(self) -> BusState:
+        """The bus state after bytes that could not be read."""
+        overdue = self.pending or self.overdue
+        return replace(
+            self, pending=None, overdue=overdue, follows_damage=True, unexplained_silence_ns=0
         )
 
 
-Weighed = tuple[float, BusState]
-"""A turn, and by how many bits it is dearer than the likeliest."""
+CostedState = tuple[float, BusState]
+"""A bus state, and by how many bits it costs more than the most likely one."""
 
 
-def likeliest(turns: Iterable[Weighed]) -> list[Weighed]:
-    """The likeliest turns, each once, the first of them first."""
-    kept: list[Weighed] = []
-    for bits, turn in sorted(turns, key=lambda one: one[0]):
-        if bits < DOUBT and len(kept) < MOST_TURNS and all(turn != one for _, one in kept):
-            kept.append((bits, turn))
+def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
+    """At most MAX_STATES different states below DOUBT_BITS, the cheapest first."""
+    kept: list[CostedState] = []
+    for bits, state in sorted(states, key=lambda one: one[0]):
+        if bits < DOUBT_BITS and len(kept) < MAX_STATES and all(state != one for _, one in kept):
+            kept.append((bits, state))
     return kept
 
 
-def likelihood(bits: float) -> float:
-    """How sure the better of two explanations is that differ by so many bits, 0.5 to 1."""
+def confidence_of(bits: float) -> float:
+    """The probability (0.5 to 1) of the better of two explanations whose costs differ by `bits`."""
     return 1 / (1 + math.exp2(-bits))
 
 
-BEYOND_DOUBT = likelihood(DOUBT)
-"""How sure one is beside which no other is kept."""
+NO_RIVAL_CONFIDENCE = confidence_of(DOUBT_BITS)
+"""From this confidence on no other bus state is kept."""
 
 
 def bits_of(confidence: float) -> float:
-    """By how many bits the better of two explanations is cheaper; the reverse of `likelihood`."""
+    """The difference in cost that gives a confidence: the inverse of `confidence_of`."""
     return math.log2(confidence / (1 - confidence)) if confidence < 1 else math.inf
-
-
-def is_like(answer: bytes, other: bytes, request: bytes) -> bool:
-    """Whether two PDUs can both be answers to a request."""
-    return len(answer) == len(other) and (answer == request) == (other == request)

@@ -1,9 +1,9 @@
-"""What may begin at each place of a window of bytes from an RTU line, and what that costs."""
+"""The candidates: which segments may begin at each byte of an RTU window, and what they cost."""
 
-# Frames of the length that their function has as a request or a response and whose CRC is right;
-# frames of no known form that the CRC and the silences bound; damaged frames; a frame whose end is
-# still to come. What does not depend on the turn is found once for each place. The work for a place
-# is bounded by the 256 bytes that a frame may have.
+# Candidates are: frames of a known form with a correct CRC; frames of unknown form, whose end only
+# the CRC or the silences tell; damaged frames; an incomplete frame at the end of the window. What
+# does not depend on the bus state is computed once for each offset. The work for one offset is
+# bounded by the 256 bytes that a frame can have.
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.serial_line import costs
-from mbtool.serial_line.bit_repair import mended
+from mbtool.serial_line.bit_repair import repaired
 from mbtool.serial_line.plausibility import is_counted
 
 if TYPE_CHECKING:
@@ -30,147 +30,159 @@ if TYPE_CHECKING:
     from mbtool.serial_line.bus_state import BusState
     from mbtool.serial_line.line_statistics import LineStatistics
 
-MOST_UNKNOWN_ENDS = 3
-"""Ends that are tried of a frame whose function no table knows."""
+MAX_UNKNOWN_ENDS = 3
+"""The most ends tried for a frame of an unknown function."""
 LOST_BYTES = (1, 2)
-"""How many bytes a damaged frame is supposed to have lost."""
+"""The numbers of lost bytes that are tried for a damaged frame."""
 LONG_SKIP = 4
-"""Skipped bytes after which the turn is in doubt: a damaged frame may be among them."""
+"""From this many skipped bytes on, a damaged frame may be among them, of either direction."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
+"""What receivers hear when the bus changes direction: one low period, read as a byte."""
 _QUERY_DATA = b"\x08\x00\x00"
-"""Sub-function 0 of 08 may be longer than usual, and nothing tells how long (V1.1b3, 6.8.1)."""
+"""Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
+(V1.1b3, 6.8.1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ByteWindow:
-    """Bytes of a line, with when each arrived."""
+    """Bytes of a line with their times."""
 
     data: bytes
     times: list[int]
+    """When each byte ended, in ns."""
     character_ns: int
     silences: list[bool]
-    """Whether a silence of t3.5 stands before each byte; of the first, and behind the last."""
+    """True for each byte after a silence of t3.5, and for a silence after the last byte."""
     is_behind_noise: bool
-    """Whether what was given out last belongs to no frame."""
-    may_go_on: bool
-    """Whether a frame whose end is not here may still be completed."""
-    is_pressing: bool = False
-    """Whether what stands before such a frame is to be told, though its end might tell better."""
+    """True if the bytes given out last belong to no frame."""
+    may_continue: bool
+    """True if an incomplete frame at the end may still be completed."""
+    must_decide: bool = False
+    """True if what precedes an incomplete frame is given out without waiting for its end."""
 
-    def start_ns(self, place: int) -> int:
-        return self.times[place] - self.character_ns
+    def start_ns(self, offset: int) -> int:
+        """When a byte began."""
+        return self.times[offset] - self.character_ns
 
 
-class Frame(msgspec.Struct, gc=False):
-    """One with a correct CRC."""
+class FrameCandidate(msgspec.Struct, gc=False):
+    """A frame with a correct CRC."""
 
     size: int
     role: Direction
     roles: tuple[Direction, ...]
+    """The directions whose form it has."""
     cost: float
     is_unbound: bool = False
-    """Whether its CRC alone tells where it ends."""
+    """True if only its CRC tells where it ends."""
 
 
-class Damaged(msgspec.Struct, gc=False):
-    """A frame that may have been damaged."""
+class DamagedCandidate(msgspec.Struct, gc=False):
+    """A frame that is possibly damaged."""
 
     size: int
     cost: float
     role: Direction = Direction.UNKNOWN
-    mended: bytes = b""
-    """The frame as it was sent, if one wrong bit explains it."""
+    repaired: bytes = b""
+    """The frame as it was sent, if one wrong bit explains the damage."""
 
 
 class _RangeCount:
-    """At how many places of a range something is so; each place is asked once."""
+    """Counts the offsets of a range that have a property; each offset is examined once."""
 
-    __slots__ = ("_before", "_is_so")
+    __slots__ = ("_before", "_has_it")
 
-    def __init__(self, is_so: Callable[[int], bool]) -> None:
-        self._is_so = is_so
+    def __init__(self, has_it: Callable[[int], bool]) -> None:
+        self._has_it = has_it
         self._before = [0]
+        """For each offset, how many offsets before it have the property."""
 
     def count(self, first: int, end: int) -> int:
         if end <= first:
             return 0
         before = self._before
         while len(before) <= end:
-            before.append(before[-1] + self._is_so(len(before) - 1))
+            before.append(before[-1] + self._has_it(len(before) - 1))
         return before[end] - before[first]
 
 
 class Candidates:
-    """The pieces that may be laid in one window."""
+    """The candidate segments of one window."""
 
     def __init__(
         self,
         window: ByteWindow,
-        turns: BusModel,
-        habits: LineStatistics,
+        bus_model: BusModel,
+        statistics: LineStatistics,
         roles: tuple[Direction, ...],
     ) -> None:
         self._window = window
         self._data = window.data
         self._end = len(window.data)
-        self._turns = turns
-        self._habits = habits
+        self._model = bus_model
+        self._statistics = statistics
         self._roles = roles
-        self._found: dict[int, list[Frame]] = {}
-        self._damaged: dict[int, list[Damaged]] = {}
-        self._anywhere = _RangeCount(lambda place: bool(self.frames(place)))
-        self._behind_silences = _RangeCount(self._begins)
-        self._torn = [0] * (self._end + 2)
-        for place in range(1, self._end + 1):
-            self._torn[place + 1] = self._torn[place] + window.silences[place]
+        self._frames: dict[int, list[FrameCandidate]] = {}
+        """The frames at each offset examined so far."""
+        self._stateless: dict[int, list[DamagedCandidate]] = {}
+        """The same for damaged frames whose cost is the same in every bus state."""
+        self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
+        self._frames_after_silence = _RangeCount(self._begins_after_silence)
+        self._silences = [0] * (self._end + 2)
+        """For each offset, how many of the bytes before it have a silence before them."""
+        for offset in range(1, self._end + 1):
+            self._silences[offset + 1] = self._silences[offset] + window.silences[offset]
 
-    def tears(self, place: int, size: int) -> float:
-        torn = self._torn[place + size] - self._torn[place + 1]
-        return self._habits.tear.bits + (torn - 1) * costs.TORN_MORE if torn else 0.0
+    def split_cost(self, offset: int, size: int) -> float:
+        """The cost of the silences inside a segment."""
+        silences = self._silences[offset + size] - self._silences[offset + 1]
+        if not silences:
+            return 0.0
+        return self._statistics.split.bits + (silences - 1) * costs.SPLIT_MORE
 
-    def longest_ns(self, place: int, size: int) -> int:
-        """The longest silence inside a piece, if there is one of t3.5."""
-        if self._torn[place + size] == self._torn[place + 1]:
+    def longest_silence_ns(self, offset: int, size: int) -> int:
+        """The longest silence inside a segment, or 0 if none is as long as t3.5."""
+        if self._silences[offset + size] == self._silences[offset + 1]:
             return 0
-        times = self._window.times[place : place + size]
+        times = self._window.times[offset : offset + size]
         return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
-    def inside(self, place: int, size: int, *, known: bool = True) -> float:
-        """What it costs that silences stand inside a piece, and that frames begin there."""
-        return self.tears(place, size) + self._swallowed(place, size, known=known)
+    def inside_cost(self, offset: int, size: int, *, known: bool = True) -> float:
+        """The cost of the silences inside a segment, and of the frames that begin inside it."""
+        return self.split_cost(offset, size) + self._enclosed_cost(offset, size, known=known)
 
-    def _swallowed(self, place: int, size: int, *, known: bool) -> float:
-        """What it costs that frames begin inside a piece.
+    def _enclosed_cost(self, offset: int, size: int, *, known: bool) -> float:
+        """The cost of the frames that begin inside a segment.
 
-        Registers may hold what looks like a frame, but not behind a silence, and hardly twice
-        where the piece is not `known` by more than its length.
+        Registers may by chance contain a frame, but not one after a silence. Where only the length
+        speaks for the segment (`known` is False), they may contain one frame and no more.
         """
-        first, last = place + 1, place + size - MIN_FRAME + 1
-        begins = self._behind_silences.count(first, last)
+        first, last = offset + 1, offset + size - MIN_FRAME + 1
+        enclosed = self._frames_after_silence.count(first, last)
         if not known:
-            begins = max(begins, self._anywhere.count(first, last) - 1)
-        return costs.COINCIDENCE * begins
+            enclosed = max(enclosed, self._all_frames.count(first, last) - 1)
+        return costs.CRC_COINCIDENCE * enclosed
 
-    def _begins(self, place: int) -> bool:
-        """Whether a frame begins behind a silence: of known form, or up to the next silence."""
-        if not self._window.silences[place]:
+    def _begins_after_silence(self, offset: int) -> bool:
+        """True if a frame begins after a silence: of known form, or up to the next silence."""
+        if not self._window.silences[offset]:
             return False
-        if self.frames(place):
+        if self.frames(offset):
             return True
-        burst = self._burst(place)
-        return burst >= MIN_FRAME and crc(self._data[place : place + burst]) == 0
+        burst = self._burst_size(offset)
+        return burst >= MIN_FRAME and crc(self._data[offset : offset + burst]) == 0
 
-    def frames(self, place: int) -> list[Frame]:
-        """Frames of known form with a correct CRC."""
-        frames = self._found.get(place)
+    def frames(self, offset: int) -> list[FrameCandidate]:
+        """The frames of known form with a correct CRC."""
+        frames = self._frames.get(offset)
         if frames is None:
-            frames = self._found[place] = self._find_frames(place)
+            frames = self._frames[offset] = self._find_frames(offset)
         return frames
 
-    def _find_frames(self, place: int) -> list[Frame]:
-        frames: list[Frame] = []
-        head = self._data[place : place + MAX_RTU_ADU]
+    def _find_frames(self, offset: int) -> list[FrameCandidate]:
+        frames: list[FrameCandidate] = []
+        head = self._data[offset : offset + MAX_RTU_ADU]
         have = len(head)
         if have < MIN_FRAME:
             return frames
@@ -179,120 +191,132 @@ class Candidates:
             if size and size <= have and crc(head[:size]) == 0:
                 malformed = parse_pdu(head[1 : size - 2], role).problem is not None
                 roles = tuple(other for other, same in sizes if same == size)
-                frames.append(Frame(size, role, roles, costs.MALFORMED if malformed else 0.0))
+                cost = costs.MALFORMED if malformed else 0.0
+                frames.append(FrameCandidate(size, role, roles, cost))
         return frames
 
-    def unknown(self, place: int) -> Iterator[Frame]:
-        """Frames that no known form bounds, but the silences or the CRC."""
-        head = self._data[place : place + MAX_RTU_ADU]
-        if len(head) < MIN_FRAME:
+    def unknown_frames(self, offset: int) -> Iterator[FrameCandidate]:
+        """The frames of unknown form with a correct CRC."""
+        head = self._data[offset : offset + MAX_RTU_ADU]
+        if len(head) >= MIN_FRAME:
+            burst = self._burst_size(offset) if self._window.silences[offset] else 0
+            yield from self._whole_burst(offset, head, burst)
+            yield from self._ended_by_crc(offset, head, burst)
+
+    def _whole_burst(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
+        """A frame that fills a burst of this size, 0 for none."""
+        if burst < MIN_FRAME or crc(head[:burst]) != 0:
             return
-        burst = self._burst(place) if self._window.silences[place] else 0
-        if burst >= MIN_FRAME and crc(head[:burst]) == 0:
-            for role in self._roles:
-                usual = frame_size(head, role)
-                is_longer = head[1:4] == _QUERY_DATA and burst > (usual or burst)
-                odd = costs.MALFORMED if usual and not is_longer else 0.0
-                cost = costs.UNKNOWN_BETWEEN_SILENCES + odd
-                if head[burst - 1] == 0:
-                    cost += self._ends_in_zero(place, burst)
-                yield Frame(burst, role, self._roles, cost)
-        unsized = [role for role in self._roles if head[1] and frame_size(head, role) == 0]
-        if head[1:4] == _QUERY_DATA:
-            unsized = list(self._roles)
-        if not unsized:
-            return
-        for size in crc_ends(head, MOST_UNKNOWN_ENDS):
+        for role in self._roles:
+            known_size = frame_size(head, role)
+            is_longer = head[1:4] == _QUERY_DATA and burst > (known_size or burst)
+            odd = costs.MALFORMED if known_size and not is_longer else 0.0
+            cost = costs.UNKNOWN_FORM_BURST + odd + self._zero_end_cost(offset, burst)
+            yield FrameCandidate(burst, role, self._roles, cost)
+
+    def _ended_by_crc(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
+        """Frames of a function without a known size that end before or after the burst does."""
+        is_query = head[1:4] == _QUERY_DATA
+        roles = [
+            role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
+        ]
+        for size in crc_ends(head, MAX_UNKNOWN_ENDS) if roles else ():
             if size == burst:
                 continue
-            cost = self._swallowed(place, size, known=False)
-            if not cost and self._anywhere.count(place + 1, place + size - MIN_FRAME + 1):
-                cost = costs.UNKNOWN_COINCIDENCE
-            is_burst = size < burst and not any(head[size:burst])  # But for the 00 behind it.
-            cost += costs.UNKNOWN_BETWEEN_SILENCES if is_burst else costs.UNKNOWN
-            is_unbound = not is_burst
-            if head[size - 1] == 0:
-                cost += self._ends_in_zero(place, size)
-            for role in unsized:
-                yield Frame(size, role, self._roles, cost, is_unbound)
+            cost = self._enclosed_cost(offset, size, known=False)
+            if not cost and self._all_frames.count(offset + 1, offset + size - MIN_FRAME + 1):
+                cost = costs.UNKNOWN_CRC_COINCIDENCE
+            is_burst = size < burst and not any(head[size:burst])  # It is, but for 00 at the end.
+            cost += costs.UNKNOWN_FORM_BURST if is_burst else costs.UNKNOWN_FORM
+            cost += self._zero_end_cost(offset, size)
+            for role in roles:
+                yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
 
-    def _ends_in_zero(self, place: int, size: int) -> float:
-        """What it costs that a frame which no known form bounds ends in 00."""
-        raw = self._data[place : place + size]
+    def _zero_end_cost(self, offset: int, size: int) -> float:
+        """The cost of the 00 at the end of a frame of unknown form."""
+        raw = self._data[offset : offset + size]
         zeros = size - max(len(raw.rstrip(b"\x00")), MIN_FRAME)
         if not zeros:
             return 0.0
         more = (zeros - 1) * costs.ENDS_IN_ZERO_MORE
-        is_last = self._window.silences[place + size]
-        return costs.ENDS_IN_ZERO + more - (costs.ADHERES if is_last else 0.0)
+        is_last = self._window.silences[offset + size]
+        return costs.ENDS_IN_ZERO + more - (costs.ZERO_BEFORE_SILENCE if is_last else 0.0)
 
-    def _burst(self, place: int) -> int:
-        """How many bytes there are up to the next silence; 0 where none stands near."""
-        for size in range(1, min(MAX_RTU_ADU, self._end - place) + 1):
-            if self._window.silences[place + size]:
+    def _burst_size(self, offset: int) -> int:
+        """The number of bytes up to the next silence; 0 if there is none within 256 bytes."""
+        for size in range(1, min(MAX_RTU_ADU, self._end - offset) + 1):
+            if self._window.silences[offset + size]:
                 return size
         return 0
 
-    def damaged(self, place: int, turn: BusState) -> Iterator[Damaged]:
-        """Frames that may have been damaged, where none with a correct CRC begins."""
-        head = self._data[place : place + MAX_RTU_ADU]
+    def damaged(self, offset: int, state: BusState) -> Iterator[DamagedCandidate]:
+        """The frames that are possibly damaged, where no frame with a correct CRC begins."""
+        head = self._data[offset : offset + MAX_RTU_ADU]
         if len(head) < MIN_FRAME:
             return
         for role in self._roles:
             size = frame_size(head, role)
-            if not size or size > MAX_RTU_ADU:
-                continue
-            expected, cost = self._expected(head, size, role, turn)
-            if not expected:
-                cost += costs.UNEXPECTED
-            cost += costs.DAMAGED + size * costs.SKIP_MORE
-            if size <= len(head) and crc(head[:size]) != 0:
-                yield Damaged(size, cost + self.inside(place, size, known=expected))
-            if expected:
-                for lost in LOST_BYTES:
-                    if MIN_FRAME <= size - lost <= len(head):
-                        more = costs.DAMAGED_SIZE + self.inside(place, size - lost, known=True)
-                        yield Damaged(size - lost, cost + more)
-        yield from self._hurt(place)
+            if size and size <= MAX_RTU_ADU:
+                yield from self._damaged_as(offset, head, size, role, state)
+        stateless = self._stateless.get(offset)
+        if stateless is None:
+            stateless = self._stateless[offset] = [
+                *self._repaired_same_size(offset, head),
+                *self._repaired_other_size(offset, head),
+                *self._damaged_burst(offset),
+            ]
+        yield from stateless
 
-    def _hurt(self, place: int) -> list[Damaged]:
-        """Those of the damaged frames that no turn makes likelier."""
-        found = self._damaged.get(place)
-        if found is None:
-            head = self._data[place : place + MAX_RTU_ADU]
-            found = [*self._mended_tails(place, head), *self._mended_heads(place, head)]
-            burst = self._burst(place) if self._window.silences[place] else 0
-            if (
-                burst > 2 * MIN_FRAME
-                and self._habits.glue.bits > costs.NEVER
-                and not self._is_frame_in_noise(place, burst)
-            ):
-                # Damaged where it begins. What it holds is no frame, as none is glued here.
-                cost = self._habits.skip.bits + costs.DAMAGED_SIZE + costs.UNEXPECTED
-                cost += min(burst * costs.SKIP_MORE, costs.MOST_FOR_LENGTH)
-                found.append(Damaged(burst, cost))
-            self._damaged[place] = found
-        return found
+    def _damaged_as(
+        self, offset: int, head: bytes, size: int, role: Direction, state: BusState
+    ) -> Iterator[DamagedCandidate]:
+        """Frames that had this size when they were sent; one that is due may have lost bytes."""
+        expected, cost = self._expectation(head, size, role, state)
+        if not expected:
+            cost += costs.UNEXPECTED_DAMAGED
+        cost += costs.DAMAGED + size * costs.SKIP_PER_BYTE
+        if size <= len(head) and crc(head[:size]) != 0:
+            yield DamagedCandidate(size, cost + self.inside_cost(offset, size, known=expected))
+        for lost in LOST_BYTES if expected else ():
+            if MIN_FRAME <= size - lost <= len(head):
+                more = costs.DAMAGED_OTHER_SIZE + self.inside_cost(offset, size - lost)
+                yield DamagedCandidate(size - lost, cost + more)
 
-    def _mended_tails(self, place: int, head: bytes) -> Iterator[Damaged]:
-        """Frames whose size is what it seems, and in which one bit is wrong."""
+    def _damaged_burst(self, offset: int) -> Iterator[DamagedCandidate]:
+        """A burst that is one frame with damage in its first bytes.
+
+        Only if frames are never glued on this line: then no frame is hidden in the burst.
+        """
+        burst = self._burst_size(offset) if self._window.silences[offset] else 0
+        if (
+            burst > 2 * MIN_FRAME
+            and self._statistics.glue.bits > costs.NEVER_GLUED
+            and not self._is_frame_in_noise(offset, burst)
+        ):
+            cost = self._statistics.skip.bits + costs.DAMAGED_OTHER_SIZE + costs.UNEXPECTED_DAMAGED
+            cost += min(burst * costs.SKIP_PER_BYTE, costs.MAX_DAMAGED_LENGTH)
+            yield DamagedCandidate(burst, cost)
+
+    def _repaired_same_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
+        """Frames with one wrong bit that does not change their size."""
         for role in self._roles:
             size = frame_size(head, role)
             if size and size <= len(head):
-                whole = mended(head[:size])
+                whole = repaired(head[:size])
                 if whole is not None and frame_size(whole, role) == size:
-                    yield self._mended(place, whole, role)
+                    yield self._repaired(offset, whole, role)
 
-    def _mended_heads(self, place: int, head: bytes) -> Iterator[Damaged]:
-        """Frames whose size is not what it seems, since the wrong bit is in what says it.
+    def _repaired_other_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
+        """Frames with one wrong bit in the function or byte count, so that their size looks wrong.
 
-        Of functions that their unit was asked for: any other would be looked for everywhere.
+        Only of functions that were requested of their unit: others would be found everywhere.
         """
-        if not self._turns.has_asked(head[:1]):
+        history = self._model.history
+        if not history.has_function(head[:1]):
             return
         for at, bit in product((1, 2), range(8)):
             start = head[:at] + bytes([head[at] ^ 1 << bit])
-            if not self._turns.has_asked(start[:2]):
+            if not history.has_function(start[:2]):
                 continue
             whole = start + head[at + 1 :]
             for role in self._roles:
@@ -300,79 +324,90 @@ class Candidates:
                 if not size or not MIN_FRAME <= size <= len(head):
                     continue
                 if size != frame_size(head, role) and crc(whole[:size]) == 0:
-                    yield self._mended(place, whole[:size], role)
+                    yield self._repaired(offset, whole[:size], role)
 
-    def _mended(self, place: int, whole: bytes, role: Direction) -> Damaged:
+    def _repaired(self, offset: int, whole: bytes, role: Direction) -> DamagedCandidate:
         size = len(whole)
-        cost = costs.ONE_BIT + self._habits.flip.bits + size * costs.ONE_BIT_MORE
-        return Damaged(size, cost + self.inside(place, size), role, whole)
+        cost = costs.ONE_WRONG_BIT + self._statistics.one_bit.bits
+        cost += size * costs.ONE_WRONG_BIT_PER_BYTE
+        return DamagedCandidate(size, cost + self.inside_cost(offset, size), role, whole)
 
-    def usual(self, place: int) -> Iterator[Damaged]:
-        """A request heard before that was damaged in what a shorter frame has not.
+    def damaged_request(self, offset: int) -> Iterator[DamagedCandidate]:
+        """A damaged request that was heard before, where a shorter frame has a correct CRC.
 
-        One whose CRC ends in 00 may be a whole response without it.
+        If its CRC ends in 00 and just that byte is lost, the rest may be a whole response.
         """
-        head = self._data[place : place + MAX_RTU_ADU]
+        head = self._data[offset : offset + MAX_RTU_ADU]
         size = frame_size(head, Direction.REQUEST) if Direction.REQUEST in self._roles else 0
-        if not size or not self._turns.was_asked(head[0], head[1 : size - 2]):
+        if not size or (head[0], head[1 : size - 2]) not in self._model.history.requests:
             return
-        cost = costs.DAMAGED + costs.FORESEEN + size * costs.SKIP_MORE
+        cost = costs.DAMAGED + costs.EXPECTED_CONTENT + size * costs.SKIP_PER_BYTE
         if size <= len(head) and crc(head[:size]) != 0:
-            yield Damaged(size, cost + self.tears(place, size))
+            yield DamagedCandidate(size, cost + self.split_cost(offset, size))
         if size - 1 <= len(head) and crc(head[: size - 1]) == 0:
-            cost += costs.DAMAGED_SIZE
-            yield Damaged(size - 1, cost + self.tears(place, size - 1))
+            cost += costs.DAMAGED_OTHER_SIZE
+            yield DamagedCandidate(size - 1, cost + self.split_cost(offset, size - 1))
 
-    def _is_frame_in_noise(self, place: int, size: int) -> bool:
-        """Whether a burst is a frame with stray bytes at its ends, a few of them."""
-        burst = self._data[place : place + size]
+    def _is_frame_in_noise(self, offset: int, size: int) -> bool:
+        """True if a burst is a frame with at most three bytes of noise at each end."""
+        burst = self._data[offset : offset + size]
         befores = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[:at])]
         behinds = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[size - at :])]
         return any(
             crc(burst[before : size - behind]) == 0 for before in befores for behind in behinds
         )
 
-    def _expected(
-        self, head: bytes, size: int, role: Direction, turn: BusState
+    def _expectation(
+        self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """Whether a frame that begins so is due, and what speaks for it beside that."""
+        """True if a frame with these first bytes is due, and the cost of its contents."""
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:
-            if pdu and len(pdu) == pdu_size and self._turns.was_asked(unit, pdu):
-                return True, costs.FORESEEN
+            if pdu and len(pdu) == pdu_size and (unit, pdu) in self._model.history.requests:
+                return True, costs.EXPECTED_CONTENT
             if is_counted(head[1:]):
                 return True, 0.0
-        elif turn.foresees(unit, head[1], pdu_size):
-            return True, costs.FORESEEN
-        return self._turns.expects(turn, unit, head[1], pdu_size, role), 0.0
+        elif state.awaits_exactly(unit, head[1], pdu_size):
+            return True, costs.EXPECTED_CONTENT
+        return self._model.expects(state, unit, head[1], pdu_size, role), 0.0
 
-    def begun(self, place: int, turn: BusState) -> tuple[bool, float | None]:
-        """Whether the rest can be a frame that is due and has only begun, and what that costs."""
-        rest = self._end - place
-        if not self._window.may_go_on or rest >= MAX_RTU_ADU:
-            return False, None
-        head = self._data[place:]
+    def incomplete(self, offset: int, state: BusState) -> tuple[bool, float] | None:
+        """True if the rest of the window begins a frame that is due, and its cost as incomplete.
+
+        None if the rest cannot be the beginning of a frame.
+        """
+        rest = self._end - offset
+        if not self._window.may_continue or rest >= MAX_RTU_ADU:
+            return None
         if rest < 2:
-            return False, costs.OPEN
-        least: tuple[bool, float | None] = False, None
+            return False, costs.INCOMPLETE
+        head = self._data[offset:]
+        best: tuple[bool, float] | None = None
         for role in self._roles:
-            size = frame_size(head, role)
-            if size is None or rest < size <= MAX_RTU_ADU:
-                expected, cost = self._expected(head, size or 0, role, turn)
-                if role is Direction.REQUEST and is_counted(head[1:]):
-                    cost = costs.FORESEEN
-            elif size == 0 or head[1:4] == _QUERY_DATA[: rest - 1]:
-                expected = self._turns.expects(turn, head[0], head[1], 0, role)
-                cost = costs.UNKNOWN_BETWEEN_SILENCES
-                if role is Direction.REQUEST and head[1] & EXCEPTION_BIT:
-                    cost += costs.ODD_REQUEST
-            else:
-                continue
-            if expected:
-                cost += costs.OPEN + rest * costs.OPEN_MORE_DUE
-            else:
-                cost += costs.OPEN + costs.OPEN_UNEXPECTED + rest * costs.OPEN_MORE
-            if least[1] is None or cost < least[1]:
-                least = expected, cost
-        return least
+            one = self._incomplete_as(head, role, state)
+            if one is not None and (best is None or one[1] < best[1]):
+                best = one
+        return best
+
+    def _incomplete_as(
+        self, head: bytes, role: Direction, state: BusState
+    ) -> tuple[bool, float] | None:
+        size, rest = frame_size(head, role), len(head)
+        if size is None or rest < size <= MAX_RTU_ADU:
+            expected, cost = self._expectation(head, size or 0, role, state)
+            if role is Direction.REQUEST and is_counted(head[1:]):
+                cost = costs.EXPECTED_CONTENT
+        elif size == 0 or head[1:4] == _QUERY_DATA[: rest - 1]:
+            expected = self._model.expects(state, head[0], head[1], 0, role)
+            cost = costs.UNKNOWN_FORM_BURST
+            if role is Direction.REQUEST and head[1] & EXCEPTION_BIT:
+                cost += costs.IMPLAUSIBLE_REQUEST
+        else:
+            return None
+        if expected:
+            cost += costs.INCOMPLETE + rest * costs.INCOMPLETE_DUE_PER_BYTE
+        else:
+            unexpected = costs.INCOMPLETE + costs.INCOMPLETE_UNEXPECTED
+            cost += unexpected + rest * costs.INCOMPLETE_PER_BYTE
+        return expected, cost

@@ -1,9 +1,9 @@
-"""What can be told at once of the bytes at the front of an RTU line, without a search."""
+"""The fast path: recognises the frame at the front of an RTU line where no search is needed."""
 
-# Most bytes of a working line are decided here. A frame is beyond doubt where its length follows
-# from its function, its CRC is right in one reading only (or the other is out of the question),
-# and the turn expects it. It needs the byte behind it, or silence. And bytes are surely the mere
-# beginning of a frame where it is due and longer: then there is nothing to search before more come.
+# Most bytes of a working line are decided here. A frame is certain if its function tells its
+# length, its CRC is correct in one direction only (or the other direction is far less likely), and
+# the bus state expects it. A silence or one more byte has to follow it. Bytes are certain to be an
+# incomplete frame if a longer frame is due that begins so; then a search has to wait for the rest.
 
 from __future__ import annotations
 
@@ -20,141 +20,144 @@ from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_ALMOST_CERTAIN = 0.98
-_NEARLY_CERTAIN = 0.95
-_REQUEST_ALONE = [Direction.REQUEST]
-_OUT_OF_THE_QUESTION = 10.0
-"""By how many bits a frame is dearer that need not be looked at beside another."""
-_LIKELY = costs.REQUEST + costs.NEW_REQUEST
-"""What a frame may cost to be taken without a search."""
+_REQUEST_CONFIDENCE = 0.98
+"""Without silences: the least confidence of a request that has the form of a response too. A wrong
+one would reverse all directions after it."""
+_RESPONSE_CONFIDENCE = 0.95
+"""The same for a response, whose request came just before."""
+_REQUEST_ONLY = [Direction.REQUEST]
+_FAR_LESS_LIKELY = 10.0
+"""Bits. A frame that costs so much more than another at the same bytes is ignored."""
+_MAX_COST = costs.REQUEST + costs.NEW_REQUEST
+"""Bits. A frame that costs more than a new request needs a search."""
 
 
 class FastPath:
-    """Looks at the bytes held, from the first on, until it is told that they have gone."""
+    """Looks at the bytes held, from the first on."""
 
-    def __init__(self, turns: BusModel, speaker: Direction | None, most: int) -> None:
-        """`most` bytes are looked at by a search, whatever they are."""
-        self.awaited = MIN_FRAME
-        """How many bytes there have to be before more can be told."""
-        self._turns = turns
+    def __init__(self, bus_model: BusModel, speaker: Direction | None, max_size: int) -> None:
+        """From `max_size` bytes on the search decides. `speaker` is the only side heard, if set."""
+        self.needed = MIN_FRAME
+        """The number of bytes held before which nothing can be decided."""
+        self._model = bus_model
         self._speaker = speaker
-        self._most = most
+        self._max_size = max_size
         self._is_behind_noise = False
         self._roles = ROLES if speaker is None else (speaker,)
         self._sizes: list[tuple[Direction, int]] = []
-        """How long the front is as a frame of each role, once its bytes say so."""
+        """The size of the frame at the front in each direction, once its bytes tell it."""
 
-    def begin(self, *, behind_noise: bool) -> None:
-        """Other bytes are at the front now; those before them may have been no frame."""
+    def restart(self, *, behind_noise: bool) -> None:
+        """Begin with other bytes. `behind_noise` is True if those before belong to no frame."""
         self._is_behind_noise = behind_noise
-        self.awaited = MIN_FRAME
+        self.needed = MIN_FRAME
         self._sizes = []
 
     def frame(
         self, data: bytes, start_ns: int, burst_over: bool
     ) -> tuple[int, Classification] | None:
-        """The size of the frame at the front and what it is, if that is beyond doubt.
+        """The size and the direction of the frame at the front; None if they are not certain.
 
-        `start_ns` is when its first byte began. `burst_over` says that a silence follows all bytes.
+        `start_ns` is when its first byte began. `burst_over` is True if a silence follows `data`.
         """
         sizes = self._sizes or self._measure(data)
-        have = len(data)
-        if not sizes or (have < self.awaited and not burst_over):
+        if not sizes or (len(data) < self.needed and not burst_over):
             return None
         head = data[:MAX_RTU_ADU]
-        found = 0
-        roles: list[Direction] = []
-        for role, size in sizes:
-            if size <= have and crc(head[:size]) == 0:
-                if found not in (0, size):
-                    found, roles = self._likelier(head, start_ns, (found, roles[0]), (size, role))
-                    break
-                found = size
-                roles.append(role)
-        if not found:
+        size, roles = self._valid_size(head, sizes, start_ns)
+        if not size:
             return None
         if self._speaker is not None:
-            return found, Classification(self._speaker, DirectionBy.PORT, 1.0)
-        turns = self._turns
-        unit, pdu = head[0], head[1 : found - 2]
-        judgement = turns.judge(unit, pdu, start_ns, roles)
-        if turns.weigh(turns.turn, unit, pdu, judgement.direction, start_ns) > _LIKELY and (
-            roles != _REQUEST_ALONE or not self._is_usual(unit, pdu)
+            return size, Classification(self._speaker, DirectionBy.PORT, 1.0)
+        model = self._model
+        unit, pdu = head[0], head[1 : size - 2]
+        classified = model.classify(unit, pdu, start_ns, roles)
+        if model.cost(model.state, unit, pdu, classified.direction, start_ns) > _MAX_COST and (
+            roles != _REQUEST_ONLY or not self._is_known_request(unit, pdu)
         ):
             return None
-        if len(roles) > 1 and not self._is_told(judgement, head, found):
+        if len(roles) > 1 and not self._is_direction_certain(classified, head, size):
             return None
-        return found, judgement
+        return size, classified
 
-    def is_begun(self, data: bytes, torn_at: Sequence[int]) -> bool:
-        """Whether all bytes are the beginning of a frame that is due. `torn_at`: its silences."""
+    def _valid_size(
+        self, head: bytes, sizes: list[tuple[Direction, int]], start_ns: int
+    ) -> tuple[int, list[Direction]]:
+        """The size with a correct CRC, and the directions that have it; 0 if there is no such size.
+
+        A frame that ends in 00 has a correct CRC one byte shorter too. So of two sizes, the longer
+        one counts if the other is far less likely. Otherwise the result is 0.
+        """
+        have = len(head)
+        valid = [(size, role) for role, size in sizes if size <= have and crc(head[:size]) == 0]
+        if len(valid) < 2 or valid[0][0] == valid[1][0]:
+            return (valid[0][0] if valid else 0), [role for _, role in valid]
+        model = self._model
+        shorter, longer = (
+            model.cost(model.state, head[0], head[1 : size - 2], role, start_ns)
+            for size, role in sorted(valid)
+        )
+        size, role = max(valid)
+        is_certain = len(model.states) == 1 and longer + _FAR_LESS_LIKELY <= shorter
+        return (size, [role]) if is_certain else (0, [])
+
+    def is_incomplete(self, data: bytes, silences_at: Sequence[int]) -> bool:
+        """True if all bytes are the beginning of the frame that is due.
+
+        `silences_at` are the offsets of the bytes that have a silence before them.
+        """
         if self._speaker is not None:
             return False
         sizes = self._sizes or (self._measure(data) if len(data) >= MIN_FRAME else [])
-        if not self._turns.awaits(data, dict(sizes)):
+        if not self._model.expects_incomplete(data, dict(sizes)):
             return False
         if any(size <= len(data) and crc(data[:size]) == 0 for _, size in sizes):
             return False
-        return not any(self._is_frame(data[place:]) for place in torn_at)
+        return not any(self._is_frame(data[offset:]) for offset in silences_at)
 
     def _is_frame(self, data: bytes) -> bool:
-        """Whether a whole frame of known form begins here."""
-        sizes = [frame_size(data, role) or self._most for role in self._roles]
+        """True if a whole frame of known form begins here."""
+        sizes = [frame_size(data, role) or self._max_size for role in self._roles]
         return any(size <= len(data) and crc(data[:size]) == 0 for size in sizes)
 
     def _measure(self, data: bytes) -> list[tuple[Direction, int]]:
-        """How long the front is as a frame of each role; empty where one has no known length."""
+        """The size of the front as a frame of each direction; empty if one has no known size."""
         head = data[:MAX_RTU_ADU]
         sizes, longest = [], 0
         for role in self._roles:
             size = frame_size(head, role)
             if size == 0 and role is Direction.REQUEST and head[1] & EXCEPTION_BIT:
-                continue  # An exception, and no request of a function that nobody has.
+                continue  # An exception response. No request has such a function.
             if not size:
-                self.awaited = len(head) + 1 if size is None else self._most
+                self.needed = len(head) + 1 if size is None else self._max_size
                 return []
             if size <= MAX_RTU_ADU:
                 sizes.append((role, size))
                 longest = size if size > longest else longest
-        self.awaited = longest + 1 if sizes else self._most
+        self.needed = longest + 1 if sizes else self._max_size
         self._sizes = sizes
         return sizes
 
-    def _likelier(
-        self, head: bytes, start_ns: int, *frames: tuple[int, Direction]
-    ) -> tuple[int, list[Direction]]:
-        """The longer of two frames that begin alike, if the other is out of the question; or 0.
-
-        Each frame that ends in 00 has a correct CRC without it, too.
-        """
-        turns = self._turns
-        shorter, longer = (
-            turns.weigh(turns.turn, head[0], head[1 : size - 2], role, start_ns)
-            for size, role in sorted(frames)
-        )
-        size, role = max(frames)
-        is_told = len(turns.likely) == 1 and longer + _OUT_OF_THE_QUESTION <= shorter
-        return (size, [role]) if is_told else (0, [])
-
-    def _is_usual(self, unit: int, pdu: bytes) -> bool:
-        """Whether a frame is a request of this line and cannot begin the response that is due."""
+    def _is_known_request(self, unit: int, pdu: bytes) -> bool:
+        """True for a request heard before, if it cannot begin the response that is due."""
         is_due = any(
-            turn.waiting is not None and turn.waiting.is_named_by(unit, pdu[0])
-            for _, turn in self._turns.likely
+            state.pending is not None and state.pending.is_named_by(unit, pdu[0])
+            for _, state in self._model.states
         )
-        return self._turns.was_asked(unit, pdu) and not is_due and not self._is_behind_noise
+        is_heard = (unit, pdu) in self._model.history.requests
+        return is_heard and not is_due and not self._is_behind_noise
 
-    def _is_told(self, judgement: Classification, head: bytes, size: int) -> bool:
-        """Whether the direction of a frame that has the form of both is beyond doubt."""
-        if self._turns.trusts_silences:
-            return judgement.confidence >= SURE
-        if judgement.direction is Direction.REQUEST:
-            return judgement.confidence >= _ALMOST_CERTAIN
-        # Without silences the same frame twice may be a request and its echo, or one that was
-        # repeated. What comes behind them tells, if it is of the same unit and function, and how
-        # long the line was silent in all.
+    def _is_direction_certain(self, classified: Classification, head: bytes, size: int) -> bool:
+        """True if the direction of a frame with the form of both is certain."""
+        if self._model.history.trusts_silences:
+            return classified.confidence >= SURE
+        if classified.direction is Direction.REQUEST:
+            return classified.confidence >= _REQUEST_CONFIDENCE
+        # Without silences, two equal frames may be a request and its echo, or a request and its
+        # retry. The frame after them can tell, if it has the same unit and function; and so can the
+        # length of the last silence.
         return (
-            judgement.confidence >= _NEARLY_CERTAIN
+            classified.confidence >= _RESPONSE_CONFIDENCE
             and not head.startswith(head[size : size + 2])
-            and not self._turns.pause_cost(self._turns.turn)
+            and not self._model.silence_cost(self._model.state)
         )

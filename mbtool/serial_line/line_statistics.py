@@ -1,103 +1,112 @@
-"""What a line and its adapter do often, learned from the frames heard."""
+"""The line statistics: how often this line does something, and how fast its slaves respond."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import log2
 
-_PACE = 1 / 32
-"""How much one frame counts: after a few dozen the line's own habit prevails."""
-STEADY = 1 / 96
-"""How much it counts in the end where what is as rare as one in twenty is to be known well."""
-_SLOWER = 31 / 32
+from mbtool.serial_line import costs
+
+_LEARNING_RATE = 1 / 32
+"""Weight of one frame in a frequency: a few dozen frames outweigh the start value."""
+_SLOW_LEARNING_RATE = 1 / 96
+"""The weight that a slow frequency ends with: what is seen once in 20 frames needs more frames."""
+_RATE_DECAY = 31 / 32
+"""The factor for each frame by which a slow frequency approaches that weight."""
 
 
 class LearnedCost:
-    """How often something is seen at a frame, as what it costs to suppose it."""
+    """A cost in bits, learned as the negative logarithm of a frequency."""
 
-    __slots__ = ("_bits", "_least", "_most", "_pace", "_slowest", "often")
+    __slots__ = ("_bits", "_final_rate", "_max_bits", "_min_bits", "_rate", "frequency")
 
-    def __init__(self, bits: float, limits: tuple[float, float], *, slowest: float = _PACE) -> None:
-        """`bits` is what it costs before anything was heard."""
-        self._least, self._most = limits
-        self.often: float = 2**-bits
-        """At how many frames of one it is seen."""
-        self._pace, self._slowest = _PACE, slowest
+    def __init__(self, bits: float, limits: tuple[float, float], *, is_slow: bool = False) -> None:
+        """`bits` is the start value, `limits` are the least and the most bits.
+
+        `is_slow` is True for what is so rare that many frames are needed to learn its frequency.
+        """
+        self._min_bits, self._max_bits = limits
+        self.frequency: float = 2**-bits
+        """The share of frames, 0 to 1, at which it is seen."""
+        self._rate = _LEARNING_RATE
+        self._final_rate = _SLOW_LEARNING_RATE if is_slow else _LEARNING_RATE
         self._bits: float | None = bits
-        """What `bits` is; None where that has changed since somebody asked."""
+        """The value of `bits`; None if `frequency` has changed since it was computed."""
 
     def learn(self, seen: bool) -> None:
-        """Note one more frame."""
-        self.often += (seen - self.often) * self._pace
-        if self._pace > self._slowest:
-            self._pace *= _SLOWER
+        """Take one more frame, at which it was seen or not."""
+        self.frequency += (seen - self.frequency) * self._rate
+        if self._rate > self._final_rate:
+            self._rate *= _RATE_DECAY
         self._bits = None
 
     @property
     def bits(self) -> float:
-        """What it costs to suppose it."""
+        """The cost, within the limits."""
         if self._bits is None:
-            bits = -log2(self.often) if self.often else self._most
-            self._bits = min(max(bits, self._least), self._most)
+            bits = -log2(self.frequency) if self.frequency else self._max_bits
+            self._bits = min(max(bits, self._min_bits), self._max_bits)
         return self._bits
 
 
-@dataclass(frozen=True, slots=True)
 class LineStatistics:
-    """What a line does often at its frames."""
+    """The learned costs of what happens at the frames of an RTU line."""
 
-    skip: LearnedCost
-    noise: LearnedCost
-    glue: LearnedCost
-    tear: LearnedCost
-    flip: LearnedCost
-    """Of damage, that it is one wrong bit and nothing is missing."""
+    def __init__(self, *, timed: bool = True) -> None:
+        """`timed` is False if the bytes' times are not known: then all frames look glued."""
+        self.skip = LearnedCost(costs.SKIP, costs.SKIP_LIMITS)
+        self.noise = LearnedCost(costs.NOISE, costs.NOISE_LIMITS, is_slow=True)
+        self.glue = LearnedCost(costs.GLUED if timed else 0.0, costs.GLUED_LIMITS)
+        self.split = LearnedCost(costs.SPLIT, costs.SPLIT_LIMITS)
+        self.one_bit = LearnedCost(costs.RARE_ONE_BIT, costs.RARE_ONE_BIT_LIMITS)
+        """Counted per damage: how often one wrong bit explains it."""
 
 
 class LatencyStatistics:
-    """How long slaves on this line take to answer."""
+    """The longest time, in ns, that slaves on this line take to respond."""
 
     __slots__ = ("_heard", "_longest_ns")
 
-    FIRST_NS = 200_000_000
-    """Supposed to be the longest while few responses were heard: slow devices take as long."""
-    LEAST_NS = 10_000_000
-    """No line is supposed to be faster, since an adapter hands over what it heard in blocks."""
-    FEW = 16
-    WRITE_NS = 20_000_000
-    """No device is late that takes as long to write, however fast it reads."""
-    RETRY_NS = 60_000_000
-    """No master gives up sooner."""
-    TIMER_NS = 255_000_000
+    INITIAL_NS = 200_000_000
+    """The longest time assumed before enough responses are heard: slow devices take as long."""
+    MIN_NS = 10_000_000
+    """The least value of the longest time, since adapters deliver bytes in blocks."""
+    ENOUGH_RESPONSES = 16
+    """Number of responses after which INITIAL_NS no longer counts."""
+    MIN_WRITE_NS = 20_000_000
+    """A write within this time is never late, however fast the line's reads are."""
+    MIN_RETRY_NS = 60_000_000
+    """No master retries sooner."""
+    ADAPTER_TIMER_NS = 255_000_000
     """The longest latency timer of an FTDI adapter."""
-    MARGIN_OCTAVES = 0.25
-    """A response is late when it takes a fifth longer than the longest latency of the line."""
+    MARGIN_DOUBLINGS = 0.25
+    """A response is late when it takes a fifth longer (2 ** 0.25) than the longest time."""
 
     def __init__(self) -> None:
         self._heard = 0
-        self._longest_ns = float(self.LEAST_NS)
+        self._longest_ns = float(self.MIN_NS)
 
     def learn(self, latency_ns: int) -> None:
-        """Note one more response. The longest is forgotten slowly."""
+        """Take one more response. The longest time shrinks by 1 % for each shorter one."""
         self._heard += 1
-        self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.LEAST_NS)
+        self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.MIN_NS)
 
-    def learn_warily(self, latency_ns: int) -> None:
-        """The same of what may be none: one alone does no more than double the longest."""
+    def learn_capped(self, latency_ns: int) -> None:
+        """The same for what may be no response: it can at most double the longest time."""
         self.learn(min(latency_ns, 2 * int(self._longest_ns)))
 
     @property
     def is_known(self) -> bool:
-        """Whether enough responses were heard to say."""
-        return self._heard >= self.FEW
+        """True if enough responses were heard."""
+        return self._heard >= self.ENOUGH_RESPONSES
 
-    def octaves_late(self, silence_ns: int, least_ns: int = 0) -> float:
-        """How many doublings a silence is above the longest latency; below 0 for a shorter one.
+    def doublings_late(self, silence_ns: int, least_ns: int = 0) -> float:
+        """The binary logarithm of a silence over the longest time; negative if it is shorter.
 
-        `least_ns` may be the longest at least.
+        The longest time is taken as `least_ns` if it is less.
         """
         longest_ns = max(self._longest_ns, least_ns)
-        if self._heard < self.FEW and longest_ns < self.FIRST_NS:
-            # Each response makes what was heard so far count more against what is supposed.
-            longest_ns *= (self.FIRST_NS / longest_ns) ** (1 - self._heard / self.FEW)
+        if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
+            # Moves from INITIAL_NS to the longest time heard, by equal factors for each response.
+            missing = 1 - self._heard / self.ENOUGH_RESPONSES
+            longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)

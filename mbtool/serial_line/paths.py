@@ -1,8 +1,9 @@
-"""Rows of pieces that explain a window of an RTU line, and how sure each piece is."""
+"""Paths through the lattice of segments of an RTU window, and the confidence of each segment."""
 
-# A row is a chain: each knows its last piece and the row that it continues, so that rows share what
-# they have in common. Of rows that lead to the same turn the cheapest goes on; those that were
-# nearly as cheap stay with it as rivals, and raise doubts about the pieces that they have not.
+# A path is a linked list: each path knows its last segment and the path before it, so that paths
+# share their common beginning. Of the paths that reach the same offset in the same bus state, the
+# cheapest goes on. Those that cost almost as little stay with it as rivals; they lower the
+# confidence of the segments that they do not contain.
 
 from __future__ import annotations
 
@@ -14,122 +15,123 @@ import msgspec
 from msgspec.structs import replace
 
 from mbtool.core import Direction
-from mbtool.serial_line.bus_state import DOUBT, BusState, likelihood
+from mbtool.serial_line.bus_state import DOUBT_BITS, BusState, confidence_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
 class SegmentKind(Enum):
-    """What a piece is."""
+    """What the bytes of a segment are taken for."""
 
     FRAME = "frame"
     DAMAGED = "damaged"
     SKIPPED = "skipped"
-    OPEN = "open"
+    INCOMPLETE = "incomplete"
 
 
 class Segment(msgspec.Struct, frozen=True, gc=False):
-    """A part of the window."""
+    """A part of the window with one meaning."""
 
     kind: SegmentKind
-    place: int
+    offset: int
     size: int
     role: Direction = Direction.UNKNOWN
     roles: tuple[Direction, ...] = ()
-    """Those whose form a frame has."""
-    mended: bytes = b""
-    """A damaged frame as it was sent, where one wrong bit explains it."""
+    """The directions whose form a frame has."""
+    repaired: bytes = b""
+    """A damaged frame as it was sent, if one wrong bit explains the damage; empty otherwise."""
     confidence: float = 1.0
-    """How sure it is that no other row of pieces explains these bytes."""
+    """The probability that no other path explains these bytes better."""
 
     @property
-    def form(self) -> tuple[SegmentKind, int, int, Direction]:
-        """What it is, however sure that is."""
-        return self.kind, self.place, self.size, self.role
+    def identity(self) -> tuple[SegmentKind, int, int, Direction]:
+        """The segment without its confidence."""
+        return self.kind, self.offset, self.size, self.role
 
 
 class Path(msgspec.Struct, eq=False):
-    """Pieces from the first byte to a place, the last of them first."""
+    """Segments from the first byte of the window to an offset."""
 
     cost: float
-    turn: BusState
-    before: Path | None
-    piece: Segment | None
+    state: BusState
+    previous: Path | None
+    segment: Segment | None
     skipped: int = 0
-    """How many bytes were skipped up to here."""
+    """How many bytes were skipped in a row up to here."""
     is_noise: bool = False
-    """Whether these stand right behind a frame, and are all such as a line makes that turns."""
+    """True if these directly follow a frame and all are noise of a change of direction."""
     runs: int = 0
-    """How often bytes were skipped before: each time makes the next likelier."""
-    is_anchored: bool = False
-    """Whether a frame ends here, so that another is likely to begin."""
+    """How many runs of skipped bytes the path has: each makes the next one cheaper."""
+    ends_frame: bool = False
+    """True if a frame ends here, so that another one probably begins."""
     rivals: tuple[Path, ...] = ()
-    """Rows that lead to the same turn and are nearly as cheap."""
+    """Paths that end in the same bus state and cost less than DOUBT_BITS more."""
 
 
-def with_doubts(ends: list[Path]) -> Iterator[Segment]:
-    """The pieces of the cheapest row; those that a row nearly as cheap has not are less sure."""
-    best = list(_back(ends[0]))
+def with_confidence(ends: list[Path]) -> Iterator[Segment]:
+    """The segments of the cheapest path, with less confidence where a rival path differs."""
+    best = list(_chain(ends[0]))
     doubts: dict[int, float] = {}
-    for row in best:
-        for rival in row.rivals if row is not ends[0] else (*row.rivals, *ends[1:]):
-            more = rival.cost - row.cost
-            if more < DOUBT:
-                for place in _differences(best, row, rival):
-                    doubts[place] = min(doubts.get(place, 1.0), likelihood(more))
-    for row in reversed(best):
-        piece = row.piece
-        if piece is not None:
-            doubt = doubts.get(piece.place) if piece.kind is SegmentKind.FRAME else None
-            yield piece if doubt is None else replace(piece, confidence=doubt)
+    for path in best:
+        for rival in path.rivals if path is not ends[0] else (*path.rivals, *ends[1:]):
+            more = rival.cost - path.cost
+            if more < DOUBT_BITS:
+                for offset in _differences(best, path, rival):
+                    doubts[offset] = min(doubts.get(offset, 1.0), confidence_of(more))
+    for path in reversed(best):
+        segment = path.segment
+        if segment is not None:
+            doubt = doubts.get(segment.offset) if segment.kind is SegmentKind.FRAME else None
+            yield segment if doubt is None else replace(segment, confidence=doubt)
 
 
-def doubted(piece: Segment) -> Segment:
-    """The same, as likely as not."""
-    return replace(piece, confidence=min(piece.confidence, 0.5))
+def as_doubtful(segment: Segment) -> Segment:
+    """The segment with a confidence of at most 0.5."""
+    return replace(segment, confidence=min(segment.confidence, 0.5))
 
 
-def _back(end: Path) -> Iterator[Path]:
-    """A row and those it continues, down to the empty one."""
-    row: Path | None = end
-    while row is not None:
-        yield row
-        row = row.before
+def _chain(end: Path) -> Iterator[Path]:
+    """A path and its beginnings, the longest first."""
+    path: Path | None = end
+    while path is not None:
+        yield path
+        path = path.previous
 
 
-def agreed_on(ends: list[Path], open_row: Path, end: int) -> list[Segment]:
-    """The first pieces, as far as they are right also if more is to come; the rest is open.
+def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segment]:
+    """The first segments, as far as the best path to an incomplete frame and the best other agree.
 
-    How sure they are is what the open row says, which is cheaper than those without it.
+    `incomplete` is the first of these paths, and the cheaper one; its confidences hold. The rest,
+    up to `end`, is one incomplete segment.
     """
-    laid = {row.piece.form for row in _back(ends[0]) if row.piece} if ends else set()
-    pieces = with_doubts([open_row, *ends])
-    agreed = list(takewhile(lambda piece: piece.form in laid, pieces))
-    while agreed and agreed[-1].kind is SegmentKind.SKIPPED:
-        agreed.pop()  # There may be more of them.
-    place = agreed[-1].place + agreed[-1].size if agreed else 0
-    return [*agreed, Segment(SegmentKind.OPEN, place, end - place)]
+    other = {path.segment.identity for path in _chain(ends[0]) if path.segment} if ends else set()
+    segments = with_confidence([incomplete, *ends])
+    settled = list(takewhile(lambda segment: segment.identity in other, segments))
+    while settled and settled[-1].kind is SegmentKind.SKIPPED:
+        settled.pop()  # More skipped bytes may follow.
+    offset = settled[-1].offset + settled[-1].size if settled else 0
+    return [*settled, Segment(SegmentKind.INCOMPLETE, offset, end - offset)]
 
 
-def _differences(best: list[Path], row: Path, rival: Path) -> list[int]:
-    """Where pieces begin that lead to a row and that its rival has not."""
+def _differences(best: list[Path], path: Path, rival: Path) -> list[int]:
+    """The offsets of the segments that a path contains and its rival does not."""
     known = {id(one) for one in best}
     others = set()
-    for other in _back(rival):
+    for other in _chain(rival):
         if id(other) in known:
             common = other
             break
-        others.add(other.piece)
-    differing = takewhile(lambda one: one is not common, _back(row))
-    return [one.piece.place for one in differing if one.piece and one.piece not in others]
+        others.add(other.segment)
+    differing = takewhile(lambda one: one is not common, _chain(path))
+    return [one.segment.offset for one in differing if one.segment and one.segment not in others]
 
 
-def merged(pieces: Iterable[Segment]) -> Iterator[Segment]:
-    """Join skipped bytes that stand side by side."""
-    for kind, group in groupby(pieces, key=lambda piece: piece.kind):
+def merge_skipped(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """Join adjacent skipped bytes into one segment."""
+    for kind, group in groupby(segments, key=lambda segment: segment.kind):
         if kind is SegmentKind.SKIPPED:
             first = next(group)
-            yield Segment(kind, first.place, first.size + sum(piece.size for piece in group))
+            yield Segment(kind, first.offset, first.size + sum(segment.size for segment in group))
         else:
             yield from group

@@ -1,4 +1,4 @@
-"""What a PDU says that none of its function does, or that hardly any does by chance."""
+"""Rules for PDUs of a correct form whose contents no master or slave sends, or hardly ever."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from mbtool.modbus.functions import EXCEPTION_BIT, READ_REGISTERS
 from mbtool.modbus.packing import bit_bytes
 
 COUNTS = frozenset((2, *range(11, 19)))
-"""Sub-functions of 08 that ask for a register or a count (V1.1b3, 6.8.1)."""
+"""Sub-functions of 08 that read a register or a counter (V1.1b3, 6.8.1)."""
 ODD_EXCEPTIONS = 0x40
-"""Exception codes from here on, and 0, are nobody's."""
+"""Exception codes from here on, and 0, are used by no known device."""
 
 
 def is_odd_request(pdu: bytes) -> bool:
-    """Whether a PDU has the form of a request and says what none does.
+    """True if a PDU with the form of a request has contents that no master sends.
 
-    One for a register or a count of 08 has 0000 in its data (V1.1b3, 6.8.1).
+    A request for a counter (function 08) always has 0000 as data (V1.1b3, 6.8.1).
     """
     if pdu[0] & EXCEPTION_BIT:
         return True
@@ -22,9 +22,9 @@ def is_odd_request(pdu: bytes) -> bool:
 
 
 def is_odd_response(pdu: bytes) -> bool:
-    """Whether a PDU has the form of a response and says what none does.
+    """True if a PDU with the form of a response has contents that no slave sends.
 
-    Half a register, or an exception far from those that the specification and devices have.
+    That is half a register, or an exception code that neither the specification nor devices use.
     """
     if pdu[0] & EXCEPTION_BIT:
         return len(pdu) == 2 and not 0 < pdu[1] < ODD_EXCEPTIONS
@@ -32,7 +32,7 @@ def is_odd_response(pdu: bytes) -> bool:
 
 
 def is_counted(pdu: bytes) -> bool:
-    """Whether a PDU begins as a write whose byte count agrees with its quantity."""
+    """True if a PDU begins like a write request whose byte count agrees with its quantity."""
     match pdu[0]:
         case 0x0F:
             return len(pdu) > 5 and pdu[5] == bit_bytes(int.from_bytes(pdu[3:5]))
@@ -45,6 +45,6 @@ def is_counted(pdu: bytes) -> bool:
 
 
 def is_padded(request: bytes, response: bytes) -> bool:
-    """Whether the bits behind those that a read asked for are 0 (V1.1b3, 6.1)."""
+    """True if a response to a read of bits fills its last byte with 0 (V1.1b3, 6.1)."""
     used = int.from_bytes(request[3:5]) % 8
     return not used or response[-1] >> used == 0

@@ -1,18 +1,19 @@
 """Cuts what one tap hears on a two-wire RTU line into frames."""
 
-# Three questions, from the cheapest to the dearest. Most bytes of a working line are decided by the
-# first, so that the search runs only where there is something to search.
+# Three steps, from the cheapest to the most expensive. The first decides most bytes of a working
+# line, so the search runs only where something is unclear.
 #
-# 1. Is the frame at the front beyond doubt, or surely a mere beginning (front.py)?
-# 2. At a silence of t3.5, what do the bytes held mean (tiling.py)? All is given out but a frame
-#    that has only begun: an adapter may have torn it. That is held for HOLD_NS behind its last byte
-#    at most, and what stands before it, if only its end would make that certain, for MAX_TEARS
-#    silences.
-# 3. Without a silence, the same when the window is full. All but its last 256 bytes is given out.
+# 1. The fast path (fast_path.py): is the frame at the front certain, or certainly incomplete?
+# 2. At a silence of t3.5, the search (search.py) explains the bytes held. All of them are given out
+#    except an incomplete frame, which an adapter may have split. That one is held until HOLD_NS
+#    after its last byte. What precedes it, if only its end could make that certain, is held for at
+#    most MAX_SILENCES silences.
+# 3. Without a silence, the search runs when the window is full. All but the last 256 bytes are
+#    given out.
 #
-# Times: a byte's time is when its last bit arrived. The bytes of one read get their times back from
-# the last one by the character time. What comes out depends on these times only, not on how the
-# bytes were cut into reads. A clock that was set back ends what was held.
+# The time of a byte is the end of its last bit. The bytes of one read get their times from the time
+# of the last one, a character time apart. The output depends on these times only, not on how the
+# bytes were divided into reads. When the clock was set back, all bytes held are given out.
 #
 # Holds less than WINDOW bytes.
 
@@ -24,11 +25,10 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind
 from mbtool.framing.rtu_lengths import MIN_FRAME, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
-from mbtool.serial_line.line_statistics import STEADY, LearnedCost, LineStatistics
+from mbtool.serial_line.line_statistics import LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
 
@@ -36,63 +36,60 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
 WINDOW = 512
+"""The number of bytes at which the search decides without a silence: two frames of full size."""
 HOLD_NS = 300_000_000
-"""A little more than the longest latency timer of an FTDI adapter, 255 ms."""
-MAX_TEARS = 16
-"""Silences in what is held, after which it is decided: a frame in 32-byte pieces has 8."""
+"""How long an incomplete frame is held: more than the longest latency timer of an FTDI adapter,
+255 ms."""
+MAX_SILENCES = 16
+"""The silences after which the bytes held are decided. A frame delivered in pieces of 32 bytes has
+8."""
 
-_RARELY = 2**-0.8
-"""Where no more of the frames are glued, the silences between them tell who speaks."""
+_MAX_GLUED = 2**-0.8
+"""If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
 
 
 class RtuSplitter:
-    """Timed bytes of a line in, `Adu` and `Skipped` out, in order."""
+    """Takes timed bytes of a line and gives out `Adu` and `Skipped`, in order."""
 
     def __init__(
         self,
         line: SerialFormat,
-        turns: BusModel | None = None,
+        bus_model: BusModel | None = None,
         *,
         timed: bool = True,
         speaker: Direction | None = None,
     ) -> None:
-        """`timed` is False where the bytes' times are made up: a file of bytes alone.
+        """`timed` is False if the bytes' times are made up, as for a file of bytes alone.
 
-        `speaker` is who sends all that is heard: one wire of two, or a tap that hears one side.
+        `speaker` is set if only one side is heard: the direction of all frames.
         """
         self._character_ns = line.character_ns
         self._t1_5_ns = line.t1_5_ns
         self._t3_5_ns = line.t3_5_ns
         self._silent_ns = line.character_ns + line.t3_5_ns
-        """From the end of a byte to the end of one behind a silence."""
+        """From the end of a byte to the end of the next one after a silence of t3.5."""
         self._timed = timed
         self._speaker = speaker
         self._roles = ROLES if speaker is None else (speaker,)
-        self._turns = turns or BusModel(timed=timed)
-        self._front = FastPath(self._turns, speaker, WINDOW)
-        self._habits = LineStatistics(
-            skip=LearnedCost(costs.SKIP, costs.SKIP_LIMITS),
-            noise=LearnedCost(costs.NOISE, costs.NOISE_LIMITS, slowest=STEADY),
-            glue=LearnedCost(costs.GLUED if timed else 0.0, costs.GLUED_LIMITS),
-            tear=LearnedCost(costs.TORN, costs.TORN_LIMITS),
-            flip=LearnedCost(costs.FLIPPED, costs.FLIPPED_LIMITS),
-        )
+        self._model = bus_model or BusModel(timed=timed)
+        self._fast_path = FastPath(self._model, speaker, WINDOW)
+        self._statistics = LineStatistics(timed=timed)
         self._data = b""
         self._times: list[int] = []
-        self._decided = 0
-        """How many of the bytes held were already decided to be the beginning of a frame."""
-        self._tears = 0
-        """The silences since something was last given out."""
-        self._torn_at: list[int] = []
-        """Where in what is held they stand."""
+        self._decided_size = 0
+        """How many of the bytes held the last search called an incomplete frame."""
+        self._silence_count = 0
+        """The silences since bytes were last given out."""
+        self._silences_at: list[int] = []
+        """The offsets of the bytes held that have such a silence before them."""
         self._was_noise = False
-        """Whether the bytes skipped last were all such as a line makes that turns around."""
-        self._given: tuple[int, Verdict] | None = None
-        """When the last byte given out arrived, and what that makes of a frame close behind it."""
+        """True if the bytes skipped last were all noise of a change of direction."""
+        self._last_end: tuple[int, Verdict] | None = None
+        """The end of the last byte given out, and the verdict on a frame directly after it."""
 
     @property
     def is_idle(self) -> bool:
-        """Whether no byte waits to be decided."""
+        """True if no byte is held."""
         return not self._data
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
@@ -102,108 +99,104 @@ class RtuSplitter:
         if not size:
             return events
         first_ns = ts_ns - (size - 1) * step_ns
-        # As with most bytes of most frames: nothing can be told yet.
+        # The usual case, made quick: a frame goes on, and nothing can be decided yet.
         if (
             times
             and 0 <= first_ns - times[-1] < self._silent_ns
-            and len(times) + size < self._front.awaited
+            and len(times) + size < self._fast_path.needed
         ):
             self._data += data
             times += (ts_ns,) if size == 1 else range(first_ns, ts_ns + 1, step_ns)
             return events
-        if self._given is not None and ts_ns < self._given[0]:
-            events += self._begin_anew()
-        elif self._data:
-            silence_ns = first_ns - step_ns - self._times[-1]
-            if ts_ns < self._times[-1]:
-                events += self._begin_anew()
-            elif silence_ns >= self._t3_5_ns:
+        last_ns = times[-1] if times else self._last_end and self._last_end[0]
+        if last_ns is not None and ts_ns < last_ns:
+            events += self._restart()
+        elif times:
+            silence_ns = first_ns - step_ns - times[-1]
+            if silence_ns >= self._t3_5_ns:
                 self._hear_silence(events, silence_ns >= HOLD_NS)
                 if self._data:
-                    self._torn_at.append(len(self._data))
+                    self._silences_at.append(len(self._data))
         while data:
             room = WINDOW - len(self._data)
-            piece, data = data[:room], data[room:]
-            self._data += piece
-            after_ns = first_ns + len(piece) * step_ns
+            part, data = data[:room], data[room:]
+            self._data += part
+            after_ns = first_ns + len(part) * step_ns
             self._times += range(first_ns, after_ns, step_ns)
             first_ns = after_ns
-            if len(self._data) >= self._front.awaited:
-                self._take_front(events)
+            if len(self._data) >= self._fast_path.needed:
+                self._emit_certain_frames(events)
             if len(self._data) == WINDOW:
-                self._search(events, may_go_on=True, keep=MAX_RTU_ADU)
+                self._search(events, may_continue=True, keep=MAX_RTU_ADU)
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
-        """Learn that the line was silent from the last byte until now."""
+        """Take the information that the line was silent from the last byte until now."""
         events: list[Adu | Skipped] = []
-        if not self._data:
-            return events
-        silence_ns = now_ns - self._times[-1]
-        if silence_ns >= self._t3_5_ns:
+        if self._data and (silence_ns := now_ns - self._times[-1]) >= self._t3_5_ns:
             self._hear_silence(events, silence_ns >= HOLD_NS)
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """The capture ends; what is held comes out."""
+        """End the capture: give out all bytes held."""
         events: list[Adu | Skipped] = []
         if self._data:
             self._hear_silence(events, is_long=True)
         return events
 
-    def _begin_anew(self) -> list[Adu | Skipped]:
-        """The clock was set back: what was held comes out, and no time before counts any more."""
+    def _restart(self) -> list[Adu | Skipped]:
+        """Give out the bytes held; forget the times and the bus state. The clock was set back."""
         events = self.close()
-        self._given = None
-        self._front.begin(behind_noise=False)
-        self._turns.begin_anew()
+        self._last_end = None
+        self._fast_path.restart(behind_noise=False)
+        self._model.reset_state()
         return events
 
     def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
-        """Decide what a silence ends; a long one ends what is held, too."""
-        if len(self._data) > self._decided:
-            self._tears += 1
-            self._end_burst(events, may_go_on=True)
-            if self._tears >= MAX_TEARS and self._data:
+        """Decide the bytes before a silence; a long one ends an incomplete frame as well."""
+        if len(self._data) > self._decided_size:
+            self._silence_count += 1
+            self._end_burst(events, may_continue=True)
+            if self._silence_count >= MAX_SILENCES and self._data:
                 told: list[Adu | Skipped] = []
-                self._end_burst(told, may_go_on=True, is_pressing=True)
+                self._end_burst(told, may_continue=True, must_decide=True)
                 if self._data and not any(isinstance(one, Adu) for one in told):
-                    self._end_burst(told, may_go_on=False)
+                    self._end_burst(told, may_continue=False)
                 events += told
         if is_long and self._data:
-            self._end_burst(events, may_go_on=False)
+            self._end_burst(events, may_continue=False)
 
     def _end_burst(
-        self, events: list[Adu | Skipped], *, may_go_on: bool, is_pressing: bool = False
+        self, events: list[Adu | Skipped], *, may_continue: bool, must_decide: bool = False
     ) -> None:
-        self._take_front(events, True)
-        is_to_wait = may_go_on and not is_pressing
-        if self._data and not (is_to_wait and self._front.is_begun(self._data, self._torn_at)):
-            self._search(events, may_go_on=may_go_on, is_pressing=is_pressing)
-        self._decided = len(self._data)
+        self._emit_certain_frames(events, True)
+        is_to_wait = may_continue and not must_decide
+        if self._data and not (
+            is_to_wait and self._fast_path.is_incomplete(self._data, self._silences_at)
+        ):
+            self._search(events, may_continue=may_continue, must_decide=must_decide)
+        self._decided_size = len(self._data)
 
-    def _take_front(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Give out the frames at the front that are beyond doubt."""
+    def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
+        """Give out the frames at the front that need no search."""
         while len(self._data) >= MIN_FRAME and (
-            frame := self._front.frame(
-                self._data,
-                self._times[0] - self._character_ns,
-                burst_over,
+            frame := self._fast_path.frame(
+                self._data, self._times[0] - self._character_ns, burst_over
             )
         ):
-            self._give(*frame, events)
+            self._emit_frame(*frame, events)
 
     def _search(
         self,
         events: list[Adu | Skipped],
         *,
-        may_go_on: bool,
-        is_pressing: bool = False,
+        may_continue: bool,
+        must_decide: bool = False,
         keep: int = 0,
     ) -> None:
-        """Explain all that is held, and give it out but for a frame that has only begun.
+        """Search for an explanation of all bytes held; give them out except an incomplete frame.
 
-        `keep` is how many of the last bytes are not decided yet.
+        `keep` is how many of the last bytes stay undecided.
         """
         end = len(self._data)
         window = ByteWindow(
@@ -212,77 +205,78 @@ class RtuSplitter:
             self._character_ns,
             self._silences(keep),
             is_behind_noise=self._is_behind_noise,
-            may_go_on=may_go_on,
-            is_pressing=is_pressing,
+            may_continue=may_continue,
+            must_decide=must_decide,
         )
-        pieces = PathSearch(window, self._turns, self._habits, self._roles).pieces()
-        for piece in pieces:
-            size, decided = piece.size, end - keep - piece.place
-            if piece.kind is SegmentKind.SKIPPED:
-                size = min(size, decided)
-            if piece.kind is SegmentKind.OPEN or not 0 < size <= decided:
+        segments = PathSearch(window, self._model, self._statistics, self._roles).segments()
+        for segment in segments:
+            size, decidable = segment.size, end - keep - segment.offset
+            if segment.kind is SegmentKind.SKIPPED:
+                size = min(size, decidable)
+            if segment.kind is SegmentKind.INCOMPLETE or not 0 < size <= decidable:
                 break
-            if piece.kind is SegmentKind.FRAME:
-                self._give(size, self._judged(piece), events)
+            if segment.kind is SegmentKind.FRAME:
+                self._emit_frame(size, self._classified(segment), events)
             else:
                 start_ns, end_ns = self._times[0] - self._character_ns, self._times[size - 1]
-                self._skip(size, events)
-                if piece.kind is SegmentKind.DAMAGED or size >= LONG_SKIP:
-                    self._hear_damage(piece, start_ns, end_ns)
+                self._emit_skipped(size, events)
+                if segment.kind is SegmentKind.DAMAGED or size >= LONG_SKIP:
+                    self._hear_damage(segment, start_ns, end_ns)
 
-    def _hear_damage(self, piece: Segment, start_ns: int, end_ns: int) -> None:
-        """Note what damage tells of the line, and of whose turn it is."""
-        self._habits.flip.learn(bool(piece.mended))
+    def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
+        """Learn from damage, and compute the bus states after it."""
+        self._statistics.one_bit.learn(bool(segment.repaired))
         if self._speaker is not None:
             return
-        if piece.mended:
-            self._turns.heard_damaged(piece.mended, piece.role, start_ns, end_ns)
+        if segment.repaired:
+            self._model.hear_damaged_frame(segment.repaired, segment.role, start_ns, end_ns)
         else:
-            self._turns.heard_damage()
+            self._model.hear_damage()
 
     def _silences(self, keep: int) -> list[bool]:
-        """Whether a silence stands before each byte, and behind the last."""
-        least_ns = self._silent_ns
-        times = self._times
-        given = self._given
-        first = given is None or times[0] - given[0] >= least_ns
+        """True for each byte after a silence of t3.5, and for a silence after the last byte."""
+        least_ns, times, last = self._silent_ns, self._times, self._last_end
+        first = last is None or times[0] - last[0] >= least_ns
         between = [after - before >= least_ns for before, after in pairwise(times)]
         return [first, *between, not keep]
 
-    def _judged(self, piece: Segment) -> Classification:
-        """What a frame is that the search has found."""
+    def _classified(self, segment: Segment) -> Classification:
+        """The direction of a frame that the search has found."""
         if self._speaker is not None:
-            return Classification(self._speaker, DirectionBy.PORT, piece.confidence)
-        unit, pdu = self._data[0], self._data[1 : piece.size - 2]
+            return Classification(self._speaker, DirectionBy.PORT, segment.confidence)
+        unit, pdu = self._data[0], self._data[1 : segment.size - 2]
         start_ns = self._times[0] - self._character_ns
-        alone = self._turns.judge(unit, pdu, start_ns, piece.roles)
-        if alone.direction is piece.role:
-            return Classification(piece.role, alone.by, piece.confidence)
-        # What comes behind it decided otherwise.
-        return Classification(piece.role, DirectionBy.IDLE, piece.confidence)
+        alone = self._model.classify(unit, pdu, start_ns, segment.roles)
+        if alone.direction is segment.role:
+            return Classification(segment.role, alone.by, segment.confidence)
+        # The bytes after it decided otherwise.
+        return Classification(segment.role, DirectionBy.IDLE, segment.confidence)
 
-    def _give(self, size: int, judgement: Classification, events: list[Adu | Skipped]) -> None:
+    def _emit_frame(
+        self, size: int, classification: Classification, events: list[Adu | Skipped]
+    ) -> None:
+        """Give out the frame at the front."""
         raw = self._data[:size]
         times = self._times
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
-        before_ns = None if self._given is None else max(start_ns - self._given[0], 0)
+        before_ns = None if self._last_end is None else max(start_ns - self._last_end[0], 0)
         is_even = end_ns - start_ns == size * self._character_ns
-        longest_ns = 0 if is_even else self._longest_ns(size)
-        verdicts = self._verdicts(size, before_ns, longest_ns, judgement)
+        longest_ns = 0 if is_even else self._longest_silence_ns(size)
+        verdicts = self._verdicts(size, before_ns, longest_ns, classification)
         unit, pdu = raw[0], raw[1:-2]
-        self._learn(size, before_ns, longest_ns)
+        self._learn(before_ns, longest_ns)
         if self._speaker is None:
-            self._turns.hear(judgement, unit, pdu, start_ns, end_ns, longest_ns)
-        self._drop(size, Verdict.GLUED)
+            self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
+        self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(
             Adu(
                 start_ns=start_ns,
                 end_ns=end_ns,
                 transport=Transport.RTU,
-                direction=judgement.direction,
-                direction_by=judgement.by,
-                confidence=judgement.confidence,
+                direction=classification.direction,
+                direction_by=classification.by,
+                confidence=classification.confidence,
                 unit=unit,
                 pdu=pdu,
                 raw=raw,
@@ -293,32 +287,32 @@ class RtuSplitter:
             )
         )
 
-    def _longest_ns(self, size: int) -> int:
-        """The longest silence inside the frame at the front."""
+    def _longest_silence_ns(self, size: int) -> int:
+        """The longest silence inside the frame at the front, in ns."""
         times = self._times
         steps = map(int.__sub__, times[1:size], times[: size - 1])
         return max(max(steps) - self._character_ns, 0)
 
-    def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
-        """Note what the frame at the front tells of the line and its adapter."""
+    def _learn(self, before_ns: int | None, longest_ns: int) -> None:
+        """Update the line statistics by the frame at the front."""
         was_skipped = self._is_behind_noise
-        habits = self._habits
-        habits.skip.learn(was_skipped)
-        habits.noise.learn(was_skipped and self._was_noise)
+        statistics = self._statistics
+        statistics.skip.learn(was_skipped)
+        statistics.noise.learn(was_skipped and self._was_noise)
         if self._timed:
             if before_ns is not None and not was_skipped:
-                habits.glue.learn(before_ns < self._t3_5_ns)
-                self._turns.trusts_silences = habits.glue.often <= _RARELY
-            habits.tear.learn(longest_ns >= self._t3_5_ns)
+                statistics.glue.learn(before_ns < self._t3_5_ns)
+                self._model.history.trusts_silences = statistics.glue.frequency <= _MAX_GLUED
+            statistics.split.learn(longest_ns >= self._t3_5_ns)
 
     def _verdicts(
-        self, size: int, before_ns: int | None, longest_ns: int, judgement: Classification
+        self, size: int, before_ns: int | None, longest_ns: int, classification: Classification
     ) -> tuple[Verdict, ...]:
-        """What is to be noticed about the frame at the front."""
+        """The verdicts on the frame at the front."""
         verdicts = []
         if self._timed:
-            if self._given is not None and before_ns is not None and before_ns < self._t3_5_ns:
-                verdicts.append(self._given[1])
+            if self._last_end is not None and before_ns is not None and before_ns < self._t3_5_ns:
+                verdicts.append(self._last_end[1])
             if size < len(self._times) and not self._is_silent(size):
                 verdicts.append(Verdict.GLUED)
             if longest_ns >= self._t3_5_ns:
@@ -327,12 +321,12 @@ class RtuSplitter:
                 verdicts.append(Verdict.T1_5_BROKEN)
         elif self._is_behind_noise:
             verdicts.append(Verdict.NOISE_BEFORE)
-        if judgement.confidence < SURE:
+        if classification.confidence < SURE:
             verdicts.append(Verdict.AMBIGUOUS)
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
-    def _skip(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Give out bytes as skipped: a frame with a wrong CRC whole, other bytes by bursts."""
+    def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
+        """Give out skipped bytes: a frame with a wrong CRC as one event, others by bursts."""
         while size:
             cut = size
             kind, reason, check = why_skipped(self._data[:size], self._roles)
@@ -340,29 +334,29 @@ class RtuSplitter:
                 cut = next((each for each in range(1, size) if self._is_silent(each)), size)
                 kind, reason, check = why_skipped(self._data[:cut], self._roles)
             raw, first_ns = self._data[:cut], self._times[0]
-            goes_on = self._is_behind_noise
-            self._was_noise = NOISE.issuperset(raw) and (self._was_noise or not goes_on)
-            self._drop(cut, Verdict.NOISE_BEFORE)
+            continues = self._is_behind_noise
+            self._was_noise = NOISE.issuperset(raw) and (self._was_noise or not continues)
+            self._remove(cut, Verdict.NOISE_BEFORE)
             events.append(Skipped(first_ns, kind, reason, raw, check))
             size -= cut
 
     @property
     def _is_behind_noise(self) -> bool:
-        return self._given is not None and self._given[1] is Verdict.NOISE_BEFORE
+        return self._last_end is not None and self._last_end[1] is Verdict.NOISE_BEFORE
 
-    def _is_silent(self, index: int) -> bool:
-        """Whether a silence of t3.5 stands before the byte at an index."""
-        step_ns = self._times[index] - self._times[index - 1]
+    def _is_silent(self, offset: int) -> bool:
+        """True if a silence of t3.5 precedes the byte at an offset."""
+        step_ns = self._times[offset] - self._times[offset - 1]
         return step_ns - self._character_ns >= self._t3_5_ns
 
-    def _drop(self, size: int, leaves: Verdict) -> None:
-        """Remove the first bytes, which were given out."""
-        self._given = self._times[size - 1], leaves
+    def _remove(self, size: int, leaves: Verdict) -> None:
+        """Remove the first bytes, which were given out; `leaves` is the verdict on what follows."""
+        self._last_end = self._times[size - 1], leaves
         self._data = self._data[size:]
         del self._times[:size]
-        if self._decided:
-            self._decided = max(self._decided - size, 0)
-        self._front.begin(behind_noise=leaves is Verdict.NOISE_BEFORE)
-        self._tears = 0
-        if self._torn_at:
-            self._torn_at = [place - size for place in self._torn_at if place > size]
+        if self._decided_size:
+            self._decided_size = max(self._decided_size - size, 0)
+        self._fast_path.restart(behind_noise=leaves is Verdict.NOISE_BEFORE)
+        self._silence_count = 0
+        if self._silences_at:
+            self._silences_at = [offset - size for offset in self._silences_at if offset > size]

@@ -1,17 +1,19 @@
-"""Explains the bytes heard on an RTU line as a whole: frames, damage, noise, and what is open."""
+"""Beam search for the most likely explanation of a window of bytes from an RTU line."""
 
-# A CRC alone finds no frames: every valid frame that ends in 00 is valid one byte shorter, and any
-# valid frame before a 00 is valid one byte longer. So each place of a window is asked what may
-# begin there (candidates.py); a byte may also belong to no frame. The cheapest row of such pieces
-# from the first byte to the last is taken, where a piece costs what speaks against it (costs.py)
-# under the turn that the pieces before it lead to (turns.py).
+# The lattice: candidates.py tells which segments may begin at each byte of the window: a frame, a
+# damaged frame, an incomplete frame, or a byte that belongs to none. A path is a chain of such
+# segments from the first byte. Its cost is the sum of the costs of its segments (costs.py), each in
+# the bus state (bus_state.py) that the segments before it lead to. The search returns the cheapest
+# path to the end of the window. A CRC alone would not do: every valid frame that ends in 00 is also
+# valid one byte shorter, and every valid frame before a 00 is also valid one byte longer.
 #
-# At each place the BEAM cheapest rows are kept, and none that is costs.MARGIN bits above one that
-# has come further; so the search goes from frame to frame where all is well, and looks at every
-# byte only where it is not. Its work is bounded by the window: at most BEAM rows a place, some
-# twenty pieces for each, and 256 bytes to look through for each piece. The worst found, random
-# bytes with a silence after each, is 5,500 bytes/s on a slow core; with 1.75 ms behind each a line
-# brings 540 at most. In bursts of 32 it is 8,000, and a line at 115200 baud brings 6,700.
+# The beam: at each offset the BEAM_WIDTH cheapest paths are kept, and none that costs
+# costs.BEAM_MARGIN bits more than a path of the same or a greater length. So on a good line the
+# search goes from frame to frame, and looks at every byte only where something is wrong. Its work
+# is bounded: at most BEAM_WIDTH paths at an offset, about 20 segments for each, and 256 bytes to
+# read for each segment. The slowest input found, random bytes with a silence after each, takes the
+# search to 5,500 bytes/s on a slow core, and a line delivers at most 540 bytes/s with 1.75 ms after
+# each byte. Random bytes in bursts of 32 give 8,000 bytes/s; a line of 115200 baud delivers 6,700.
 
 from __future__ import annotations
 
@@ -21,27 +23,28 @@ from mbtool.framing.rtu_lengths import MIN_FRAME
 from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel
-from mbtool.serial_line.bus_state import DOUBT, BusState
-from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow, Candidates, Frame
+from mbtool.serial_line.bus_state import DOUBT_BITS, BusState
+from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow, Candidates, FrameCandidate
 from mbtool.serial_line.paths import (
     Path,
     Segment,
     SegmentKind,
-    agreed_on,
-    doubted,
-    merged,
-    with_doubts,
+    as_doubtful,
+    merge_skipped,
+    settled_segments,
+    with_confidence,
 )
 
 if TYPE_CHECKING:
     from mbtool.core import Direction
     from mbtool.serial_line.line_statistics import LineStatistics
 
-BEAM = 4
-LEAST_HEAD = 3
-"""Bytes of a frame before its registers."""
-MOST_HELD = 2
-"""Frames that registers hold, one behind the other: a request and its response."""
+BEAM_WIDTH = 4
+"""The most paths kept at an offset. They differ in their bus state, or in ending with a skip."""
+MIN_HEAD = 3
+"""Bytes of a frame before its registers: unit, function and byte count."""
+MAX_ENCLOSED = 2
+"""Frames that the registers of another frame may contain in a row: a request and its response."""
 
 
 class PathSearch:
@@ -50,237 +53,248 @@ class PathSearch:
     def __init__(
         self,
         window: ByteWindow,
-        turns: BusModel,
-        habits: LineStatistics,
+        bus_model: BusModel,
+        statistics: LineStatistics,
         roles: tuple[Direction, ...] = ROLES,
     ) -> None:
+        """`roles` has one direction only if it is known who speaks; then no bus state matters."""
         self._window = window
         self._data = window.data
         self._end = len(window.data)
-        self._turns = turns
-        self._habits = habits
-        self._roles = roles
-        self._is_known = len(roles) == 1
-        """Whether it is known who speaks, so that no turn matters."""
-        self._rows: list[list[Path]] = [[] for _ in range(self._end + 1)]
-        self._lowest = [float("inf")] * (self._end + 1)
-        self._open_row: Path | None = None
-        """The cheapest that ends in a frame which is still to be completed."""
-        self._open_limit = float("inf")
-        """What such a row has to be cheaper than."""
-        self._reach = float("inf")
-        """What a row may cost at most beside one that has come further."""
-        self._candidates = Candidates(window, turns, habits, roles)
+        self._model = bus_model
+        self._statistics = statistics
+        self._is_speaker_known = len(roles) == 1
+        self._paths: list[list[Path]] = [[] for _ in range(self._end + 1)]
+        """The paths to each offset."""
+        self._lowest_costs = [float("inf")] * (self._end + 1)
+        """The cost of the cheapest path to each offset."""
+        self._incomplete: Path | None = None
+        """The cheapest path to an incomplete frame at the end of the window."""
+        self._incomplete_limit = float("inf")
+        """Another path to an incomplete frame has to cost less than this."""
+        self._limit = float("inf")
+        """Paths that cost more than this are dropped."""
+        self._candidates = Candidates(window, bus_model, statistics, roles)
 
-    def pieces(self) -> list[Segment]:
-        """The cheapest explanation, in order, without a hole."""
-        skipped = int(self._window.is_behind_noise)
-        first = Path(0.0, self._turns.turn, None, None, skipped, is_anchored=not skipped)
-        self._rows[0] = [first]
-        for bits, turn in self._turns.likely[1:]:
-            self._rows[0].append(Path(bits, turn, first, None, skipped, is_anchored=not skipped))
-        for place in range(self._end):
-            rows = self._rows[place]
-            if rows:
-                ahead = min(self._lowest[place + 1 : place + MAX_RTU_ADU + 1])
-                self._reach = ahead + costs.MARGIN
-                self._reach = min(self._reach, self._open_limit + costs.OPEN_MARGIN)
-                rows = [row for row in rows if row.cost <= self._reach]
-                if rows:
-                    self._go_on(place, rows)
-                self._rows[place] = []
-        ends = self._rows[self._end]
-        for row in ends:
-            row.cost += self._turns.pause_cost(row.turn, is_last=True)
-        ends.sort(key=lambda row: row.cost)
-        opened = self._open_row
-        if opened is not None and (not ends or opened.cost <= ends[0].cost):
-            if self._window.is_pressing:
-                pieces = list(with_doubts([opened, *ends]))
-            else:
-                pieces = agreed_on(ends, opened, self._end)
+    def segments(self) -> list[Segment]:
+        """The segments of the most likely path, in order; together they cover the window."""
+        self._extend_all()
+        ends, incomplete = self._paths[self._end], self._incomplete
+        for path in ends:
+            path.cost += self._model.silence_cost(path.state, is_last=True)
+        ends.sort(key=lambda path: path.cost)
+        if incomplete is None or (ends and ends[0].cost < incomplete.cost):
+            segments = list(with_confidence(ends))
+        elif self._window.must_decide:
+            segments = list(with_confidence([incomplete, *ends]))
         else:
-            pieces = list(with_doubts(ends))
-        return self._with_enclosed(list(merged(pieces)))
+            segments = settled_segments(ends, incomplete, self._end)
+        return self._doubt_enclosed_frames(list(merge_skipped(segments)))
 
-    def _with_enclosed(self, pieces: list[Segment]) -> list[Segment]:
-        """Frames right between bytes that belong to none may be registers of a damaged frame."""
-        head, inner = -1, 0
-        for index, piece in enumerate(pieces):
-            if piece.kind is SegmentKind.FRAME:
-                inner += 1
+    def _extend_all(self) -> None:
+        """Extend the paths at each offset, from the first byte to the last."""
+        skipped = int(self._window.is_behind_noise)
+        first = Path(0.0, self._model.state, None, None, skipped, ends_frame=not skipped)
+        self._paths[0] = [first]
+        for bits, state in self._model.states[1:]:
+            self._paths[0].append(Path(bits, state, first, None, skipped, ends_frame=not skipped))
+        for offset in range(self._end):
+            paths = self._paths[offset]
+            if paths:
+                ahead = min(self._lowest_costs[offset + 1 : offset + MAX_RTU_ADU + 1])
+                beside = self._incomplete_limit + costs.INCOMPLETE_MARGIN
+                self._limit = min(ahead + costs.BEAM_MARGIN, beside)
+                paths = [path for path in paths if path.cost <= self._limit]
+                if paths:
+                    self._extend(offset, paths)
+                self._paths[offset] = []
+
+    def _doubt_enclosed_frames(self, segments: list[Segment]) -> list[Segment]:
+        """Make frames ambiguous if they may be register contents of one large damaged frame.
+
+        That is so if skipped bytes directly precede and follow them.
+        """
+        head, frames = -1, 0
+        for index, segment in enumerate(segments):
+            if segment.kind is SegmentKind.FRAME:
+                frames += 1
                 continue
-            is_short = piece.place + piece.size - pieces[head].place <= MAX_RTU_ADU
-            if head >= 0 and 0 < inner <= MOST_HELD and is_short and self._may_hold(piece, 0):
-                pieces[head + 1 : index] = map(doubted, pieces[head + 1 : index])
-            head, inner = (index if self._may_hold(piece, piece.size) else -1), 0
-        return pieces
+            if head >= 0 and 0 < frames <= MAX_ENCLOSED:
+                is_short = segment.offset + segment.size - segments[head].offset <= MAX_RTU_ADU
+                if is_short and self._may_touch_frame(segment, 0):
+                    segments[head + 1 : index] = map(as_doubtful, segments[head + 1 : index])
+            head, frames = (index if self._may_touch_frame(segment, segment.size) else -1), 0
+        return segments
 
-    def _may_hold(self, piece: Segment, side: int) -> bool:
-        """Whether skipped bytes may be of one frame with what stands at a side of them."""
-        raw = self._data[piece.place : piece.place + piece.size]
-        is_noise = len(raw) < LEAST_HEAD or NOISE.issuperset(raw)
-        is_beside = not self._window.silences[piece.place + side]
-        return piece.kind is SegmentKind.SKIPPED and not is_noise and is_beside
+    def _may_touch_frame(self, segment: Segment, side: int) -> bool:
+        """True for skipped bytes, not noise, that have no silence at a side (0 or their size)."""
+        raw = self._data[segment.offset : segment.offset + segment.size]
+        is_noise = len(raw) < MIN_HEAD or NOISE.issuperset(raw)
+        is_beside = not self._window.silences[segment.offset + side]
+        return segment.kind is SegmentKind.SKIPPED and not is_noise and is_beside
 
-    def _add(self, place: int, row: Path) -> None:
-        """Keep a row, if none that leads to the same turn is cheaper."""
-        if row.cost > self._reach:
+    def _keep(self, offset: int, path: Path) -> None:
+        """Keep a path to an offset, unless a cheaper one leads to the same bus state."""
+        if path.cost > self._limit:
             return
-        rows = self._rows[place]
-        for index, other in enumerate(rows):
-            if bool(other.skipped) == bool(row.skipped) and other.turn == row.turn:
-                better, worse = (row, other) if row.cost < other.cost else (other, row)
-                if worse.cost - better.cost < DOUBT:
+        paths = self._paths[offset]
+        for index, other in enumerate(paths):
+            if bool(other.skipped) == bool(path.skipped) and other.state == path.state:
+                better, worse = (path, other) if path.cost < other.cost else (other, path)
+                if worse.cost - better.cost < DOUBT_BITS:
                     better.rivals = (*better.rivals, worse)
-                rows[index] = better
+                paths[index] = better
                 break
         else:
-            rows.append(row)
-            if len(rows) > BEAM:
-                rows.remove(max(rows, key=lambda one: one.cost))
-        if row.cost < self._lowest[place]:
-            self._lowest[place] = row.cost
-            self._reach = min(self._reach, row.cost + costs.MARGIN)
+            paths.append(path)
+            if len(paths) > BEAM_WIDTH:
+                paths.remove(max(paths, key=lambda one: one.cost))
+        if path.cost < self._lowest_costs[offset]:
+            self._lowest_costs[offset] = path.cost
+            self._limit = min(self._limit, path.cost + costs.BEAM_MARGIN)
 
-    def _go_on(self, place: int, rows: list[Path]) -> None:
-        """Lay every piece that may begin at a place."""
-        frames = self._candidates.frames(place)
-        silent = self._window.silences[place]
-        anchored = [row for row in rows if silent or self._is_anchored(row, place)]
-        unknown = list(self._candidates.unknown(place)) if anchored and not frames else []
-        starts = 0.0 if silent else self._habits.glue.bits
-        for row in rows:
-            turn = row.turn
-            if row.skipped >= LONG_SKIP and not turn.lost and not self._is_known:
-                turn = turn.behind_damage()
+    def _extend(self, offset: int, paths: list[Path]) -> None:
+        """Add to the paths each segment that may begin at an offset."""
+        frames = self._candidates.frames(offset)
+        silent = self._window.silences[offset]
+        likely = [path for path in paths if silent or self._may_begin_frame(path, offset)]
+        unknown = list(self._candidates.unknown_frames(offset)) if likely and not frames else []
+        start_cost = 0.0 if silent else self._statistics.glue.bits
+        for path in paths:
+            state = path.state
+            is_damage = path.skipped >= LONG_SKIP and not self._is_speaker_known
+            if is_damage and not state.follows_damage:
+                state = state.after_damage()
             for frame in frames:
-                self._lay_frame(place, row, turn, frame, starts)
-            if row in anchored:
+                self._add_frame(offset, path, state, frame, start_cost)
+            if path in likely:
                 for frame in unknown:
-                    self._lay_frame(place, row, turn, frame, starts)
-            if silent or not row.skipped:
-                self._lay_damaged(place, row, turn, starts, is_frame=bool(frames))
-            self._lay_open(place, row, turn, starts, is_unknown=bool(unknown))
-            self._lay_skip(place, row, bool(frames), bool(unknown))
+                    self._add_frame(offset, path, state, frame, start_cost)
+            if silent or not path.skipped:
+                self._add_damaged(offset, path, state, start_cost, is_frame=bool(frames))
+            self._add_incomplete(offset, path, state, start_cost, is_frame=bool(frames or unknown))
+            self._add_skipped(offset, path, bool(frames), bool(unknown))
 
-    def _is_anchored(self, row: Path, place: int) -> bool:
-        """Whether a frame is likely to begin at a place: behind another, or as it is due."""
-        if row.is_anchored or (row.is_noise and row.skipped < LONG_SKIP):
+    def _may_begin_frame(self, path: Path, offset: int) -> bool:
+        """True if a frame probably begins at an offset: after another one, or because it is due."""
+        if path.ends_frame or (path.is_noise and path.skipped < LONG_SKIP):
             return True
-        head = self._data[place : place + 2]
-        return self._is_due(row, place) or self._turns.has_asked(head)
+        head = self._data[offset : offset + 2]
+        return self._is_response_due(path, offset) or self._model.history.has_function(head)
 
-    def _is_due(self, row: Path, place: int) -> bool:
-        """Whether a row leads to a request whose response may begin at a place."""
-        waiting = row.turn.waiting
+    def _is_response_due(self, path: Path, offset: int) -> bool:
+        """True if the bytes at an offset begin like a response to the path's pending request."""
+        pending = path.state.pending
         return (
-            waiting is not None
-            and place + MIN_FRAME <= self._end
-            and waiting.is_named_by(self._data[place], self._data[place + 1])
+            pending is not None
+            and offset + MIN_FRAME <= self._end
+            and pending.is_named_by(self._data[offset], self._data[offset + 1])
         )
 
-    def _lay_frame(
-        self, place: int, row: Path, turn: BusState, frame: Frame, starts: float
+    def _add_frame(
+        self, offset: int, path: Path, state: BusState, frame: FrameCandidate, start_cost: float
     ) -> None:
-        raw = self._data[place : place + frame.size]
+        end, role = offset + frame.size, frame.role
+        raw = self._data[offset:end]
         unit, pdu = raw[0], raw[1:-2]
-        start_ns, end_ns = self._bounds_ns(place, frame.size)
-        cost = frame.cost + starts + self._candidates.tears(place, frame.size)
-        if frame.is_unbound and (self._is_due(row, place) or turn.is_of_turn(unit, pdu[0])):
-            cost += costs.UNKNOWN_DUE - costs.UNKNOWN
-        follows = turn
-        if not self._is_known:
-            cost += self._turns.weigh(turn, unit, pdu, frame.role, start_ns)
-            inside_ns = self._candidates.longest_ns(place, frame.size)
-            if turn.ends_pause(frame.role, start_ns, inside_ns):
-                cost += self._turns.pause_cost(turn)
-            follows = self._turns.follow(turn, unit, pdu, frame.role, start_ns, end_ns, inside_ns)
-        piece = Segment(SegmentKind.FRAME, place, frame.size, frame.role, frame.roles)
-        total = row.cost + cost
-        self._add(
-            place + frame.size, Path(total, follows, row, piece, runs=row.runs, is_anchored=True)
-        )
+        cost = frame.cost + start_cost + self._candidates.split_cost(offset, frame.size)
+        if frame.is_unbound:
+            is_due = self._is_response_due(path, offset)
+            if is_due or state.has_recent_request(unit, pdu[0]):
+                cost += costs.UNKNOWN_FORM_DUE - costs.UNKNOWN_FORM
+        if not self._is_speaker_known:
+            start_ns, end_ns = self._window.start_ns(offset), self._window.times[end - 1]
+            cost += self._model.cost(state, unit, pdu, role, start_ns)
+            inside_ns = self._candidates.longest_silence_ns(offset, frame.size)
+            if state.settles_silence(role, start_ns, inside_ns):
+                cost += self._model.silence_cost(state)
+            state = self._model.next_state(state, unit, pdu, role, start_ns, end_ns, inside_ns)
+        segment = Segment(SegmentKind.FRAME, offset, frame.size, role, frame.roles)
+        total = path.cost + cost
+        self._keep(end, Path(total, state, path, segment, runs=path.runs, ends_frame=True))
 
-    def _bounds_ns(self, place: int, size: int) -> tuple[int, int]:
-        """When a piece began and ended."""
-        return self._window.start_ns(place), self._window.times[place + size - 1]
-
-    def _lay_open(
-        self, place: int, row: Path, turn: BusState, starts: float, *, is_unknown: bool
+    def _add_incomplete(
+        self, offset: int, path: Path, state: BusState, start_cost: float, *, is_frame: bool
     ) -> None:
-        least = row.cost + starts + costs.OPEN + costs.FORESEEN + costs.WAIT
-        if least >= self._open_limit:
+        """Add an incomplete frame. `is_frame` is True if a complete frame begins here too."""
+        before = path.cost + start_cost
+        least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
+        if least >= self._incomplete_limit:
             return
-        expected, cost = self._candidates.begun(place, turn)
-        if cost is None:
+        found = self._candidates.incomplete(offset, state)
+        if found is None:
             return
-        size = self._end - place
-        is_foreseen = cost < 0.0
-        cost += row.cost + starts
-        if self._candidates.frames(place) or is_unknown:
-            cost += costs.OPEN_OVER_FRAME_DUE if expected else costs.OPEN_OVER_FRAME
-        is_zero = size == 1 and self._data[place] == 0  # Noise, or the end of what was laid before.
-        is_likely = row.is_anchored or self._window.silences[place] or is_foreseen
-        if is_likely and not is_zero:
-            cost += costs.WAIT
-            if cost >= self._open_limit:
-                return
-            cost += self._candidates.inside(place, size, known=expected)
-        else:
-            cost += self._candidates.tears(place, size) + size * costs.SKIP_MORE
-        opened = Path(cost, turn, row, Segment(SegmentKind.OPEN, place, size))
-        if not self._window.silences[self._end]:  # A full window is decided but for its end.
-            self._add(self._end, opened)
-        elif cost < self._open_limit:
-            self._keep_open(opened)
-
-    def _keep_open(self, row: Path) -> None:
-        """Keep the cheapest open row; another from its place that is nearly as cheap is a rival."""
-        best = self._open_row
-        if best is not None and best.piece == row.piece:
-            best, row = (row, best) if row.cost < best.cost else (best, row)
-            best.rivals = (*best.rivals, row)
-        elif best is None or row.cost < best.cost:
-            best = row
-        self._open_row, self._open_limit = best, best.cost + costs.OPEN_DOUBT
-
-    def _lay_damaged(
-        self, place: int, row: Path, turn: BusState, starts: float, *, is_frame: bool
-    ) -> None:
-        candidates = self._candidates
-        for one in candidates.usual(place) if is_frame else candidates.damaged(place, turn):
-            size = one.size
-            piece = Segment(SegmentKind.DAMAGED, place, size, one.role, mended=one.mended)
-            cost = row.cost + starts + one.cost
-            if self._is_known:
-                self._add(place + size, Path(cost, turn, row, piece, runs=row.runs))
-                continue
-            if one.mended:
-                unit, pdu = one.mended[0], one.mended[1:-2]
-                start_ns, end_ns = self._bounds_ns(place, size)
-                cost += self._turns.weigh(turn, unit, pdu, one.role, start_ns)
-                follows = self._turns.follow(turn, unit, pdu, one.role, start_ns, end_ns)
-                self._add(place + size, Path(cost, follows, row, piece, runs=row.runs))
-                cost += costs.UNHEARD
-            lost = turn.behind_damage()
-            self._add(place + size, Path(cost, lost, row, piece, runs=row.runs))
-
-    def _lay_skip(self, place: int, row: Path, is_frame: bool, is_unknown: bool) -> None:
-        is_noise = self._data[place] in NOISE and (row.is_anchored or row.is_noise)
-        goes_on = row.skipped and is_noise is row.is_noise
-        if goes_on:
-            cost = costs.SKIP_MORE
-        elif is_noise:
-            often = self._habits.noise.bits
-            cost = min(often, max(often - row.runs, costs.NOISE_AT_ONCE))
-        else:  # Noise, and what is no noise behind it, are two troubles.
-            cost = max(self._habits.skip.bits - row.runs, costs.SKIP_LIMITS[0])
+        expected, cost = found
+        size = self._end - offset
+        is_likely = path.ends_frame or self._window.silences[offset] or cost < 0.0
+        cost += before
         if is_frame:
-            cost += costs.COINCIDENCE
+            cost += costs.INCOMPLETE_DUE_OVER_FRAME if expected else costs.INCOMPLETE_OVER_FRAME
+        is_zero = size == 1 and self._data[offset] == 0  # Noise, or the end of the frame before.
+        if is_likely and not is_zero:
+            cost += costs.INCOMPLETE_IN_PLACE
+            if cost >= self._incomplete_limit:
+                return
+            cost += self._candidates.inside_cost(offset, size, known=expected)
+        else:
+            cost += self._candidates.split_cost(offset, size) + size * costs.SKIP_PER_BYTE
+        incomplete = Path(cost, state, path, Segment(SegmentKind.INCOMPLETE, offset, size))
+        if not self._window.silences[self._end]:  # A full window: its last bytes stay undecided.
+            self._keep(self._end, incomplete)
+        elif cost < self._incomplete_limit:
+            self._keep_incomplete(incomplete)
+
+    def _keep_incomplete(self, path: Path) -> None:
+        """Keep the cheapest path to an incomplete frame; one with the same segment is its rival."""
+        best = self._incomplete
+        if best is not None and best.segment == path.segment:
+            best, path = (path, best) if path.cost < best.cost else (best, path)
+            best.rivals = (*best.rivals, path)
+        elif best is None or path.cost < best.cost:
+            best = path
+        self._incomplete, self._incomplete_limit = best, best.cost + costs.INCOMPLETE_DOUBT
+
+    def _add_damaged(
+        self, offset: int, path: Path, state: BusState, start_cost: float, *, is_frame: bool
+    ) -> None:
+        """Add damaged frames. `is_frame` is True if a frame with a correct CRC begins here too."""
+        found = self._candidates
+        for one in found.damaged_request(offset) if is_frame else found.damaged(offset, state):
+            end = offset + one.size
+            segment = Segment(
+                SegmentKind.DAMAGED, offset, one.size, one.role, repaired=one.repaired
+            )
+            cost = path.cost + start_cost + one.cost
+            if self._is_speaker_known:
+                self._keep(end, Path(cost, state, path, segment, runs=path.runs))
+                continue
+            if one.repaired:
+                unit, pdu = one.repaired[0], one.repaired[1:-2]
+                start_ns, end_ns = self._window.start_ns(offset), self._window.times[end - 1]
+                cost += self._model.cost(state, unit, pdu, one.role, start_ns)
+                follows = self._model.next_state(state, unit, pdu, one.role, start_ns, end_ns)
+                self._keep(end, Path(cost, follows, path, segment, runs=path.runs))
+                cost += costs.NOT_UNDERSTOOD
+            self._keep(end, Path(cost, state.after_damage(), path, segment, runs=path.runs))
+
+    def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
+        """Add a byte that is in no frame, although a frame (of unknown form) can begin here."""
+        is_noise = self._data[offset] in NOISE and (path.ends_frame or path.is_noise)
+        continues = path.skipped and is_noise is path.is_noise
+        if continues:
+            cost = costs.SKIP_PER_BYTE
+        elif is_noise:
+            learned = self._statistics.noise.bits
+            cost = min(learned, max(learned - path.runs, costs.MIN_NOISE_IN_WINDOW))
+        else:  # Noise, and other bytes after it, are two separate faults.
+            cost = max(self._statistics.skip.bits - path.runs, costs.SKIP_LIMITS[0])
+        if is_frame:
+            cost += costs.CRC_COINCIDENCE
         elif is_unknown:
-            cost += costs.UNKNOWN_COINCIDENCE
-        piece = Segment(SegmentKind.SKIPPED, place, 1)
-        runs = row.runs + (not goes_on)
-        skipped = row.skipped + 1
-        self._add(place + 1, Path(row.cost + cost, row.turn, row, piece, skipped, is_noise, runs))
+            cost += costs.UNKNOWN_CRC_COINCIDENCE
+        segment = Segment(SegmentKind.SKIPPED, offset, 1)
+        runs = path.runs + (not continues)
+        skipped = path.skipped + 1
+        self._keep(
+            offset + 1, Path(path.cost + cost, path.state, path, segment, skipped, is_noise, runs)
+        )

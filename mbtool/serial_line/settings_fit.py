@@ -1,20 +1,20 @@
-"""Says of what was heard at one line setting how well each way to read it explains it."""
+"""The settings fit: how well each line setting and mode explains the bytes heard on a line."""
 
-# Bytes that were heard at one setting tell of several, since 7 data bits with parity are 8 without
-# (Serial Line V1.02, 2.5.1 and 2.5.2: both characters have 10 bits):
+# Bytes heard at one setting are evidence for several, since 7 data bits with parity look like 8
+# data bits without (Serial Line V1.02, 2.5.1 and 2.5.2: both characters have 10 bits):
 #
 #     heard as    may be
 #     8E1, 8O1    RTU or ASCII with this format
 #     8N1         RTU or ASCII 8N1; ASCII 7E1, 7O1, 7N2 by its eighth bit
 #
-# The second stop bit is silence to whoever listens, so 8N2 is heard as 8N1.
+# A listener hears the second stop bit as silence, so 8N2 is heard as 8N1.
 #
-# At a wrong parity many receivers hear the right bytes: all of 8O1 at 8E1, and of 8N1 those that,
-# like a 16550, take the missing stop bit for the next start bit. Only the errors that the driver
-# marks tell them apart; of parity and framing errors it does not say which.
+# At a wrong parity, many receivers deliver the right bytes: all of 8O1 at 8E1, and those of 8N1 if,
+# like a 16550, they take the missing stop bit for the next start bit. Only the errors that the
+# driver marks tell the difference. The driver does not say whether it was parity or framing.
 #
-# A setting is judged by the bytes that stand in frames with a correct CRC or LRC, less those that
-# arrived damaged. Chance gives a frame of 16 bits of CRC now and then, never several in a row.
+# A setting is scored by the bytes in frames with a correct CRC or LRC, less the bytes marked as
+# damaged. A frame with a correct CRC appears by chance now and then, never several in a row.
 #
 # Holds what the splitters hold, and counts.
 
@@ -32,51 +32,53 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 SURE_FRAMES = 3
+"""The least number of frames of settings that are sure."""
 SURE_FIT = 0.9
-"""What noise between frames and the frame in whose middle one began to listen may cost."""
+"""The least fit (0 to 1) of settings that are sure: noise and the cut first frame cost a tenth."""
 LIKELY_FRAMES = 2
 LIKELY_FIT = 0.3
+"""The least frames and fit (0 to 1) of settings that are likely."""
 ENOUGH_WITHOUT_FRAME = 48
-"""Bytes after which a setting that explains nothing is given up."""
+"""Bytes after which a setting without any frame is given up."""
 ENOUGH_WITHOUT_FIT = 200
-"""Bytes after which one whose frames are few, or damaged, is."""
+"""Bytes after which a setting with a fit below LIKELY_FIT is given up."""
 ENOUGH = 600
-"""Bytes after which more would not change the judgement."""
+"""Bytes after which more would not change the scores much."""
 
 BAUD_RATES = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
 
 
-def settings_to_hear() -> list[SerialFormat]:
-    """What to listen to, the likelier first."""
-    # Even parity before none: without marks, some receivers hear 8E1 as 8N1, and the frames have
-    # correct CRCs, but they would have at 8E1 too, and the times would be right.
+def settings_to_try() -> list[SerialFormat]:
+    """The serial formats to listen at, the most usual first."""
+    # Even parity before none: some receivers that mark no errors hear 8E1 as 8N1, with correct
+    # CRCs. At 8E1 the CRCs are correct too, and so is the character time.
     usual = [SerialFormat(baud, 8, parity, 1) for baud in BAUD_RATES for parity in "EN"]
     return usual + [SerialFormat(baud, 8, "O", 1) for baud in BAUD_RATES]
 
 
 def other_parity(line: SerialFormat) -> SerialFormat:
-    """What sounds the same where a driver marks no errors, and all wrong where it does."""
+    """The format with the other parity. Its bytes differ only by the errors that a driver marks."""
     return SerialFormat(line.baud, line.data_bits, "O" if line.parity == "E" else "E", 1)
 
 
 @dataclass(frozen=True, slots=True)
-class LineScore:
-    """How well settings explain what was heard."""
+class SettingsScore:
+    """How well a line setting and mode explain the bytes heard."""
 
     settings: LineSettings
     frames: int
-    """With a correct CRC or LRC."""
+    """The number of frames with a correct CRC or LRC."""
     failures: int
-    """Runs of bytes that are no such frame."""
+    """The number of runs of bytes that are no such frame."""
     framed: int
-    """Bytes in frames."""
+    """The number of bytes in frames."""
     heard: int
     damaged: int
-    """Bytes whose parity or stop bit these settings call wrong."""
+    """The number of bytes whose parity or stop bit is wrong by these settings."""
 
     @property
     def fit(self) -> float:
-        """The share of the bytes that is explained, 0 to 1."""
+        """The share of undamaged bytes in frames, 0 to 1."""
         if not self.heard:
             return 0.0
         return self.framed / self.heard * (1 - min(self.damaged / self.heard, 1))
@@ -103,30 +105,30 @@ class LineScore:
         )
 
 
-class Hearing:
-    """What was heard at one setting, read in every way that it may be meant."""
+class SettingsTrial:
+    """The bytes heard at one serial format, scored in each setting and mode that they may have."""
 
     def __init__(self, heard_as: SerialFormat, *, only_ascii: bool = False) -> None:
         self.heard = 0
         self.marked = 0
-        """How many bytes the driver called damaged."""
+        """The number of bytes that the driver marked as damaged."""
         self._readings = [one for one in _readings(heard_as) if one.is_ascii or not only_ascii]
 
     def feed(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
-        """Take one read, the places of its damaged bytes, and the time of its last byte."""
+        """Take one read, the offsets of its damaged bytes, and the time of its last byte in ns."""
         self.heard += len(data)
         self.marked += len(damaged)
         for reading in self._readings:
             reading.feed(data, damaged, ts_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Learn that the line was silent from the last byte until now."""
+        """Take the information that the line was silent from the last byte until now."""
         for reading in self._readings:
             reading.count(reading.splitter.advance(now_ns))
 
     @property
     def is_decided(self) -> bool:
-        """Whether more would not change the judgement."""
+        """True if more bytes would not change the result."""
         best = self.scores()[0]
         return (
             best.is_sure
@@ -135,18 +137,18 @@ class Hearing:
             or (self.heard >= ENOUGH_WITHOUT_FIT and best.fit < LIKELY_FIT)
         )
 
-    def scores(self) -> list[LineScore]:
-        """Every way to read it, the best first."""
+    def scores(self) -> list[SettingsScore]:
+        """The score of each setting and mode, the best first."""
         scores = [reading.score(self.heard) for reading in self._readings]
         return sorted(scores, key=lambda score: score.rank, reverse=True)
 
 
 View = tuple[bytes, int]
-"""The bytes as settings have them, and how many of them are damaged."""
+"""The bytes as settings mean them, and how many of them are damaged."""
 
 
 class _SettingsReading:
-    """One way to read what is heard."""
+    """One setting and mode, with its splitter and its counts."""
 
     def __init__(
         self, settings: LineSettings, view: Callable[[bytes, Sequence[int]], View]
@@ -165,7 +167,7 @@ class _SettingsReading:
 
     def count(self, events: Sequence[Adu | Skipped]) -> None:
         for event in events:
-            # A frame whose bit 7 is parity is read, but it speaks for 7 data bits.
+            # An ASCII frame with parity in bit 7 counts for 7 data bits only.
             as_set = event.raw.isascii() or not self.is_ascii
             is_right = isinstance(event, Adu) and event.checksum is not None and event.checksum.ok
             is_frame = is_right and as_set
@@ -173,8 +175,8 @@ class _SettingsReading:
             self._failures += not is_frame
             self._framed += len(event.raw) if is_frame else 0
 
-    def score(self, heard: int) -> LineScore:
-        return LineScore(
+    def score(self, heard: int) -> SettingsScore:
+        return SettingsScore(
             self._settings, self._frames, self._failures, self._framed, heard, self._damaged
         )
 
@@ -201,7 +203,7 @@ def _as_heard(data: bytes, damaged: Sequence[int]) -> View:
 
 
 def _seven_bits(parity: str) -> Callable[[bytes, Sequence[int]], View]:
-    """Take the eighth bit for parity; for a first stop bit where there is none."""
+    """Read the eighth bit as parity; without parity, as the first of two stop bits."""
     wrong = bytes(_is_wrong(byte, parity) for byte in range(256))
     low = bytes(byte & 0x7F for byte in range(256))
 

@@ -21,10 +21,10 @@ from mbtool.ports.serial_opening import open_listening
 from mbtool.ports.serial_port import IDLE_S, ListeningPort
 from mbtool.serial_line.settings_fit import (
     ENOUGH,
-    Hearing,
-    LineScore,
+    SettingsScore,
+    SettingsTrial,
     other_parity,
-    settings_to_hear,
+    settings_to_try,
 )
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def guess_line(
     With two taps the master's side is read. Raises LinkError if nothing is heard, and if nothing
     fits.
     """
-    to_hear = settings_to_hear()
+    to_hear = settings_to_try()
     port = open_(link.ports[0], to_hear[0])
     try:
         return _guess(link, _Listener(port, clock, only_ascii=link.only_ascii), to_hear)
@@ -58,7 +58,7 @@ def guess_line(
 def _guess(
     link: AutoLink, listener: _Listener, to_hear: list[SerialFormat]
 ) -> tuple[SerialLink, str]:
-    scores: list[LineScore] = []
+    scores: list[SettingsScore] = []
     for heard_as in to_hear:
         hearing = listener.listen(heard_as)
         if hearing is None:
@@ -91,13 +91,13 @@ class _Listener:
         self.marked = 0
         """How many bytes the driver has marked as damaged, in all."""
 
-    def listen(self, heard_as: SerialFormat) -> Hearing | None:
+    def listen(self, heard_as: SerialFormat) -> SettingsTrial | None:
         """What is heard with a setting; None if the driver does not support the setting."""
         try:
             self._port.tune(heard_as)
         except LinkError:
             return None
-        hearing = Hearing(heard_as, only_ascii=self._only_ascii)
+        hearing = SettingsTrial(heard_as, only_ascii=self._only_ascii)
         end_ns = self._clock() + LISTEN_S * 10**9
         skipped: int | None = 0
         while self._clock() < end_ns:
@@ -127,7 +127,7 @@ def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
     return "sure; but for the parity, of whose errors this port tells nothing"
 
 
-def _found(link: AutoLink, best: LineScore, how_sure: str) -> tuple[SerialLink, str]:
+def _found(link: AutoLink, best: SettingsScore, how_sure: str) -> tuple[SerialLink, str]:
     found = best.settings
     return link.settled(found.format, ascii=found.ascii), f"{link.name}: {best}, {how_sure}"
 
@@ -139,5 +139,5 @@ def _nothing_heard(link: AutoLink) -> LinkError:
     )
 
 
-def _rank(score: LineScore) -> tuple[float, int]:
+def _rank(score: SettingsScore) -> tuple[float, int]:
     return score.rank

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mbtool.core import Connection, Direction, Endpoint, SerialFormat
 from mbtool.decode import Bus, ConnectionDecoder, Decoded
 from mbtool.modbus import Outcome, Transaction, ascii_adu, mbap_adu, rtu_adu
-from mbtool.serial_line.bus_model import TURN_NS
+from mbtool.serial_line.bus_state import MAX_PENDING_NS
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import transactions, wire_events
 from tests.strategies import SIZES, Exchange, exchanges
@@ -26,7 +26,7 @@ def test_bus_gives_the_transactions_that_were_on_it(
     line = Line(FORMAT)
     for exchange in script:
         # A master that got no answer waits longer than any answer takes.
-        line.frame(framed(exchange.unit, exchange.request), before_ns=2 * TURN_NS)
+        line.frame(framed(exchange.unit, exchange.request), before_ns=2 * MAX_PENDING_NS)
         if exchange.response is not None:
             line.frame(framed(exchange.unit, exchange.response), before_ns=LATENCY_NS)
     decoded = feed_all(Bus("rs485", FORMAT, ascii=ascii_line), line.reads(sizes))

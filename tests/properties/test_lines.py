@@ -298,13 +298,13 @@ def test_work_for_each_byte_does_not_grow(make: Make, line: Callable[[bytes], Li
     assert much < 1.5 * little
 
 
-def test_frames_are_weighed_a_few_times_for_each_byte() -> None:
+def test_costs_are_computed_a_few_times_for_each_byte() -> None:
     for parameters in WORK:
         line = parameters.values[0]
         assert isinstance(line, Line)
-        turns = CountingTurns()
-        feed_all(RtuSplitter(FORMAT, turns), line.reads())
-        assert turns.weighed <= 5 * len(line.data), parameters.id
+        bus_model = CountingBusModel()
+        feed_all(RtuSplitter(FORMAT, bus_model), line.reads())
+        assert bus_model.classified <= 5 * len(line.data), parameters.id
 
 
 @every_rtu_splitter
@@ -359,18 +359,18 @@ def test_what_is_sure_of_an_undamaged_line_is_right(column: Column, seed: int) -
     assert found >= 0.98 * len(traffic.frames)
 
 
-class CountingTurns(BusModel):
-    """Counts how often a frame is weighed."""
+class CountingBusModel(BusModel):
+    """Counts how often a frame is classified, or its cost computed."""
 
-    weighed = 0
+    classified = 0
 
-    def weigh(self, *arguments: Any) -> float:
-        self.weighed += 1
-        return super().weigh(*arguments)
+    def cost(self, *arguments: Any) -> float:
+        self.classified += 1
+        return super().cost(*arguments)
 
-    def judge(self, *arguments: Any) -> Classification:
-        self.weighed += 1
-        return super().judge(*arguments)
+    def classify(self, *arguments: Any) -> Classification:
+        self.classified += 1
+        return super().classify(*arguments)
 
 
 def calls(fed: Splitter, reads: Iterable[Read]) -> int:

@@ -321,7 +321,7 @@ def test_change_that_is_refused_changes_nothing() -> None:
 
 def test_answer_that_may_be_a_repeated_request_changes_nothing() -> None:
     class Unsure(BusModel):
-        def judge(self, *_: object, **__: object) -> Classification:
+        def classify(self, *_: object, **__: object) -> Classification:
             return Classification(Direction.RESPONSE, DirectionBy.PENDING, 0.6)
 
     sent = line().send(ended(CHANGE)).frame(ended(READ))
@@ -356,10 +356,10 @@ def test_a_tap_that_hears_only_requests_learns_the_change_from_its_use() -> None
 
 
 class _NeverAsked(BusModel):
-    def judge(self, *_: object, **__: object) -> Classification:
+    def classify(self, *_: object, **__: object) -> Classification:
         raise AssertionError("asked who speaks")
 
-    spoke = judge
+    spoke = classify
 
 
 @pytest.mark.parametrize("speaker", [Direction.REQUEST, Direction.RESPONSE])
@@ -372,7 +372,7 @@ def test_a_tap_of_one_side_knows_who_speaks(speaker: Direction) -> None:
 
 def test_frame_of_which_it_is_not_sure_who_spoke_is_ambiguous() -> None:
     class Unsure(BusModel):
-        def judge(self, *_: object, **__: object) -> Classification:
+        def classify(self, *_: object, **__: object) -> Classification:
             return Classification(Direction.REQUEST, DirectionBy.IDLE, 0.6)
 
     events = feed_all(AsciiSplitter(FORMAT, Unsure()), line().send(REQUEST).reads())

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.modbus.adu_bytes import rtu_adu
-from mbtool.serial_line.bit_repair import mended
+from mbtool.serial_line.bit_repair import repaired
 
 pdus = st.binary(min_size=1, max_size=253)
 
@@ -17,19 +17,19 @@ def test_wrong_bit_is_found_wherever_it_is(unit: int, pdu: bytes, data: st.DataO
     at, bit = data.draw(st.integers(0, len(frame) - 1)), data.draw(st.integers(0, 7))
     damaged = bytearray(frame)
     damaged[at] ^= 1 << bit
-    assert mended(bytes(damaged)) == frame
+    assert repaired(bytes(damaged)) == frame
 
 
 @given(frame=st.binary(min_size=4, max_size=256))
-def test_what_is_mended_differs_in_one_bit_and_is_right(frame: bytes) -> None:
-    whole = mended(frame)
+def test_repaired_frame_differs_in_one_bit_and_is_correct(frame: bytes) -> None:
+    whole = repaired(frame)
     if whole is not None:
-        assert mended(whole) is None
+        assert repaired(whole) is None
         differing = int.from_bytes(frame) ^ int.from_bytes(whole)
         assert differing.bit_count() == 1
 
 
-def test_two_wrong_bits_of_a_short_frame_are_not_mended() -> None:
+def test_two_wrong_bits_of_a_short_frame_are_not_repaired() -> None:
     frame = bytearray(rtu_adu(1, bytes.fromhex("03 0000 0001")))
     frame[2] ^= 0x41
-    assert mended(bytes(frame)) is None
+    assert repaired(bytes(frame)) is None

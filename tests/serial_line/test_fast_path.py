@@ -1,4 +1,4 @@
-"""What is told of the front of a line without a search."""
+"""Frames found at the front of a line without a search."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ MOST = 512
 
 
 def front(*heard: bytes, speaker: Direction | None = None) -> FastPath:
-    """What looks at a line on which these were heard, requests and responses by turns."""
-    turns = BusModel()
+    """The fast path of a line on which these frames were heard, requests and responses in turn."""
+    bus_model = BusModel()
     for place, raw in enumerate(heard):
         role = (REQUEST, RESPONSE)[place % 2]
-        turns.hear(Classification(role, DirectionBy.FORM, 1.0), raw[0], raw[1:-2], 0, 1)
-    return FastPath(turns, speaker, MOST)
+        bus_model.hear(Classification(role, DirectionBy.FORM, 1.0), raw[0], raw[1:-2], 0, 1)
+    return FastPath(bus_model, speaker, MOST)
 
 
 def taken(
@@ -34,31 +34,31 @@ def taken(
     return None if told is None else (told[0], told[1].direction)
 
 
-def test_whole_frame_is_told_when_a_silence_or_a_byte_follows() -> None:
+def test_frame_is_found_when_a_silence_or_a_byte_follows() -> None:
     looking = front()
     assert taken(looking, READ, burst_over=False) is None
-    assert looking.awaited == len(READ) + 1
+    assert looking.needed == len(READ) + 1
     assert taken(looking, READ + OTHER[:1], burst_over=False) == (len(READ), REQUEST)
     assert taken(front(READ), ANSWER) == (len(ANSWER), RESPONSE)
     assert taken(front(READ), REFUSAL) == (len(REFUSAL), RESPONSE)
 
 
-def test_what_begins_anew_is_measured_anew() -> None:
+def test_after_a_restart_the_size_is_measured_again() -> None:
     looking = front()
     assert taken(looking, READ[:4]) is None
-    looking.begin(behind_noise=False)
+    looking.restart(behind_noise=False)
     assert taken(looking, OTHER) == (len(OTHER), REQUEST)
 
 
-def test_response_that_nobody_asked_for_needs_a_search() -> None:
+def test_response_that_nobody_requested_needs_a_search() -> None:
     assert taken(front(), ANSWER) is None
     assert taken(front(OTHER), ANSWER) is None
 
 
-def test_request_of_this_line_is_one_though_another_waits() -> None:
+def test_known_request_needs_no_search_though_another_is_pending() -> None:
     assert taken(front(READ, ANSWER, OTHER), READ) == (len(READ), REQUEST)
     behind_noise = front(READ, ANSWER, OTHER)
-    behind_noise.begin(behind_noise=True)
+    behind_noise.restart(behind_noise=True)
     assert taken(behind_noise, READ) is None
 
 
@@ -67,7 +67,7 @@ def test_request_that_may_begin_the_response_that_is_due_needs_a_search() -> Non
 
 
 def test_request_whose_crc_ends_in_zero_is_not_the_shorter_response_in_it() -> None:
-    """Its CRC is right after seven bytes and after eight."""
+    """Its CRC is correct after seven bytes and after eight."""
     raw = next(
         raw
         for quantity in range(1, 256)
@@ -78,28 +78,28 @@ def test_request_whose_crc_ends_in_zero_is_not_the_shorter_response_in_it() -> N
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
-def test_beginning_of_what_is_due_is_no_more_than_that(size: int) -> None:
-    assert front(READ).is_begun(ANSWER[:size], ())
-    assert front(READ, ANSWER).is_begun(READ[:size], ())
+def test_beginning_of_the_frame_that_is_due_is_incomplete(size: int) -> None:
+    assert front(READ).is_incomplete(ANSWER[:size], ())
+    assert front(READ, ANSWER).is_incomplete(READ[:size], ())
 
 
-def test_what_is_not_due_is_searched() -> None:
-    assert not front().is_begun(READ[:5], ())
-    assert not front(READ).is_begun(OTHER[:5], ())
-    assert not front(READ, speaker=RESPONSE).is_begun(ANSWER[:5], ())
-    assert not front(READ).is_begun(ANSWER, ())
+def test_bytes_that_are_not_due_need_a_search() -> None:
+    assert not front().is_incomplete(READ[:5], ())
+    assert not front(READ).is_incomplete(OTHER[:5], ())
+    assert not front(READ, speaker=RESPONSE).is_incomplete(ANSWER[:5], ())
+    assert not front(READ).is_incomplete(ANSWER, ())
 
 
-def test_frame_behind_a_silence_shows_that_what_was_begun_is_not_due_any_more() -> None:
+def test_complete_frame_after_a_silence_ends_the_wait_for_an_incomplete_one() -> None:
     data = ANSWER[:3] + OTHER
     long_read = rtu_adu(1, bytes.fromhex("03 0000 0014"))
     head = rtu_adu(1, bytes.fromhex("03 28") + bytes(40))[:3]
-    assert front(long_read).is_begun(head + b"\x01\x02", (3,))
-    assert not front(long_read).is_begun(head + OTHER, (3,))
-    assert not front(READ).is_begun(data, (3,))
+    assert front(long_read).is_incomplete(head + b"\x01\x02", (3,))
+    assert not front(long_read).is_incomplete(head + OTHER, (3,))
+    assert not front(READ).is_incomplete(data, (3,))
 
 
-def test_who_is_known_to_speak_decides() -> None:
+def test_known_speaker_decides_the_direction() -> None:
     told = front(speaker=RESPONSE).frame(ANSWER, 2, True)
     assert told is not None
     assert (told[1].direction, told[1].by, told[1].confidence) == (RESPONSE, DirectionBy.PORT, 1.0)

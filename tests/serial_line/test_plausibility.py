@@ -1,4 +1,4 @@
-"""What a PDU says that none of its function does, or that hardly any does by chance."""
+"""PDUs of a correct form whose contents no master or slave sends."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.strategies import Message, messages
         ("03 006B 0003", False),
     ],
 )
-def test_request_that_says_what_none_does(pdu: str, odd: bool) -> None:
+def test_odd_requests_are_recognised(pdu: str, odd: bool) -> None:
     assert is_odd_request(bytes.fromhex(pdu)) is odd
 
 
@@ -36,7 +36,7 @@ def test_request_that_says_what_none_does(pdu: str, odd: bool) -> None:
         ("01 03 022B 00", False),
     ],
 )
-def test_response_that_says_what_none_does(pdu: str, odd: bool) -> None:
+def test_odd_responses_are_recognised(pdu: str, odd: bool) -> None:
     assert is_odd_response(bytes.fromhex(pdu)) is odd
 
 
@@ -53,7 +53,7 @@ def test_response_that_says_what_none_does(pdu: str, odd: bool) -> None:
         ("03 0000 0001 02", False),
     ],
 )
-def test_write_begins_with_a_count_that_agrees(pdu: str, counted: bool) -> None:
+def test_byte_count_agrees_with_the_quantity_or_not(pdu: str, counted: bool) -> None:
     assert is_counted(bytes.fromhex(pdu)) is counted
 
 

@@ -14,7 +14,7 @@ from mbtool.modbus.adu_bytes import crc, rtu_adu
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.bus_model import SURE
-from mbtool.serial_line.rtu import HOLD_NS, MAX_TEARS, WINDOW
+from mbtool.serial_line.rtu import HOLD_NS, MAX_SILENCES, WINDOW
 from tests.benchmarks.adapters import Column, Wire, delivered
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import adus, pdus, raw, skipped
@@ -69,7 +69,7 @@ def directions(events: Iterable[Adu | Skipped]) -> list[Direction]:
 
 
 def sure(events: Iterable[Adu | Skipped]) -> list[bool]:
-    """Of each frame whether it is; those that are not are called ambiguous."""
+    """For each frame, True if it is sure. The others have the verdict ambiguous."""
     found = adus(events)
     assert [Verdict.AMBIGUOUS in adu.verdicts for adu in found] == [
         adu.confidence < SURE for adu in found
@@ -196,8 +196,10 @@ def test_echo_of_a_slow_slave_is_no_retry() -> None:
 @pytest.mark.parametrize("way", ["whole", "byte-by-byte", "without-times"])
 @pytest.mark.parametrize("known", [True, False], ids=["known-line", "new-line"])
 @pytest.mark.parametrize("latency_ms", [1, 60, 250, 600, 990, 1010, 3000])
-def test_late_answer_of_a_requests_length_is_one(latency_ms: int, known: bool, way: str) -> None:
-    """17 to 24 bits: three bytes, which say where and how many as well as what."""
+def test_late_response_as_long_as_a_request_is_a_response(
+    latency_ms: int, known: bool, way: str
+) -> None:
+    """17 to 24 bits are three bytes, which look like an address and a quantity as well."""
     sent, expected = (polled() if known else line()), [REQUEST, RESPONSE] * (20 if known else 0)
     asked = rtu_adu(1, bytes.fromhex("02 03E8 0014"))
     for bits in ("000000", "050000", "010203", "000001"):
@@ -210,8 +212,8 @@ def test_late_answer_of_a_requests_length_is_one(latency_ms: int, known: bool, w
     assert all(sure(events))
 
 
-def test_late_answer_of_a_requests_length_is_one_where_frames_are_glued() -> None:
-    """An adapter hands over an answer with the requests around it, and once after a while."""
+def test_late_response_as_long_as_a_request_is_a_response_where_frames_are_glued() -> None:
+    """An adapter merges a response with the requests around it; one response takes long."""
     asked = rtu_adu(1, bytes.fromhex("02 0014 0018"))
     answer = rtu_adu(1, bytes.fromhex("02 03 000000"))
     sent = line().frame(asked)
@@ -222,13 +224,13 @@ def test_late_answer_of_a_requests_length_is_one_where_frames_are_glued() -> Non
     assert all(sure(events))
 
 
-def test_retry_on_a_line_that_nothing_is_known_of_is_ambiguous() -> None:
+def test_retry_on_a_new_line_is_ambiguous() -> None:
     events = heard(line().send(WRITE).frame(WRITE, 250 * MS))
     assert sure(events)[1] is False
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_missing_answer_leaves_the_next_request_one(timed: bool) -> None:
+def test_request_after_a_missing_response_is_a_request(timed: bool) -> None:
     frames = (READ_HOLDING_REQUEST, *OTHERS, READ_HOLDING_REQUEST, READ_HOLDING_REQUEST, *OTHERS)
     sent = line()
     for frame in frames:
@@ -248,7 +250,7 @@ def test_two_requests_in_a_row_without_a_silence_are_two(timed: bool) -> None:
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_answer_to_another_unit_leaves_the_request_waiting(timed: bool) -> None:
+def test_response_of_another_unit_leaves_the_request_pending(timed: bool) -> None:
     frames = (READ_HOLDING_REQUEST, OTHER_RESPONSE, READ_HOLDING_RESPONSE)
     events = heard(burst(*frames), timed=timed)
     assert raws(events) == list(frames)
@@ -257,14 +259,14 @@ def test_answer_to_another_unit_leaves_the_request_waiting(timed: bool) -> None:
 
 
 def test_echo_of_another_unit_is_ambiguous() -> None:
-    """A request to another slave, or a slave that answers in place of another."""
+    """A request to another slave, or a response of the wrong slave."""
     other = rtu_adu(6, WRITE[1:-2])
     events = heard(polled().frame(WRITE, 30 * MS).frame(other, 5 * MS).frame(other, 5 * MS))
     assert sure(events)[41] is False
 
 
-def test_slave_that_answers_late_after_the_retry() -> None:
-    """Its answers to both requests come behind the second."""
+def test_slave_responds_to_the_request_and_to_its_retry() -> None:
+    """Its responses to both requests come after the second."""
     sent = polled().frame(OTHER_REQUEST, 30 * MS).frame(OTHER_REQUEST, 300 * MS)
     sent.frame(OTHER_RESPONSE, 2 * MS).frame(OTHER_RESPONSE, 8 * MS)
     events = heard(sent.frame(READ_HOLDING_REQUEST, 30 * MS))
@@ -272,7 +274,7 @@ def test_slave_that_answers_late_after_the_retry() -> None:
     assert all(sure(events))
 
 
-def test_echoes_that_come_late_after_the_retry() -> None:
+def test_echoes_of_the_request_and_of_its_retry() -> None:
     sent = polled().frame(WRITE, 30 * MS).frame(WRITE, 300 * MS)
     sent.frame(WRITE, 2 * MS).frame(WRITE, 4 * MS).frame(READ_HOLDING_REQUEST, 30 * MS)
     events = heard(sent)
@@ -280,7 +282,7 @@ def test_echoes_that_come_late_after_the_retry() -> None:
     assert adus(events)[43].direction is RESPONSE or not sure(events)[43]
 
 
-def test_answer_that_comes_after_a_request_to_another_unit() -> None:
+def test_late_response_after_a_request_to_another_unit() -> None:
     sent = polled().frame(OTHER_REQUEST, 30 * MS).frame(READ_HOLDING_REQUEST, 300 * MS)
     sent.frame(OTHER_RESPONSE, 2 * MS).frame(READ_HOLDING_RESPONSE, 8 * MS)
     events = heard(sent)
@@ -357,7 +359,7 @@ def test_damage_on_one_wire_is_told_with_its_check() -> None:
     assert two.raw == OTHER_RESPONSE
 
 
-# Functions that no table knows.
+# Unknown functions.
 
 
 def test_unknown_function_is_found_where_a_whole_burst_has_a_correct_crc() -> None:
@@ -385,7 +387,7 @@ def test_known_function_of_another_form_is_found_the_same_way() -> None:
     assert raws(heard(line().send(odd))) == [odd]
 
 
-# Adapters that glue frames and tear them.
+# Adapters that glue frames and split them.
 
 
 def test_request_and_response_without_a_silence_are_told_apart() -> None:
@@ -444,7 +446,7 @@ def test_long_response_torn_into_pieces_is_joined(size: int) -> None:
 def test_frame_with_too_many_silences_is_given_up() -> None:
     response = rtu_adu(0x11, bytes((3, 40, *range(40))))
     sent = line()
-    for byte in response[: MAX_TEARS + 1]:
+    for byte in response[: MAX_SILENCES + 1]:
         sent.frame(bytes([byte]), 5 * MS)
     fed = splitter()
     events: list[Adu | Skipped] = []
@@ -626,7 +628,7 @@ def test_frame_behind_one_with_a_wrong_bit_is_found(bit: int, timed: bool) -> No
 @pytest.mark.parametrize("way", ["silences", "glued", "without times"])
 @pytest.mark.parametrize("damaged_at", [3, 5, 23])
 def test_damaged_response_that_holds_a_frame_is_not_taken_apart(way: str, damaged_at: int) -> None:
-    """A log of what was heard on another line, say, read from registers."""
+    """For example a log of another line, read from registers."""
     request = rtu_adu(1, bytes.fromhex("03 0000 000A"))
     response = bytearray(rtu_adu(1, b"\x03\x14" + bytes(4) + OTHER_REQUEST + bytes(8)))
     response[damaged_at] ^= 0x55
@@ -699,7 +701,7 @@ def test_capture_that_begins_with_the_echo_of_a_write(repeats: int) -> None:
     ],
 )
 def test_writes_of_changing_values_are_told_from_their_echoes(start: str, timed: bool) -> None:
-    """Nothing but writes, whose echoes stand beside them; the master waits for 100 ms."""
+    """Only writes, with their echoes directly after them; the master polls every 100 ms."""
     sent = line()
     if start != "at a write":
         sent.send(rtu_adu(5, bytes.fromhex("06 0001 0000")))
@@ -717,7 +719,7 @@ def test_writes_of_changing_values_are_told_from_their_echoes(start: str, timed:
 
 @pytest.mark.xfail(reason="the second is given out as a sure echo before the third is looked at")
 def test_retry_glued_to_its_echo_is_right_or_ambiguous() -> None:
-    """An adapter that hands over 62 bytes at once: what stands between reads says little."""
+    """An adapter delivers 62 bytes at once, so the silences between reads say little."""
     sent = polled(latency_ns=100 * MS).frame(WRITE, 30 * MS)
     sent.frame(WRITE + WRITE + b"".join(OTHERS), 98 * MS)
     events = heard(sent)
@@ -738,7 +740,7 @@ def test_unknown_request_that_is_repeated_is_right_or_ambiguous(timed: bool) -> 
 
 
 def test_count_whose_request_was_damaged_is_a_response() -> None:
-    """A request for a count has 0000 where this has the count."""
+    """A request for a count has 0000 as data."""
     count = rtu_adu(5, bytes.fromhex("08 000B 0108"))
     damaged = bytearray(rtu_adu(5, bytes.fromhex("08 000B 0000")))
     damaged[5] ^= 0x10
@@ -768,12 +770,12 @@ def test_clock_that_was_set_back_leaves_no_time_that_is_still_to_come() -> None:
     assert (adu.direction, adu.silence_before_ns, adu.verdicts) == (REQUEST, None, ())
 
 
-def test_noise_across_a_full_window_puts_the_turn_in_doubt() -> None:
+def test_noise_across_a_full_window_counts_as_damage() -> None:
     noise = random.Random(5).randbytes(2000)
     fed = splitter()
     fed.feed(rtu_adu(5, bytes.fromhex("06 0001 0003")), START_NS)
     fed.feed(noise, START_NS + 3000 * CHARACTER)
-    assert fed._turns.turn.lost
+    assert fed._model.state.follows_damage
 
 
 def test_reads_that_seem_to_overlap_belong_together() -> None:
@@ -808,13 +810,13 @@ def test_exception_response_is_found() -> None:
     assert adus(events)[1].direction_by is DirectionBy.PENDING
 
 
-# Damage whose sense is known.
+# Damage that bit repair explains.
 
 
 @pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("at", range(1, 8))
 def test_echo_of_a_write_with_one_wrong_bit_is_a_sure_response(at: int, timed: bool) -> None:
-    """What the damaged frame was follows from its CRC, and so what the next one is."""
+    """The CRC tells what the damaged frame was, and so what the next one is."""
     damaged = bytearray(WRITE)
     damaged[at] ^= 0x10
     sent = polled().frame(WRITE, 30 * MS).frame(WRITE, 5 * MS).frame(OTHER_REQUEST, 30 * MS)
@@ -830,7 +832,7 @@ def test_echo_of_a_write_with_one_wrong_bit_is_a_sure_response(at: int, timed: b
 def test_request_whose_last_byte_is_damaged_is_not_the_shorter_response_in_it(
     damage: bytes,
 ) -> None:
-    """A CRC that ends in 00 is right without it, too."""
+    """A CRC that ends in 00 is correct without that byte, too."""
     pdus = (bytes((0x01, 2, 7, 0, quantity)) for quantity in range(1, 256))
     request = next(raw for raw in (rtu_adu(0x11, pdu) for pdu in pdus) if raw[-1] == 0)
     bits = int.from_bytes(request[4:6])
@@ -844,7 +846,7 @@ def test_request_whose_last_byte_is_damaged_is_not_the_shorter_response_in_it(
 
 
 def test_frames_in_the_registers_of_a_damaged_frame_are_in_doubt() -> None:
-    """Without silences two frames between what is none may be real, or held by a long one."""
+    """Without silences, two frames among skipped bytes may be real, or contents of registers."""
     held = b"".join(OTHERS)
     long = bytearray(rtu_adu(0x11, b"\x03\x1a" + bytes(range(5)) + held + bytes(range(6))))
     long[0:3] = b"\x55\x44\x99"
@@ -857,10 +859,10 @@ def test_frames_in_the_registers_of_a_damaged_frame_are_in_doubt() -> None:
 
 @pytest.mark.parametrize("after_ns", [200 * MS, 500 * MS, 1000 * MS])
 @pytest.mark.parametrize("pairs", [1, 8])
-def test_write_that_is_repeated_behind_a_damaged_one_does_not_turn_the_line_round(
+def test_retry_of_a_damaged_write_does_not_reverse_the_directions(
     pairs: int, after_ns: int
 ) -> None:
-    """One wrong bit on the wire: the slave has not understood it either, and does not answer."""
+    """One bit is wrong on the wire, so the slave did not understand it either."""
     damaged = bytearray(WRITE)
     damaged[3] ^= 0x40
     sent = line()
@@ -875,14 +877,14 @@ def test_write_that_is_repeated_behind_a_damaged_one_does_not_turn_the_line_roun
         assert adu.direction is direction or not is_sure
 
 
-def test_answer_and_stray_bytes_that_make_a_request_are_read_when_they_come_again() -> None:
-    """What was remembered as a request may be held only in part later."""
+def test_response_with_stray_bytes_that_looks_like_a_request_is_read_again() -> None:
+    """A frame remembered as a request may be incomplete later."""
     answer = bytes.fromhex("01 02 01 05 61 8B")
     assert adus(heard(line().send(answer + b"\x00\x00").frame(answer, 100 * MS)))
 
 
 def test_write_of_no_coil_value_is_a_request_all_the_same() -> None:
-    """A tester asks for what no master does; the refusal shows what it was."""
+    """A test tool sends what no master sends; the exception response shows that."""
     for pdu in ("05 0000 1234", "08 0002 0001"):
         request = rtu_adu(5, bytes.fromhex(pdu))
         refusal = rtu_adu(5, bytes((int(pdu[:2], 16) | 0x80, 3)))
@@ -891,10 +893,10 @@ def test_write_of_no_coil_value_is_a_request_all_the_same() -> None:
 
 
 @pytest.mark.parametrize(("pause_ms", "latency_ms"), [(9, 12), (20, 12), (30, 9)])
-def test_functions_that_no_table_knows_are_read_in_step_from_an_adapter_that_tears(
+def test_unknown_functions_stay_in_step_with_an_adapter_that_splits_frames(
     pause_ms: int, latency_ms: int
 ) -> None:
-    """Nothing but its end tells of such a frame, so that others are held beside it."""
+    """Only its end shows such a frame, so others are held together with it."""
     polls = ((b"\x64\x01\x02", bytes(range(9))), (b"\x42", bytes(range(100, 120))))
     sent, frames, now_ns = Wire(FORMAT), [], START_NS
     for number in range(12):
@@ -909,8 +911,8 @@ def test_functions_that_no_table_knows_are_read_in_step_from_an_adapter_that_tea
     assert raws(adus(feed_all(splitter(), delivered(sent, Column.FTDI)))) == frames
 
 
-def test_function_that_was_asked_is_found_again_behind_what_hid_it() -> None:
-    """Without times and without others nothing else tells where such a frame may begin."""
+def test_function_heard_before_is_found_again_after_hidden_bytes() -> None:
+    """Without times and other frames, only the known function shows where a frame may begin."""
     one = rtu_adu(1, b"\x42\x01"), rtu_adu(1, b"\x42" + bytes(range(20)))
     other = rtu_adu(2, b"\x64\x07"), rtu_adu(2, b"\x64" + bytes(range(9)))
     sent = burst(*other * 40, *one, bytes(range(50, 90)), *other * 6)

@@ -1,9 +1,9 @@
 """Frames that look like other frames, and the search that tells them apart."""
 
-# FACTS about them: a frame with a correct CRC and 00 behind it has a correct CRC again, so every
-# frame that ends in 00 is valid one byte shorter too; and several functions have requests and
-# responses that begin, or are, alike. Each such pair stands here once and is heard in every way:
-# with silences, without, torn, and without times.
+# A frame with a correct CRC, followed by 00, has a correct CRC again. So every frame that ends in
+# 00 is also valid one byte shorter. And several functions have requests and responses that are
+# equal, or begin alike. Each such pair is listed once, and decoded in every way: with silences,
+# without silences, split, and without times.
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NEIGHBOURS = (
     bytes.fromhex("11 03 006B 0003 7687"),
     bytes.fromhex("11 03 06 022B 0000 0064 C8BA"),
 )
-"""A request and its response that nothing else looks like."""
+"""A request and its response that look like nothing else."""
 
 
 def frame(unit: int, pdu: str) -> bytes:
@@ -44,7 +44,7 @@ def frame(unit: int, pdu: str) -> bytes:
 
 
 def ending_in_zero(head: str, tail: str = "") -> bytes:
-    """A frame whose CRC ends in 00, as one in 256 does, by the number between its head and tail."""
+    """A frame whose CRC ends in 00, found by trying numbers between its head and tail."""
     return next(
         raw
         for number in range(0x10000)
@@ -54,13 +54,13 @@ def ending_in_zero(head: str, tail: str = "") -> bytes:
 
 @dataclass(frozen=True)
 class Pair:
-    """A request and its response, of which one looks like something else."""
+    """A request and its response. One of them looks like another frame as well."""
 
     name: str
     request: bytes
     response: bytes
     inside: tuple[tuple[bytes, int], ...] = ()
-    """A frame, and how long another valid frame is that it begins with."""
+    """A frame of the pair, and the size of a shorter valid frame at its beginning."""
 
     @property
     def frames(self) -> tuple[bytes, bytes]:
@@ -72,7 +72,7 @@ class Pair:
 
 
 def zero_ended() -> Iterable[Pair]:
-    """The trailing-zero theorem, function by function."""
+    """Frames whose CRC ends in 00, for each function."""
     for head, tail, response in (
         ("01", "0010", "01 02 CD6B"),
         ("02", "0010", "02 02 CD6B"),
@@ -201,7 +201,7 @@ def glued(*frames: bytes) -> Line:
 
 
 def told(events: Iterable[Adu | Skipped]) -> list[tuple[bytes, Direction | None]]:
-    """What each frame is; None for what is no frame."""
+    """The bytes and direction of each event; None for bytes that are no frame."""
     return [(one.raw, one.direction if isinstance(one, Adu) else None) for one in events]
 
 
@@ -210,7 +210,7 @@ def by_turns(*frames: bytes) -> list[tuple[bytes, Direction]]:
 
 
 def ambiguous(events: Iterable[Adu | Skipped]) -> list[int]:
-    """The places of the frames that are called so."""
+    """The positions of the ambiguous frames."""
     found = adus(events)
     for adu in found:
         assert (Verdict.AMBIGUOUS in adu.verdicts) == (adu.confidence < SURE)
@@ -306,7 +306,7 @@ def test_pair_that_comes_again_and_again(pair: Pair, timed: bool) -> None:
     assert ambiguous(events) == []
 
 
-# The theorem's other half: what follows a frame may be 00.
+# The byte after a frame may be 00.
 
 
 @pytest.mark.parametrize("timed", [True, False], ids=["glued", "without-times"])
@@ -344,21 +344,21 @@ CONTACTS = frame(8, "01 03E8 0011")
 
 
 def test_same_frame_three_times_at_the_end_is_ambiguous_without_times() -> None:
-    """A request, its repetition and the answer; or a pair, and a request like it."""
+    """A request, its retry and the response; or a request, its response and the same request."""
     events = heard(glued(*NEIGHBOURS, WRITE, WRITE, WRITE), timed=False)
     assert told(events)[2] == (WRITE, REQUEST)
     assert ambiguous(events) == [3, 4]
 
 
 def test_same_frame_three_times_between_others_is_a_repeated_request_without_times() -> None:
-    """One answer is missing either way; that the master asks again what was answered is rare."""
+    """One response is missing either way. Masters rarely repeat a request that was answered."""
     events = heard(glued(*NEIGHBOURS, WRITE, WRITE, WRITE, *NEIGHBOURS), timed=False)
     assert told(events)[2:5] == [(WRITE, REQUEST), (WRITE, REQUEST), (WRITE, RESPONSE)]
     assert ambiguous(events) == []
 
 
 def test_same_frame_four_times_between_others_is_ambiguous_where_it_may_be_either() -> None:
-    """Asked twice and answered twice, or asked three times; the last is an answer either way."""
+    """Two requests and two responses, or three requests. The last is a response either way."""
     polls = (*NEIGHBOURS, frame(8, "02 0000 0008"), frame(8, "02 01 55")) * 10
     events = heard(glued(*polls, *(WRITE,) * 4, *NEIGHBOURS), timed=False)
     assert told(events)[40:44:3] == [(WRITE, REQUEST), (WRITE, RESPONSE)]
@@ -366,8 +366,8 @@ def test_same_frame_four_times_between_others_is_ambiguous_where_it_may_be_eithe
     assert 43 not in ambiguous(events)
 
 
-def test_answer_of_a_requests_length_that_comes_twice_is_no_request() -> None:
-    """A master that gave up too early: its slave answers the request and its repetition."""
+def test_second_response_as_long_as_a_request_is_no_request() -> None:
+    """The master gave up too early: the slave responds to the request and to its retry."""
     request, answer = frame(8, "01 03E8 0011"), frame(8, "01 03 FFFF 01")
     for timed in (True, False):
         sent = glued(*NEIGHBOURS, request, request, answer, answer, *NEIGHBOURS)
@@ -379,7 +379,7 @@ def test_answer_of_a_requests_length_that_comes_twice_is_no_request() -> None:
 
 
 @pytest.mark.parametrize("asked", ["41 0102 03", "2B 0D 0102 03"])
-def test_answer_of_unknown_length_that_comes_twice_is_no_request(asked: str) -> None:
+def test_second_response_of_unknown_length_is_no_request(asked: str) -> None:
     request, answer = frame(8, asked), frame(8, asked + "0A0B 0C0D 0E0F")
     for timed in (True, False):
         sent = glued(*NEIGHBOURS, request, request, answer, answer, *NEIGHBOURS)
@@ -398,7 +398,7 @@ def test_two_equal_pairs_without_times_are_ambiguous_where_they_meet() -> None:
 
 @pytest.mark.parametrize("pairs", [1, 2, 3, 4, 5, 10])
 def test_many_equal_pairs_without_times_are_right_or_ambiguous(pairs: int) -> None:
-    """A master that writes the same again and again."""
+    """A master that always writes the same."""
     events = heard(glued(*NEIGHBOURS, *(WRITE,) * 2 * pairs, *NEIGHBOURS), timed=False)
     for place, adu in enumerate(adus(events)):
         assert adu.direction is ROLES[place % 2] or adu.confidence < SURE, place
@@ -418,13 +418,13 @@ def test_many_equal_pairs_with_silences_are_right(pairs: int) -> None:
 @pytest.mark.parametrize(
     "raw", [WRITE, CONTACTS, frame(5, "16 0004 00F2 0025")], ids=lambda raw: raw.hex()
 )
-def test_echo_that_is_all_there_is_is_ambiguous(raw: bytes) -> None:
-    """The capture may have begun between the request and this, its answer."""
+def test_echo_alone_in_a_capture_is_ambiguous(raw: bytes) -> None:
+    """The capture may have begun between the request and this response."""
     assert ambiguous(heard(Line(FORMAT).send(raw))) == [0]
 
 
 def test_echo_behind_an_ambiguous_echo_is_ambiguous() -> None:
-    """If the second is the answer to the first, the third is a request."""
+    """If the second is the response to the first, the third is a request."""
     sent = Line(FORMAT).send(WRITE).frame(WRITE, 300 * MS).frame(WRITE, 3 * MS)
     first, second, third = adus(heard(sent.frame(NEIGHBOURS[0], 20 * MS)))[:3]
     assert first.direction is REQUEST
@@ -432,7 +432,7 @@ def test_echo_behind_an_ambiguous_echo_is_ambiguous() -> None:
     assert third.confidence < SURE
 
 
-def test_request_for_contacts_that_is_repeated_is_no_answer_to_itself() -> None:
+def test_retry_of_a_read_of_bits_is_no_response_to_itself() -> None:
     response = frame(8, "01 03 123401")
     for timed in (True, False):
         sent = glued(*NEIGHBOURS, CONTACTS, CONTACTS, response)
@@ -441,7 +441,7 @@ def test_request_for_contacts_that_is_repeated_is_no_answer_to_itself() -> None:
         ]  # fmt: skip
 
 
-# Functions that no table knows: nothing but the CRC and the silences bounds them.
+# Unknown functions: only the CRC and the silences bound their frames.
 
 VENDOR = frame(1, "41 0102 03"), frame(1, "41 0A0B 0C0D")
 VENDOR_IN_ZERO = bytes.fromhex("01 41 0010 5000"), VENDOR[1]
@@ -509,10 +509,10 @@ def test_unknown_form_comes_again_and_again(frames: tuple[bytes, bytes], timed: 
 
 @pytest.mark.parametrize("frames", [VENDORS[0], VENDORS[2]])
 @pytest.mark.parametrize("timed", [True, False], ids=["glued", "without-times"])
-def test_answer_of_unknown_form_behind_a_stray_byte(
+def test_response_of_unknown_form_behind_a_stray_byte(
     frames: tuple[bytes, bytes], timed: bool
 ) -> None:
-    """It is looked for there, since its request waits."""
+    """It is looked for there, since its request is pending."""
     request, response = frames
     sent = (*NEIGHBOURS, request, b"\xff", response, *NEIGHBOURS)
     assert [raw for raw, _ in told(heard(glued(*sent), timed=timed))] == list(sent)
@@ -540,17 +540,18 @@ def test_zero_behind_an_unknown_form_makes_its_end_ambiguous(timed: bool) -> Non
 
 @dataclass
 class Searched:
-    """One window, and what is known before it."""
+    """One window and its circumstances."""
 
     data: bytes
     silent: frozenset[int] = frozenset()
-    """Before which bytes it was silent for t3.5, the first and the end apart."""
-    may_go_on: bool = False
+    """The offsets of the bytes after a silence of t3.5, beside the first byte."""
+    may_continue: bool = False
     is_behind_noise: bool = False
     roles: tuple[Direction, ...] = ROLES
-    turns: BusModel = field(default_factory=BusModel)
+    bus_model: BusModel = field(default_factory=BusModel)
+    statistics: LineStatistics = field(default_factory=LineStatistics)
 
-    def pieces(self) -> list[Segment]:
+    def segments(self) -> list[Segment]:
         times, now_ns = [], 0
         for place in range(len(self.data)):
             now_ns += CHARACTER + (2 * T3_5 if place in self.silent else 0)
@@ -563,28 +564,22 @@ class Searched:
             CHARACTER,
             [*silences, True],
             is_behind_noise=self.is_behind_noise,
-            may_go_on=self.may_go_on,
+            may_continue=self.may_continue,
         )
-        habits = LineStatistics(
-            skip=LearnedCost(costs.SKIP, costs.SKIP_LIMITS),
-            noise=LearnedCost(costs.NOISE, costs.NOISE_LIMITS),
-            glue=LearnedCost(costs.GLUED, costs.GLUED_LIMITS),
-            tear=LearnedCost(costs.TORN, costs.TORN_LIMITS),
-            flip=LearnedCost(costs.FLIPPED, costs.FLIPPED_LIMITS),
-        )
-        pieces = PathSearch(window, self.turns, habits, self.roles).pieces()
+        search = PathSearch(window, self.bus_model, self.statistics, self.roles)
+        segments = search.segments()
         ends = [0]
-        for piece in pieces:
-            assert piece.place == ends[-1]
-            ends.append(piece.place + piece.size)
+        for segment in segments:
+            assert segment.offset == ends[-1]
+            ends.append(segment.offset + segment.size)
         assert ends[-1] == len(self.data)
-        return pieces
+        return segments
 
     def told(self) -> list[tuple[SegmentKind, int]]:
-        return [(piece.kind, piece.size) for piece in self.pieces()]
+        return [(segment.kind, segment.size) for segment in self.segments()]
 
 
-def test_pieces_lie_in_order_without_a_hole() -> None:
+def test_segments_are_in_order_without_a_hole() -> None:
     request, response = NEIGHBOURS
     searched = Searched(b"\xff" + request + b"\xfe\xff" + response + b"\x00")
     assert searched.told() == [
@@ -594,16 +589,16 @@ def test_pieces_lie_in_order_without_a_hole() -> None:
 
 
 def test_frame_has_the_roles_of_its_form() -> None:
-    request, response, echo = (Searched(raw).pieces()[0] for raw in (*NEIGHBOURS, WRITE))
+    request, response, echo = (Searched(raw).segments()[0] for raw in (*NEIGHBOURS, WRITE))
     assert (request.role, request.roles) == (REQUEST, (REQUEST,))
     assert (response.role, response.roles) == (RESPONSE, (RESPONSE,))
     assert echo.roles == ROLES
 
 
-def test_frame_that_has_begun_is_open_only_where_it_may_go_on() -> None:
+def test_incomplete_frame_is_found_only_if_more_bytes_may_follow() -> None:
     data = NEIGHBOURS[0] + NEIGHBOURS[1][:6]
-    assert Searched(data, frozenset({8}), may_go_on=True).told() == [
-        (SegmentKind.FRAME, 8), (SegmentKind.OPEN, 6),
+    assert Searched(data, frozenset({8}), may_continue=True).told() == [
+        (SegmentKind.FRAME, 8), (SegmentKind.INCOMPLETE, 6),
     ]  # fmt: skip
     assert Searched(data, frozenset({8})).told() == [
         (SegmentKind.FRAME, 8),
@@ -612,11 +607,11 @@ def test_frame_that_has_begun_is_open_only_where_it_may_go_on() -> None:
 
 
 HOLDING = rtu_adu(0x11, bytes.fromhex("03 0E 0000") + frame(0x12, "04 0008 0001") + bytes(4))
-"""A response of 7 registers, in which a valid frame of another unit lies."""
+"""A response of 7 registers that contain a valid frame of another unit."""
 ASKED = frame(0x11, "03 006B 0007")
 
 
-def test_damaged_frame_is_one_piece_though_a_frame_lies_in_it() -> None:
+def test_damaged_frame_that_contains_a_frame_is_one_segment() -> None:
     damaged = HOLDING[:3] + b"\x55" + HOLDING[4:]
     assert Searched(ASKED + damaged + NEIGHBOURS[0]).told() == [
         (SegmentKind.FRAME, 8), (SegmentKind.DAMAGED, 19), (SegmentKind.FRAME, 8),
@@ -631,8 +626,8 @@ def test_damaged_frame_may_have_lost_bytes(lost: int) -> None:
     ]  # fmt: skip
 
 
-def test_frames_behind_silences_are_not_hidden_by_a_damaged_one() -> None:
-    """What a long header promises does not come; what comes is whole."""
+def test_damaged_frame_does_not_hide_frames_after_silences() -> None:
+    """A header announces 64 bytes that never come. Whole frames come instead."""
     head = bytes.fromhex("01 03 40 00")
     data = head + b"".join(NEIGHBOURS * 4)
     silent, at = set(), len(head)
@@ -646,37 +641,37 @@ def test_frames_behind_silences_are_not_hidden_by_a_damaged_one() -> None:
     ]
 
 
-def test_only_the_form_of_the_one_who_speaks_is_looked_for() -> None:
+def test_known_speaker_limits_the_search_to_its_form() -> None:
     searched = Searched(NEIGHBOURS[0] + NEIGHBOURS[1], roles=(RESPONSE,))
-    *_, last = searched.pieces()
-    assert [piece.size for piece in searched.pieces()] == [8, 11]
+    *_, last = searched.segments()
+    assert [segment.size for segment in searched.segments()] == [8, 11]
     assert (last.kind, last.role, last.roles) == (SegmentKind.FRAME, RESPONSE, (RESPONSE,))
 
 
 def test_another_explanation_that_is_nearly_as_likely_raises_doubt() -> None:
-    first, second, third = Searched(WRITE * 3, turns=BusModel(timed=False)).pieces()
+    first, second, third = Searched(WRITE * 3, bus_model=BusModel(timed=False)).segments()
     assert first.kind is second.kind is third.kind is SegmentKind.FRAME
     assert max(first.confidence, second.confidence, third.confidence) <= SURE
 
 
 def test_window_of_one_byte_is_explained() -> None:
     assert Searched(b"\x01").told() == [(SegmentKind.SKIPPED, 1)]
-    assert Searched(b"\x01", may_go_on=True).told() == [(SegmentKind.OPEN, 1)]
+    assert Searched(b"\x01", may_continue=True).told() == [(SegmentKind.INCOMPLETE, 1)]
 
 
-def test_no_frame_is_waited_for_that_would_be_too_long() -> None:
-    """A frame has 256 bytes at most, so none of that length can be open."""
+def test_incomplete_frame_is_never_longer_than_a_frame_can_be() -> None:
+    """A frame has at most 256 bytes, so 256 bytes are never incomplete."""
     head = bytes.fromhex("01 10 0000 007B F6")
-    told_ = Searched(head + bytes(MAX_RTU_ADU - len(head)), may_go_on=True).told()
-    assert told_[0][0] is not SegmentKind.OPEN
+    told_ = Searched(head + bytes(MAX_RTU_ADU - len(head)), may_continue=True).told()
+    assert told_[0][0] is not SegmentKind.INCOMPLETE
     assert sum(size for _, size in told_) == MAX_RTU_ADU
 
 
-# What stands behind a frame, and what a damage hides.
+# The bytes after a frame, and the bytes that damage hides.
 
 
 def on_a_clean_line(*reads: bytes) -> list[Adu | Skipped]:
-    """What comes of some reads, 20 ms apart, on a line that was polled without a stray byte."""
+    """The events of some reads, 20 ms apart, on a line without stray bytes before."""
     sent = spoken(NEIGHBOURS * 100)
     for raw in reads:
         sent.frame(raw, 20 * MS)
@@ -684,7 +679,7 @@ def on_a_clean_line(*reads: bytes) -> list[Adu | Skipped]:
 
 
 def test_zero_is_the_end_of_an_unknown_form_though_its_answer_is_torn() -> None:
-    """The rest of the read is no frame yet: that alone does not make the 00 noise."""
+    """The rest of the read is an incomplete frame. That alone does not make the 00 noise."""
     request = ending_in_zero("41" + bytes(range(1, 30)).hex())
     response = frame(0x21, "41 0A0B 0C0D 0E0F 1011")
     events = on_a_clean_line(request + response[:9], response[9:] + NEIGHBOURS[0], NEIGHBOURS[1])
@@ -697,8 +692,8 @@ def test_zero_before_a_silence_is_the_end_of_an_unknown_form(head: str) -> None:
     assert told(on_a_clean_line(raw)) == [(raw, REQUEST)]
 
 
-def test_write_behind_a_damaged_frame_is_waited_for_though_it_holds_frames() -> None:
-    """Its byte count agrees with its quantity, which says more than that frames lie in it."""
+def test_incomplete_write_after_damage_is_kept_though_it_contains_frames() -> None:
+    """Its byte count agrees with its quantity. That outweighs the frames it contains."""
     held = b"".join(NEIGHBOURS) + b"\xa5"
     answer = frame(9, f"10 0000 {len(held) // 2:04X}")
     write = frame(9, f"{answer[1:6].hex()} {len(held):02X} {held.hex()}")
@@ -707,8 +702,18 @@ def test_write_behind_a_damaged_frame_is_waited_for_though_it_holds_frames() -> 
     assert told(events)[-2:] == [(write, REQUEST), (answer, RESPONSE)]
 
 
+def test_zero_before_a_silence_is_the_end_of_a_frame_though_stray_bytes_come() -> None:
+    """At one stray byte in 19 frames, the 00 is noise only if no silence follows it."""
+    raw = ending_in_zero("41 0102 0304")
+    statistics = LineStatistics()
+    statistics.noise = LearnedCost(4.25, costs.NOISE_LIMITS)
+    assert Searched(raw, statistics=statistics).told() == [(SegmentKind.FRAME, len(raw))]
+    glued_told = Searched(raw + NEIGHBOURS[0], statistics=statistics).told()
+    assert glued_told[:2] == [(SegmentKind.FRAME, len(raw) - 1), (SegmentKind.SKIPPED, 1)]
+
+
 @pytest.mark.parametrize("zeros", [2, 3])
 def test_several_zeros_behind_an_unknown_form_are_noise(zeros: int) -> None:
-    """That a CRC ends so by chance is rarer than stray bytes, even on a clean line."""
+    """A CRC followed by several 00 by chance is rarer than stray bytes, even on a clean line."""
     events = on_a_clean_line(VENDOR[0] + bytes(zeros), VENDOR[1])
     assert [raw for raw, _ in told(events)] == [VENDOR[0], bytes(zeros), VENDOR[1]]

@@ -12,10 +12,10 @@ from mbtool.modbus.pdu import encode_pdu
 from mbtool.serial_line.settings_fit import (
     ENOUGH,
     ENOUGH_WITHOUT_FRAME,
-    Hearing,
-    LineScore,
+    SettingsScore,
+    SettingsTrial,
     other_parity,
-    settings_to_hear,
+    settings_to_try,
 )
 
 MS = 1_000_000
@@ -26,14 +26,14 @@ READ = encode_pdu(3, Direction.REQUEST, address=0, quantity=2)
 
 def heard(
     heard_as: SerialFormat, *reads: bytes, damaged: bool = False, only_ascii: bool = False
-) -> Hearing:
-    hearing = Hearing(heard_as, only_ascii=only_ascii)
+) -> SettingsTrial:
+    trial = SettingsTrial(heard_as, only_ascii=only_ascii)
     at_ns = 10**9
     for data in reads:
-        hearing.feed(data, range(len(data)) if damaged else (), at_ns)
-        hearing.advance(at_ns + 90 * MS)
+        trial.feed(data, range(len(data)) if damaged else (), at_ns)
+        trial.advance(at_ns + 90 * MS)
         at_ns += 100 * MS
-    return hearing
+    return trial
 
 
 def with_parity(data: bytes, parity: str) -> bytes:
@@ -43,15 +43,15 @@ def with_parity(data: bytes, parity: str) -> bytes:
     return bytes(byte | bit << 7 for byte, bit in zip(data, high, strict=True))
 
 
-def best(hearing: Hearing) -> LineScore:
-    return hearing.scores()[0]
+def best(trial: SettingsTrial) -> SettingsScore:
+    return trial.scores()[0]
 
 
 def test_three_frames_are_sure() -> None:
-    hearing = heard(EVEN, *[rtu_adu(1, READ)] * 3)
-    assert best(hearing).is_sure
-    assert hearing.is_decided
-    assert str(best(hearing)) == "19200-8E1 RTU: 3 of 3 frames have a correct CRC"
+    trial = heard(EVEN, *[rtu_adu(1, READ)] * 3)
+    assert best(trial).is_sure
+    assert trial.is_decided
+    assert str(best(trial)) == "19200-8E1 RTU: 3 of 3 frames have a correct CRC"
 
 
 def test_two_frames_are_likely_and_one_is_nothing() -> None:
@@ -88,11 +88,11 @@ def test_ascii_with_eight_bits_is_known_by_its_high_bit(heard_as: SerialFormat) 
     assert str(score).endswith("3 of 3 frames have a correct LRC")
 
 
-def test_where_only_ascii_is_looked_for_rtu_is_nothing() -> None:
+def test_rtu_frames_do_not_count_if_only_ascii_is_tried() -> None:
     assert not best(heard(EVEN, *[rtu_adu(1, READ)] * 3, only_ascii=True)).frames
 
 
-def test_what_explains_nothing_is_given_up_early_and_noise_late() -> None:
+def test_settings_without_a_frame_are_given_up_early_and_noisy_ones_late() -> None:
     assert not heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME - 1)).is_decided
     assert heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME)).is_decided
     frame, noise = rtu_adu(1, READ), b"\x55" * 8
@@ -102,7 +102,7 @@ def test_what_explains_nothing_is_given_up_early_and_noise_late() -> None:
 
 
 def test_the_standards_default_is_heard_first_and_nothing_twice() -> None:
-    to_hear = settings_to_hear()
+    to_hear = settings_to_try()
     assert to_hear[0] == EVEN
     assert len(set(to_hear)) == len(to_hear) == 24
 
@@ -113,9 +113,7 @@ def test_the_other_parity_of_even_is_odd() -> None:
 
 
 @given(st.lists(st.binary(max_size=60), max_size=20), st.sampled_from([EVEN, NONE]), st.booleans())
-def test_whatever_is_heard_a_fit_is_a_share(
-    reads: list[bytes], heard_as: SerialFormat, damaged: bool
-) -> None:
-    hearing = heard(heard_as, *reads, damaged=damaged)
-    assert hearing.heard == sum(map(len, reads))
-    assert all(0 <= score.fit <= 1 for score in hearing.scores())
+def test_fit_is_always_a_share(reads: list[bytes], heard_as: SerialFormat, damaged: bool) -> None:
+    trial = heard(heard_as, *reads, damaged=damaged)
+    assert trial.heard == sum(map(len, reads))
+    assert all(0 <= score.fit <= 1 for score in trial.scores())

@@ -114,16 +114,16 @@ class SerialSlave(Shell):
 class _NobodysTurn(BusModel):
     """No request waits for an answer that the line would bring: what can be a request is one."""
 
-    def judge(
+    def classify(
         self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()
     ) -> Classification:
-        return super().judge(unit, pdu, at_ns, _one_role(roles or roles_of(pdu)))
+        return super().classify(unit, pdu, at_ns, _one_role(roles or roles_of(pdu)))
 
-    def weigh(self, turn: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
+    def cost(self, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
         is_none = role not in _one_role(roles_of(pdu))
-        return super().weigh(turn, unit, pdu, role, at_ns) + (_NEVER if is_none else 0.0)
+        return super().cost(state, unit, pdu, role, at_ns) + (_NEVER if is_none else 0.0)
 
-    def follow(self, *_: object, **__: object) -> BusState:
+    def next_state(self, *_: object, **__: object) -> BusState:
         return BusState()
 
 

@@ -1,0 +1,181 @@
+"""What it costs to take a frame for a request or for a response, in a bus state."""
+
+# A response names the unit and function of the pending request, and fits its quantity or echoes its
+# address. Without a pending request, a frame with the form of a request is a request. Requests and
+# responses of 05, 06, 08, 15H and 16H look alike, so only the bus state and the silences tell them
+# apart: masters wait longer before a retry than slaves take to respond. Some responses of 01, 02,
+# 14H and 17H are as long as a request. Such a frame is taken for the response, however late, if as
+# a request it would be implausible, or has never been heard on this line.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, FUNCTIONS, NEVER_ECHOED, READ_BITS
+from mbtool.modbus.pdu import parse_pdu, pdu_length
+from mbtool.modbus.register_access import keeps_limits
+from mbtool.serial_line import costs
+from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
+from mbtool.serial_line.line_statistics import LatencyStatistics
+from mbtool.serial_line.plausibility import is_odd_request, is_odd_response, is_padded
+
+if TYPE_CHECKING:
+    from mbtool.serial_line.line_history import LineHistory
+
+MAX_UNIT = 247
+"""The largest address of a slave (Serial Line V1.02, 2.2)."""
+
+CostParts = tuple[float, float]
+"""Bits by the bus state, and bits by the silence before the frame."""
+
+
+def frame_cost(
+    history: LineHistory, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int
+) -> CostParts:
+    """The cost of a frame as a request or a response. `at_ns` is when its first byte began."""
+    if role is Direction.REQUEST:
+        cost, by_time = _request_cost(history, state, unit, pdu, at_ns)
+        if _is_only_a_response(history, state.pending, unit, pdu):
+            cost += costs.REQUEST_FITS_PENDING
+    else:
+        cost, by_time = _response_cost(history, state, unit, pdu, at_ns)
+    if unit > MAX_UNIT:
+        cost += costs.RESERVED_UNIT
+    return cost, by_time if history.trusts_silences else 0.0
+
+
+def _request_cost(
+    history: LineHistory, state: BusState, unit: int, pdu: bytes, at_ns: int
+) -> CostParts:
+    cost = costs.REQUEST
+    if is_odd_request(pdu):
+        cost += costs.IMPLAUSIBLE_REQUEST
+    pending, overdue = state.pending_at(at_ns), state.overdue
+    is_retry = pending is not None and pending.is_same(unit, pdu)
+    is_repeat = state.answered is not None and state.answered.is_same(unit, pdu)
+    if is_repeat:
+        if not history.trusts_silences or overdue is not None:
+            cost += history.repeat.bits
+    elif state.last_response == pdu and _may_be_second_response(state.answered, unit, pdu):
+        cost += costs.REQUEST_EQUALS_RESPONSE
+    if not (is_retry or is_repeat or (unit, pdu) in history.requests):
+        cost += _new_request_cost(pdu)
+    if pending is None:
+        return cost, 0.0
+    if not is_retry:
+        cost += costs.PREVIOUS_UNANSWERED
+    else:
+        is_second = overdue is not None and overdue.is_same(unit, pdu)
+        cost += costs.SECOND_RETRY if is_second else history.retry.bits
+    latency, waited_ns = history.latency, at_ns - pending.awaited_from_ns
+    is_early = latency.is_known and latency.doublings_late(waited_ns) < 0
+    return cost, costs.EARLY_REQUEST if is_early else 0.0
+
+
+def _may_be_second_response(answered: PendingRequest | None, unit: int, pdu: bytes) -> bool:
+    """True if a frame that equals the last response may come from the same slave again."""
+    return answered.unit == unit if answered else pdu[0] not in ECHOING
+
+
+def _new_request_cost(pdu: bytes) -> float:
+    """The cost of a request that this line has not carried before."""
+    request = parse_pdu(pdu, Direction.REQUEST)
+    if pdu[0] in FUNCTIONS and request.problem is None and not keeps_limits(request):
+        return costs.NEW_REQUEST + costs.MALFORMED
+    return costs.NEW_REQUEST
+
+
+def _response_cost(
+    history: LineHistory, state: BusState, unit: int, pdu: bytes, at_ns: int
+) -> CostParts:
+    if unit == 0:  # Nobody responds to a broadcast.
+        return costs.UNREQUESTED_RESPONSE + costs.MALFORMED, 0.0
+    if state.pending is not None and state.pending.fits(unit, pdu):
+        return _fitting_response_cost(history, state, state.pending, pdu, at_ns)
+    odd = costs.MALFORMED if is_odd_response(pdu) else 0.0
+    pending, overdue = state.pending_at(at_ns), state.overdue
+    if pending is not None and pending.is_named_by(unit, pdu[0]):
+        return costs.MISMATCHED_RESPONSE + odd, 0.0
+    if overdue is not None and _answers_late(overdue, unit, pdu, at_ns):
+        return _late_response_cost(state, pending, overdue, pdu), 0.0
+    if state.follows_damage and _is_unrequested_exception(history, unit, pdu):
+        odd += costs.UNREQUESTED_EXCEPTION
+    if pending is None and state.follows_damage:
+        return costs.RESPONSE_AFTER_DAMAGE + odd, 0.0
+    is_first = pending is None and state.last_ns is None
+    return (costs.RESPONSE_AT_START if is_first else costs.UNREQUESTED_RESPONSE) + odd, 0.0
+
+
+def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bool:
+    """True for an exception response to a function that was never requested of its unit."""
+    code = pdu[0] ^ EXCEPTION_BIT
+    return code < EXCEPTION_BIT and (unit, code) not in history.functions
+
+
+def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) -> bool:
+    """True if a frame can be the response to the overdue request."""
+    if pdu == overdue.pdu and pdu[0] in NEVER_ECHOED:  # The read again, not its response.
+        return False
+    return at_ns - overdue.awaited_from_ns <= MAX_PENDING_NS and overdue.fits(unit, pdu)
+
+
+def _late_response_cost(
+    state: BusState, pending: PendingRequest | None, overdue: PendingRequest, pdu: bytes
+) -> float:
+    is_other = pending is not None and not pending.is_same(overdue.unit, overdue.pdu)
+    cost = costs.LATE_RESPONSE_TO_OTHER if is_other else costs.LATE_RESPONSE
+    first = state.last_response
+    is_second = state.answered is not None and state.answered.pdu == overdue.pdu
+    is_like_first = len(pdu) == len(first) and (pdu == overdue.pdu) == (first == overdue.pdu)
+    return cost + costs.UNLIKE_FIRST_RESPONSE if is_second and not is_like_first else cost
+
+
+def _fitting_response_cost(
+    history: LineHistory, state: BusState, pending: PendingRequest, pdu: bytes, at_ns: int
+) -> CostParts:
+    """The cost of a response that fits the pending request."""
+    silence_ns, is_echo = at_ns - pending.awaited_from_ns, pdu == pending.pdu
+    by_time = _lateness_cost(history, silence_ns, is_echo=is_echo)
+    if by_time and _is_only_a_response(history, pending, pending.unit, pdu):
+        by_time = 0.0
+    if pdu[0] in READ_BITS and not (is_echo or is_padded(pending.pdu, pdu)):
+        return costs.MALFORMED, by_time
+    if not is_echo:
+        return costs.RESPONSE, by_time
+    if pdu[0] in NEVER_ECHOED:
+        # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own response.
+        return costs.ECHO_OF_READ, by_time
+    if pdu[0] not in ECHOING:
+        return costs.ECHO_OF_UNKNOWN_FUNCTION, by_time or costs.ECHO_IN_TIME
+    before_ns = pending.silence_before_ns
+    if not state.direction_known and before_ns and silence_ns > 2 * before_ns:
+        by_time += costs.REVERSED_PAIR
+    return costs.RESPONSE, by_time
+
+
+def _lateness_cost(history: LineHistory, silence_ns: int, *, is_echo: bool) -> float:
+    """The cost of the silence between a request and its response."""
+    least_ns = LatencyStatistics.MIN_WRITE_NS if is_echo else 0
+    doublings = history.latency.doublings_late(silence_ns, least_ns)
+    if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
+        return 0.0
+    most = costs.MAX_ECHO_LATENESS if is_echo else costs.MAX_LATENESS
+    return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, most)
+
+
+def _is_only_a_response(
+    history: LineHistory, pending: PendingRequest | None, unit: int, pdu: bytes
+) -> bool:
+    """True if a frame as long as a request fits the pending one, and is an improbable request."""
+    if pending is None or pdu == pending.pdu or not pending.fits(unit, pdu):
+        return False
+    if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):
+        return False
+    if is_odd_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+        return True
+    if (unit, pdu) in history.requests or pending.expected.size != len(pdu):
+        return False
+    # The same quantity from the same 256 addresses: probably the next request of the master's list.
+    is_alike = (pdu[1], pdu[3:5]) == (pending.pdu[1], pending.pdu[3:5])
+    return not is_alike and (pdu[0] not in READ_BITS or is_padded(pending.pdu, pdu))
