@@ -50,6 +50,13 @@ def test_a_hole_is_told_once_at_the_time_of_what_follows() -> None:
     assert damage.hole(8) == []
 
 
+def test_a_hole_with_nothing_around_it_is_kept_for_the_first_item_with_a_time() -> None:
+    damage = Damage("x.mcap")
+    damage.add_hole(_at(20), 20, 100)
+    assert damage.hole(0) == []
+    assert [hole.ts_ns for hole in damage.hole(7)] == [7]
+
+
 def test_another_end_is_told_with_the_damage_before_it() -> None:
     damage = Damage("x.mcap")
     damage.add(_at(20), 100)

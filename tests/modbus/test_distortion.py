@@ -71,6 +71,13 @@ def test_nothing_is_left_of_an_answer_that_is_cut_off_whole() -> None:
     assert wire_pieces(Response(PDU, spoiling=Distortion(cut=99)), Transport.RTU, 1) == []
 
 
+@pytest.mark.parametrize("transport", Transport)
+def test_a_cut_that_is_longer_than_the_adu_leaves_nothing_either(transport: Transport) -> None:
+    size = len(FRAMED[transport])
+    for cut in range(size, 2 * size + 1):
+        assert _sent(Distortion(cut=cut), transport) == b""
+
+
 def test_silence_is_silence() -> None:
     answer = Response(PDU, spoiling=Distortion(silent=True, extra=b"\xff"))
     assert wire_pieces(answer, Transport.RTU, 1) == []
