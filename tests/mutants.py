@@ -176,12 +176,13 @@ class Copy:
         path = self.root / mutation.path
         whole = path.read_bytes()
         try:
-            self._write(path, mutation.applied_to(whole))
+            self.write(path, mutation.applied_to(whole))
             return self.tests_pass(tests, limit_s)
         finally:
-            self._write(path, whole)
+            self.write(path, whole)
 
-    def _write(self, path: Path, data: bytes) -> None:
+    def write(self, path: Path, data: bytes) -> None:
+        """Change a module of this copy."""
         path.write_bytes(data)
         moment = next(self._times)
         os.utime(path, (moment, moment))

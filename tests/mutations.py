@@ -108,20 +108,48 @@ def mutations_of(
     path: str, source: bytes, enums: Mapping[str, list[str]] | None = None
 ) -> list[Mutation]:
     """Every mutation of a module, in the order of their places."""
-    return sorted(set(_Finder(path, source, enums or {}).found(ast.parse(source))))
+    return sorted(set(_Finder(ModuleText(path, source), enums or {}).found(ast.parse(source))))
+
+
+class ModuleText:
+    """The source text of a module, and where its nodes stand in it."""
+
+    def __init__(self, path: str, source: bytes) -> None:
+        self.path = path
+        self.source = source
+        self._lines = source.splitlines(keepends=True)
+        self._starts = [0]
+        for line in self._lines:
+            self._starts.append(self._starts[-1] + len(line))
+
+    def start(self, node: ast.expr | ast.stmt) -> int:
+        """Where a node begins, in bytes."""
+        return self._starts[node.lineno - 1] + node.col_offset
+
+    def end(self, node: ast.expr | ast.stmt) -> int:
+        assert node.end_lineno is not None
+        assert node.end_col_offset is not None
+        return self._starts[node.end_lineno - 1] + node.end_col_offset
+
+    def of(self, node: ast.expr | ast.stmt) -> str:
+        return self.source[self.start(node) : self.end(node)].decode()
+
+    def replaced(self, node: ast.expr | ast.stmt, after: str) -> Mutation:
+        return self.mutation(self.start(node), self.end(node), after)
+
+    def mutation(self, start: int, end: int, after: str) -> Mutation:
+        line = self.source.count(b"\n", 0, start) + 1
+        before = self.source[start:end].decode()
+        text = self._lines[line - 1].decode().strip()
+        return Mutation(self.path, start, end, after, before, line, text)
 
 
 class _Finder:
     """Looks through one module."""
 
-    def __init__(self, path: str, source: bytes, enums: Mapping[str, list[str]]) -> None:
-        self._path = path
-        self._source = source
+    def __init__(self, text: ModuleText, enums: Mapping[str, list[str]]) -> None:
+        self._text = text
         self._enums = enums
-        self._lines = source.splitlines(keepends=True)
-        self._starts = [0]
-        for line in self._lines:
-            self._starts.append(self._starts[-1] + len(line))
 
     def found(self, node: ast.AST) -> Iterator[Mutation]:
         """The mutations of a node and of all below it."""
@@ -166,65 +194,43 @@ class _Finder:
                 for before, after in pairwise(values):
                     yield from self._operator(before, after, old, new)
             case ast.UnaryOp(op=ast.Not()):
-                start = self._start(node)
-                yield self._mutation(start, start + len("not "), "")
+                start = self._text.start(node)
+                yield self._text.mutation(start, start + len("not "), "")
             case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
                 if not isinstance(test, ast.UnaryOp | ast.Compare | ast.Constant):
-                    yield self._replaced(test, f"not ({self._text(test)})")
+                    yield self._text.replaced(test, f"not ({self._text.of(test)})")
             case ast.Constant(value=int(number)) if not isinstance(number, bool):
-                yield self._replaced(node, str(number + 1))
+                yield self._text.replaced(node, str(number + 1))
                 if number:
-                    yield self._replaced(node, str(number - 1))
+                    yield self._text.replaced(node, str(number - 1))
             case ast.Constant(value=bool(value)):
-                yield self._replaced(node, str(not value))
+                yield self._text.replaced(node, str(not value))
             case ast.Attribute(value=ast.Name(id=enum), attr=member):
                 members = self._enums.get(enum, ())
                 if member in members:
                     new = members[(members.index(member) + 1) % len(members)]
-                    yield self._replaced(node, f"{enum}.{new}")
+                    yield self._text.replaced(node, f"{enum}.{new}")
             case ast.Return(value=ast.expr() as value):
                 if not isinstance(value, ast.Constant) or value.value is not None:
-                    yield self._replaced(node, "return None")
+                    yield self._text.replaced(node, "return None")
             case ast.Expr(value=ast.Call()):
-                yield self._replaced(node, "pass")
+                yield self._text.replaced(node, "pass")
             case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
-                yield self._replaced(node, "pass")
+                yield self._text.replaced(node, "pass")
             case ast.AugAssign() | ast.Raise() | ast.Break() | ast.Continue():
-                yield self._replaced(node, "pass")
+                yield self._text.replaced(node, "pass")
 
     def _operator(
         self, left: ast.expr, right: ast.expr, pattern: str, after: str
     ) -> Iterator[Mutation]:
         """Change the operator between two operands; parentheses may stand beside it."""
-        start, end = self._end(left), self._start(right)
-        between = self._source[start:end].decode()
+        start, end = self._text.end(left), self._text.start(right)
+        between = self._text.source[start:end].decode()
         edge = r"\b" if pattern[0].isalpha() else ""
         found = re.search(edge + pattern + edge, re.sub(r"#.*", _blank, between))
         if found is not None:
             at = start + len(between[: found.start()].encode())
-            yield self._mutation(at, at + len(found[0]), after)
-
-    def _replaced(self, node: ast.AST, after: str) -> Mutation:
-        return self._mutation(self._start(node), self._end(node), after)
-
-    def _mutation(self, start: int, end: int, after: str) -> Mutation:
-        line = self._source.count(b"\n", 0, start) + 1
-        before = self._source[start:end].decode()
-        text = self._lines[line - 1].decode().strip()
-        return Mutation(self._path, start, end, after, before, line, text)
-
-    def _text(self, node: ast.expr) -> str:
-        return self._source[self._start(node) : self._end(node)].decode()
-
-    def _start(self, node: ast.AST) -> int:
-        assert isinstance(node, ast.expr | ast.stmt)
-        return self._starts[node.lineno - 1] + node.col_offset
-
-    def _end(self, node: ast.AST) -> int:
-        assert isinstance(node, ast.expr | ast.stmt)
-        assert node.end_lineno is not None
-        assert node.end_col_offset is not None
-        return self._starts[node.end_lineno - 1] + node.end_col_offset
+            yield self._text.mutation(at, at + len(found[0]), after)
 
 
 def _is_type(node: ast.expr) -> bool:
