@@ -10,7 +10,8 @@ from tests.benchmarks.sensitivity import (
     measured,
     rows,
     variants,
-)from tests.mutants import ROOT
+)
+from tests.mutants import ROOT
 
 SOURCE = b'''
 """A module."""
