@@ -302,7 +302,7 @@ def _said_through(redirection: str, *arguments: object) -> subprocess.CompletedP
         + [str(one) for one in arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
 
@@ -379,7 +379,7 @@ def test_loads_only_what_it_uses(tmp_path: Path, arguments: list[str]) -> None:
         [sys.executable, "-c", code, *(str(log) if one == "a.mcap" else one for one in arguments)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=True,
     )
     loaded = set(ast.literal_eval(ran.stdout.splitlines()[-1]))
