@@ -31,7 +31,7 @@ def _interrupted(signal_name: str, module: str) -> subprocess.CompletedProcess[s
         [sys.executable, "-c", _PROGRAM, signal_name, module, "devices"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
 

@@ -41,23 +41,26 @@ def drawn_line(wipe: Callable[[], None]) -> Iterator[None]:
 class Interrupt:
     """Whether someone asked the command to stop."""
 
-    def __init__(self) -> None:
-        self._event = threading.Event()
-        self._at_once = False
+    # `ask` runs as a signal handler, at any line of the main thread, also while `wait` runs. So it
+    # takes no lock that `wait` may hold: Event.set() would, and Ctrl-C could hang the program.
 
-    @property
-    def asked(self) -> bool:
-        return self._event.is_set()
+    def __init__(self) -> None:
+        self.asked = False
+        """True if a signal has come."""
+        self._at_once = False
+        self._woken = threading.Lock()
+        self._woken.acquire()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until someone asks, at most so long; the answer is whether someone has."""
-        return self._event.wait(timeout_s)
+        """Wait until someone asks, at most `timeout_s` seconds. True if someone has asked."""
+        return self.asked or self._woken.acquire(timeout=timeout_s)
 
     def ask(self, _signal: int, _frame: FrameType | None) -> None:
         """Note the first signal; a second one ends the program at once."""
         if self.asked or self._at_once:
             raise KeyboardInterrupt
-        self._event.set()
+        self.asked = True
+        self._woken.release()
 
     def breakable(self, items: Iterator[T]) -> Iterator[T]:
         """Give items; the wait for one, which may be long, is broken off by KeyboardInterrupt.

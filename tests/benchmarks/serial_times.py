@@ -43,7 +43,7 @@ SEED = 115200
 GAP_S = 0.004
 WAYS = ("terminal", "line")
 _BUSY = "while True:\n pass"
-_WAIT_S = 20.0
+_WAIT_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ FT1A, FA3, BARE = "mbtool ft1a", "mbtool fa3", "asyncio"
 PYMODBUS, LIBMODBUS = "pymodbus", "libmodbus"
 PLACES = {FA3: 2}
 """How many masters a slave takes at once, where that is fewer than are measured."""
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 _AS_SLAVE, _PROFILED = "--as-slave", "--as-profiled"
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     import pytest
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 _COMMAND = [sys.executable, "-c", "from mbtool.cli.main import main; main()"]
 
 

@@ -59,7 +59,7 @@ sys.exit(run(sys.argv[2:]))
 
 def _on_a_disk_with_room_for(size: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", _FULL, str(size), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the system")

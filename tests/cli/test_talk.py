@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import signal
+import sys
+import threading
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli.talk import Interrupt, drawn_line, interruptible, say
+from tests.cli.program import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from types import FrameType
+
+    from _typeshed import TraceFunction
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -68,3 +74,30 @@ def test_a_drawn_line_is_taken_away_before_something_is_said(
     say("three")
     assert wiped == ["", "one\n"]
     assert capsys.readouterr().err == "two\nthree\n"
+
+
+def _waits_with_a_signal_at(line: int) -> bool:
+    """True if the signal came before the wait was over."""
+    interrupt, lines = Interrupt(), iter(range(line, -1, -1))
+
+    def trace(_frame: FrameType, event: str, _argument: object) -> TraceFunction:
+        if event == "line" and next(lines, None) == 0:
+            interrupt.ask(signal.SIGINT, None)
+        return trace
+
+    def wait() -> None:
+        sys.settrace(trace)
+        interrupt.wait(0.001)
+
+    waiting = threading.Thread(target=wait, daemon=True)
+    waiting.start()
+    waiting.join(PATIENCE_S)
+    assert not waiting.is_alive(), f"a signal at line {line} of a wait stops the program for good"
+    return interrupt.asked
+
+
+def test_a_signal_at_any_line_of_a_wait_does_not_deadlock() -> None:
+    line = 0
+    while _waits_with_a_signal_at(line):
+        line += 1
+    assert line > 0

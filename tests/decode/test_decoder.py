@@ -331,7 +331,7 @@ _frames = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(_frames)
 def test_a_line_gives_the_same_live_and_from_its_bytes(
     frames: list[tuple[bytes, int, int, bool, bool]],
@@ -365,7 +365,7 @@ _pieces = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(_pieces, st.integers(1, 20))
 def test_a_relay_gives_the_same_live_and_from_its_bytes(
     pieces: list[tuple[bytes, Direction, int, int, bool]], size: int
@@ -392,7 +392,6 @@ def test_a_relay_gives_the_same_live_and_from_its_bytes(
     assert _decoded(live) == _decoded(evidence)
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.one_of(

@@ -290,6 +290,27 @@ def test_ports_that_are_not_exchanged_are_left_alone_whatever_the_noise() -> Non
     assert EventKind.MISPLACED not in [event.kind for event in wire_events(wires.decoded())]
 
 
+@pytest.mark.parametrize(("misplaced", "events"), [(3, 0), (4, 1)])
+def test_the_fourth_frame_of_the_other_side_tells_that_ports_are_exchanged(
+    misplaced: int, events: int
+) -> None:
+    wires = Wires()
+    for _ in range(misplaced):
+        wires.say(REQUEST, rtu_adu(5, ANSWER))
+    kinds = [event.kind for event in wire_events(wires.decoded())]
+    assert kinds.count(EventKind.MISPLACED) == events
+
+
+def test_that_the_slaves_adapter_is_the_later_one_is_learned_from_quick_responses() -> None:
+    wires = Wires().ask(after_ms=3).answer(after_ms=5, late_ms=45)
+    for value in range(6):  # Slow ones: each seems to come behind the next request.
+        wires.ask(after_ms=3).answer(bytes([3, 2, 0, value]), after_ms=60, late_ms=45)
+    assert [one.response_values for one in transactions(wires.decoded())] == [
+        [0x022B],
+        *([value] for value in range(6)),
+    ]
+
+
 @st.composite
 def conversations(draw: st.DrawFn) -> list[Exchange]:
     """Exchanges, some of them several times in a row, as a master polls."""

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.form import form_codes, is_quantity_wrong, padding_of, request_codes
@@ -90,7 +90,6 @@ def test_padding_names_the_byte_and_the_bits_that_count() -> None:
     assert padding_of(transaction("01 0000 000B", "01 02 2103")) is None
 
 
-@settings(deadline=None)
 @given(raw=st.binary(max_size=20), answer=st.binary(max_size=20), function=st.integers(0, 255))
 @pytest.mark.parametrize("transport", list(Transport))
 def test_bytes_that_are_no_adu_do_no_harm(

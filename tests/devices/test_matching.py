@@ -204,6 +204,7 @@ def test_its_own_words_speak_for_a_profile() -> None:
     found = verdict(named, on_tcp(3, 0, quantity=1, response_values=[1]))
     assert found.matches[0].profile == "wago-750"
     assert "it says of itself: vendor 'WAGO'" in found.matches[0].reasons
+    assert found.matches[0].score == 50  # 45 as one of two requests is explained, 5 for its name.
 
 
 def test_silence_says_nothing() -> None:

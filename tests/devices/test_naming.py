@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mbtool.devices.assignment import Assignment, Assignments, Who
@@ -255,7 +255,6 @@ _WORDS = st.none() | st.lists(st.integers(-1, 0x10000), max_size=9)
 _NUMBERS = st.none() | st.integers(0, 0xFFFF) | st.integers(0xF0, 0x110)
 
 
-@settings(deadline=None)
 @given(
     device=st.sampled_from(["fa3-at1m8x", "fa3-th1m16xc", "idec-ft1a-touch"]),
     function=st.integers(0, 0x7F),
@@ -292,7 +291,6 @@ _POLLS = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(
     device=st.sampled_from(["fa3-at1m8x", "idec-ft1a-touch", "chino-lt830"]),
     polls=st.lists(_POLLS, max_size=8),

@@ -22,7 +22,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 MBTOOL = str(Path(sys.executable).with_name("mbtool"))
 _ENVIRONMENT = {**os.environ, "NO_COLOR": "1", "COLUMNS": "160", "PYTHONWARNINGS": "error"}
 

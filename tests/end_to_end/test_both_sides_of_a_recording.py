@@ -78,7 +78,7 @@ def _played(
         slave = FaultySlave(slave, faults)
     run = MasterRun(
         str(path),
-        MasterOptions(reading=options, wanted=wanted, rate=rate, timeout_ns=300_000_000),
+        MasterOptions(reading=options, wanted=wanted, rate=rate, timeout_ns=1_000_000_000),
     )
     with open_shell(link, slave) as shell:
         return run.play(parse_link(shell.place) if to is None else to), count

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import SerialFormat, SerialLink, WireEvent, parse_line
+from mbtool.core import Chunk, SerialFormat, SerialLink, WireEvent, parse_line
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.modbus import Outcome
@@ -19,10 +20,12 @@ from mbtool.workflows.replay_master import MasterOptions, MasterRun
 from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.sniff import Sniffer, serial_lines
+from tests.end_to_end.programs import PATIENCE_S
+from tests.workflows.bench import until
 
 if TYPE_CHECKING:
     from mbtool.core import LineSettings
-    from mbtool.decode.decoder import Record
+    from mbtool.decode.decoder import Evidence, Record
     from mbtool.workflows.replay_bus import BusReport
 
 pytestmark = pytest.mark.skipif(
@@ -49,6 +52,16 @@ def _skipped(records: list[Record]) -> list[bytes]:
     return [one.raw for one in records if isinstance(one, WireEvent) and one.raw]
 
 
+class _CountingDecoder(Decoder):
+    """Counts the bytes that it is fed."""
+
+    heard = 0
+
+    def feed(self, item: Evidence) -> list[Record]:
+        self.heard += len(item.data) if isinstance(item, Chunk) else 0
+        return super().feed(item)
+
+
 def _played(
     path: Path, format_: SerialFormat, *, is_ascii: bool = False, line: LineSettings | None = None
 ) -> tuple[list[Record], BusReport]:
@@ -58,16 +71,15 @@ def _played(
     with VirtualLine(format=format_) as virtual:
         near, far = (SerialLink(port, format_, is_ascii) for port in virtual.ports)
         run = BusRun(str(path), BusOptions(reading=ReadingOptions(line=line)), near)
-        decoder = Decoder(Namer(), lines=serial_lines([far]))
+        decoder = _CountingDecoder(Namer(), lines=serial_lines([far]))
         with Sniffer([far], decoder) as sniffer:
             player = threading.Thread(target=lambda: reports.append(run.play()), daemon=True)
             player.start()
-            quiet = 0
+            deadline = time.monotonic() + PATIENCE_S
 
             def stop(_now_ns: int) -> bool:
-                nonlocal quiet
-                quiet = 0 if player.is_alive() else quiet + 1
-                return quiet > 5  # Looks, each of which waits for what is still on its way.
+                assert time.monotonic() < deadline, f"heard {decoder.heard} bytes of {reports}"
+                return bool(reports) and decoder.heard >= reports[0].bytes
 
             records += sniffer.records(stop)
     (report,) = reports
@@ -149,15 +161,16 @@ def test_a_damaged_answer_is_heard_again_on_a_line() -> None:
         slave = SlaveRun(str(path), SlaveOptions(with_damage=True, rate=None)).on(answering)
         run = MasterRun(
             str(path),
-            MasterOptions(reading=ReadingOptions(), rate=None, timeout_ns=300_000_000),
+            MasterOptions(reading=ReadingOptions(), rate=None, timeout_ns=1_000_000_000),
         )
         heard: list[Record] = []
         decoder = Decoder(Namer(), lines=serial_lines([listening]))
         with Sniffer([listening], decoder) as sniffer:
             with slave.shell:
                 report = run.play(asking)
-            looks = iter(range(5))
-            heard += sniffer.records(lambda _: next(looks, None) is None)
+            stop = until(heard, lambda found: len(_told(found)) >= len(_told(recorded)))
+            for record in sniffer.records(stop):
+                heard.append(record)
     assert report.different == 0  # A wrong CRC is no answer, as it was then.
     assert [raw for raw in _skipped(heard) if raw == wrong] == [wrong]
     assert [one[3] for one in _told(heard)].count(Outcome.NO_ANSWER) == 1

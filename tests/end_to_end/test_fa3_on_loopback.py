@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mbtool.slave.device import Behaviour
 
 LOOPBACK = TcpLink(Endpoint("127.0.0.1", 0))
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 READ_ALARM = bytes.fromhex("04 0001 0001")
 MODEL = bytes.fromhex("42 00")

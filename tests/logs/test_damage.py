@@ -50,6 +50,13 @@ def test_a_gap_is_reported_once_with_the_given_time() -> None:
     assert damage.take_gap(8) == []
 
 
+def test_a_hole_with_nothing_around_it_is_kept_for_the_first_item_with_a_time() -> None:
+    damage = Damage("x.mcap")
+    damage.add_hole(_at(20), 20, 100)
+    assert damage.take_gap(0) == []
+    assert [hole.ts_ns for hole in damage.take_gap(7)] == [7]
+
+
 def test_another_error_at_the_end_is_reported_with_the_damage_before_it() -> None:
     damage = Damage("x.mcap")
     damage.add(_at(20), 100)

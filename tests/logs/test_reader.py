@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from mbtool.logs.messages import LogItem
 
 
-@settings(deadline=None)  # It waits for a disk.
 @given(st.lists(items, max_size=6))
 def test_what_was_written_is_read_back(written: list[LogItem]) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -229,7 +228,7 @@ def test_following_goes_on_behind_damage(tmp_path: Path) -> None:
     assert [_is_hole(item) for item in found] == [False, False, True, False, False]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_no_bytes_raise_anything_else(data: st.DataObject) -> None:
     good = bytearray(small_log())

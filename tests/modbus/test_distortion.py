@@ -71,6 +71,13 @@ def test_a_response_that_is_cut_off_completely_sends_nothing() -> None:
     assert wire_pieces(Response(PDU, distortion=Distortion(cut=99)), Transport.RTU, 1) == []
 
 
+@pytest.mark.parametrize("transport", Transport)
+def test_a_cut_that_is_longer_than_the_adu_leaves_nothing_either(transport: Transport) -> None:
+    size = len(FRAMED[transport])
+    for cut in range(size, 2 * size + 1):
+        assert _sent(Distortion(cut=cut), transport) == b""
+
+
 def test_a_silent_response_sends_nothing() -> None:
     answer = Response(PDU, distortion=Distortion(silent=True, extra=b"\xff"))
     assert wire_pieces(answer, Transport.RTU, 1) == []

@@ -220,7 +220,10 @@ def test_acknowledgements_and_copies_are_no_keep_alive_probes() -> None:
     talk = Talk()
     packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
 
-    items = run_packets([*packets, *packets, talk.send(talk.master), *talk.goodbye()])
+    copies = [talk.at(talk.master, talk.master.sequence - 2, b"s")]  # One byte, not the last.
+    copies += [talk.at(talk.master, talk.master.sequence - 1, b"k!")]  # The last, and one more.
+    talk.request(b"!")
+    items = run_packets([*packets, *packets, *copies, talk.send(talk.master), *talk.goodbye()])
 
     (closed,) = [item for item in items if isinstance(item, StreamClosed)]
     assert closed.keep_alives == 0

@@ -82,6 +82,14 @@ def test_compares_a_second_copy_with_the_bytes_that_it_still_has() -> None:
     assert stream.differs_from_delivered(len(data) - 2, b"\xfe\x00")
 
 
+def test_keeps_no_more_of_many_pieces_than_of_one() -> None:
+    stream = _stream()
+    for _ in range(4):
+        stream.advance(b"y" * (RECENT_BYTES // 2), RECENT_BYTES // 2)
+    assert not stream.differs_from_delivered(0, b"x" * RECENT_BYTES)
+    assert stream.differs_from_delivered(0, b"x" * (RECENT_BYTES + 1))
+
+
 def test_a_gap_leaves_nothing_to_compare_with() -> None:
     stream = _stream()
     stream.advance(b"abc", 3)
@@ -125,7 +133,9 @@ def test_remembers_a_limited_number_of_acknowledgements_and_gaps() -> None:
     for number in range(1000):
         stream.acknowledge(10 * number + 1, arrival=number, ts_ns=0)
     stream.advance(b"x" * 9980, 9980)
-    assert not stream.is_overdue(MAX_ACKNOWLEDGEMENTS, 3, 0, 100)
+    # Further ones are as old as the last that is remembered by itself, which is number 7.
+    assert not stream.is_overdue(MAX_ACKNOWLEDGEMENTS + 1, 3, 0, 100)
+    assert stream.is_overdue(MAX_ACKNOWLEDGEMENTS + 2, 3, 0, 100)
 
     stream = _stream()
     for _ in range(MAX_GAPS + 1):

@@ -10,7 +10,7 @@ from mbtool.modbus import Response
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-PATIENCE_S = 10.0
+PATIENCE_S = 120.0
 
 
 class Scripted:

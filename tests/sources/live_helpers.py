@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from mbtool.sources.inbox import Inbox, Item
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 
 
 def take_until(inbox: Inbox, is_last: Callable[[Item], bool]) -> list[Item]:

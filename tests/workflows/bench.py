@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.workflows.sniff import Sniffer
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 ANY = Endpoint("127.0.0.1", 0)
 FAST = SerialFormat(115200, 8, "N", 1)
 

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 FAST = SerialFormat(115200, 8, "N", 1)
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 WHOLE = (rtu_adu(1, READ) + rtu_adu(1, VALUES)) * 3
 
 

@@ -39,7 +39,7 @@ def capture(tmp_path: Path) -> Path:
 
 
 def _run(path: Path, **options: object) -> MasterRun:
-    given = {"reading": ReadingOptions(), "rate": None, "timeout_ns": 200_000_000, **options}
+    given = {"reading": ReadingOptions(), "rate": None, "timeout_ns": 20_000_000_000, **options}
     return MasterRun(str(path), MasterOptions(**given))  # type: ignore[arg-type]
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
@@ -141,7 +141,6 @@ EVENTS = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(
     records=st.lists(TRANSACTIONS | EVENTS, max_size=30),
     profile=st.sampled_from([*builtin_profiles()]),

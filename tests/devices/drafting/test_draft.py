@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.assignment import Assignment, Assignments, Who
@@ -163,7 +163,6 @@ TRANSACTIONS = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(st.lists(TRANSACTIONS, min_size=1, max_size=12))
 def test_any_traffic_gives_a_draft_that_loads_and_explains_it(
     tmp_path_factory: Any, parts: list[Transaction]

@@ -387,7 +387,6 @@ def test_the_text_loads_as_the_profile(text: str, tmp_path_factory: pytest.TempP
         assert remark.split()[0] in found.text
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=400) | st.text(max_size=400).map(str.encode))
 def test_no_bytes_make_it_fail_otherwise_than_in_words(data: bytes) -> None:
     with suppress(UsageError):
@@ -452,7 +451,7 @@ def lists(draw: st.DrawFn) -> str:
     return out.getvalue()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(lists())
 def test_any_list_becomes_a_profile_or_complaints(text: str) -> None:
     try:
