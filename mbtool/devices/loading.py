@@ -30,7 +30,7 @@ import msgspec
 
 from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
-from mbtool.devices.schema import docstrings
+from mbtool.devices.schema import description
 from mbtool.devices.toml_file import TomlError, read_toml
 from mbtool.devices.validation import validate
 
@@ -238,7 +238,7 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
     _refuse_unknown(cls, value, file, key)
     for name in _required(cls):
         if name not in value:
-            about = docstrings(cls)[name].partition("\n")[0].removesuffix(".")
+            about = description(cls, name).partition("\n")[0].removesuffix(".")
             raise ProfileError(
                 file, _join(key, name), f"this key is missing: {about[0].lower()}{about[1:]}"
             )
