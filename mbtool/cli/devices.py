@@ -128,7 +128,7 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Ma
     from mbtool.cli.devices_own import survey
     from mbtool.cli.talk import say
     from mbtool.devices import builtin_profiles, load_profile
-    from mbtool.devices.matching import match
+    from mbtool.devices.profile_match import match
     from mbtool.views.matches import print_verdicts, verdict_record
 
     profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]

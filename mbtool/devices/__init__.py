@@ -3,7 +3,6 @@
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
 from mbtool.devices.difference import Difference, DifferenceKind, Side
 from mbtool.devices.dumping import dump_profile
-from mbtool.devices.findings import finding_text
 from mbtool.devices.loading import (
     builtin_profiles,
     load_profile,
@@ -24,8 +23,9 @@ from mbtool.devices.model import (
     Timing,
     WordOrder,
 )
-from mbtool.devices.named import NamedTransaction, PointValue
+from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
+from mbtool.devices.profile_checks import finding_text
 from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema
 from mbtool.devices.spans import Span, parse_span

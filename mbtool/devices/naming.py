@@ -17,7 +17,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.devices.assignment import Assignments
-from mbtool.devices.findings import (
+from mbtool.devices.identity import answer_word, identity_points
+from mbtool.devices.model import AnswerWord, Point, PointType, Profile
+from mbtool.devices.named_transaction import NamedTransaction, PointValue
+from mbtool.devices.profile_checks import (
     Ranges,
     data_finding,
     exception_finding,
@@ -28,11 +31,8 @@ from mbtool.devices.findings import (
     value_ranges,
     values_outside,
 )
-from mbtool.devices.form import form_codes
-from mbtool.devices.identity import answer_word, identity_points
-from mbtool.devices.model import AnswerWord, Point, PointType, Profile
-from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
+from mbtool.devices.standard_checks import form_codes
 from mbtool.devices.values import PointInstance, places_of, values_of
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS

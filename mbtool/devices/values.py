@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.model import WORD_BITS, Access, ByteOrder, Point, PointType, WordOrder
-from mbtool.devices.named import PointValue
+from mbtool.devices.named_transaction import PointValue
 from mbtool.devices.references import write_reference
 
 if TYPE_CHECKING:

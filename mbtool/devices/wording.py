@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.devices.named import NamedTransaction, PointValue
+    from mbtool.devices.named_transaction import NamedTransaction, PointValue
 
 
 def describe(transaction: NamedTransaction) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from mbtool.devices.matching import MatchResult, ProfileMatch
+    from mbtool.devices.profile_match import MatchResult, ProfileMatch
 
 SHOWN = 3
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbtool.devices.identity import answer_word, identity_points
-from mbtool.devices.named import PointValue
+from mbtool.devices.named_transaction import PointValue
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction

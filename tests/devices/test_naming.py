@@ -18,7 +18,7 @@ from mbtool.modbus.transaction import Outcome, Transaction
 from tests.devices.transactions import transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 def _namer(device: str) -> Namer:

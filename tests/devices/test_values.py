@@ -16,7 +16,7 @@ from mbtool.devices.values import _MAX_REMEMBERED, PointInstance, places_of, reg
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import PointValue
+    from mbtool.devices.named_transaction import PointValue
 
 WORDS = st.integers(0, 0xFFFF)
 

@@ -4,7 +4,7 @@ import pytest
 
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import load_profile
-from mbtool.devices.named import PointValue
+from mbtool.devices.named_transaction import PointValue
 from mbtool.devices.naming import Namer
 from mbtool.devices.wording import describe, describe_points
 from tests.devices.transactions import transaction

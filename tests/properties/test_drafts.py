@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import MbtoolError, WireEvent
 from mbtool.devices import Assignment, Assignments, Namer, Who, builtin_profiles, load_profile
 from mbtool.devices.drafting.draft import draft_profile
-from mbtool.devices.matching import match
+from mbtool.devices.profile_match import match
 from mbtool.modbus import Outcome
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 from mbtool.workflows.shared.reading import Reading, ReadingOptions

@@ -7,8 +7,8 @@ import io
 from rich.console import Console
 
 from mbtool.devices import load_profile
-from mbtool.devices.matching import MatchResult, match
 from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.profile_match import MatchResult, match
 from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.views.matches import SHOWN, print_verdicts, shown_matches, verdict_record
 from tests.devices.transactions import transaction

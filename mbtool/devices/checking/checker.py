@@ -12,12 +12,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
-from mbtool.devices.checking.answers import AnswerRules
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.connections import ConnectionRules, is_foreign_message
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
+from mbtool.devices.checking.responses import AnswerRules
 from mbtool.devices.checking.transactions import TransactionRules
 from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.modbus.adu import Verdict
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 class Checker:

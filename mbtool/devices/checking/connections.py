@@ -30,7 +30,7 @@ from mbtool.modbus.adu import Verdict
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_RECENT = 32
 MAX_WAITING = 256

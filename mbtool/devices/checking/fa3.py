@@ -25,8 +25,8 @@ from mbtool.devices.checking.connections import foreign_text, is_foreign_message
 from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.findings import has_other_data
 from mbtool.devices.model import BehaviourName
+from mbtool.devices.profile_checks import has_other_data
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.model import Profile
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64

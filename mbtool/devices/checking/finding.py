@@ -10,7 +10,7 @@ from mbtool.devices.checking.rules import Severity, severity_of
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

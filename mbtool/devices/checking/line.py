@@ -30,7 +30,7 @@ from mbtool.core import EventKind, Silence, WireEvent
 from mbtool.devices.checking.finding import Finding, found, found_in
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu

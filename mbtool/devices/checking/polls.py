@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.rules import DeviceCode
-from mbtool.devices.findings import finding_text, request_data, value_ranges, values_outside
-from mbtool.devices.form import ADDRESSES, answer_form, padding_of, request_form
+from mbtool.devices.profile_checks import finding_text, request_data, value_ranges, values_outside
 from mbtool.devices.references import is_neutral
+from mbtool.devices.standard_checks import ADDRESSES, answer_form, padding_of, request_form
 from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.devices.findings import Ranges
     from mbtool.devices.model import Profile
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.devices.profile_checks import Ranges
 
 _FORMS_OF_REQUESTS = frozenset(("MB-101", "MB-102", "MB-103"))
 _FORMS_OF_ANSWERS = frozenset(("MB-201", "MB-202", "MB-203"))

@@ -15,7 +15,7 @@ from mbtool.devices.checking.finding import Finding, found
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
 from mbtool.devices.model import BehaviourName
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.functions import ExceptionCode
 
 if TYPE_CHECKING:

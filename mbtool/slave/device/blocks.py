@@ -2,7 +2,7 @@
 
 # A profile's points say so with `block`. A block's registers are no part of the table: what a read
 # from its first address brings, and what stands at the addresses behind that one, are two things.
-# Which reads there may be is devices/blocks.py's matter.
+# Which reads there may be is devices/block_reads.py's matter.
 #
 # Bounds: a block ends where its last point does, so it has 65536 registers at most.
 

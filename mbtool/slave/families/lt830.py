@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.devices.findings import holds_read_only_point, value_ranges, values_outside
+from mbtool.devices.profile_checks import holds_read_only_point, value_ranges, values_outside
 from mbtool.devices.values import places_of
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.modbus.tables import Table

@@ -29,7 +29,7 @@ from tests.devices.transactions import transaction as bare
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 FOREIGN_MESSAGE = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
 

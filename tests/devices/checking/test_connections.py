@@ -16,7 +16,7 @@ from tests.devices.checking.talk import MASTER, SLAVE, event, opened, transactio
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 FOREIGN_MESSAGE = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
 

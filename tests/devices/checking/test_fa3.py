@@ -8,7 +8,7 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.lru_dict import MAX_KEPT
 from mbtool.devices.loading import load_profile
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 from tests.devices.checking.talk import MASTER, event, opened, transaction
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from mbtool.modbus.adu import Verdict
 from tests.devices.checking.talk import assigned, line_event, transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 FORMAT = SerialFormat(19200)
 PATIENT = str(

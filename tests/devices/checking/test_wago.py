@@ -10,7 +10,7 @@ from mbtool.devices.loading import load_profile
 from tests.devices.checking.talk import transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 def found(*transactions: NamedTransaction) -> list[str]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import PointType
-from mbtool.devices.starting import name_for, starting_profile
+from mbtool.devices.profile_template import name_for, starting_profile
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.devices.blocks import can_be_read
+from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.checking.rules import DeviceCode, rule_of
-from mbtool.devices.form import is_quantity_wrong, request_codes
+from mbtool.devices.standard_checks import is_quantity_wrong, request_codes
 from mbtool.devices.values import places_of
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 from mbtool.modbus.pdu import whole_pdu
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.devices.model import FunctionRule, Point, Profile
-    from mbtool.devices.named import PointValue
+    from mbtool.devices.named_transaction import PointValue
     from mbtool.modbus.tables import Table
     from mbtool.modbus.transaction import Transaction
 

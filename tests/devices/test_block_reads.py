@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices.blocks import can_be_read
-from mbtool.devices.findings import request_findings
+from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.loading import load_profile
+from mbtool.devices.profile_checks import request_findings
 from mbtool.modbus import Table
 from tests.devices.transactions import transaction
 

@@ -4,9 +4,9 @@ import msgspec
 import pytest
 
 from mbtool.devices.checking.rules import RULES
-from mbtool.devices.findings import exception_finding, finding_text, request_findings
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, Area, FunctionRule, Profile
+from mbtool.devices.profile_checks import exception_finding, finding_text, request_findings
 from mbtool.modbus import Table, Transport
 from tests.devices.checking import talk
 from tests.devices.transactions import transaction

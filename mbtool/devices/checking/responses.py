@@ -28,7 +28,7 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, found, is_joined
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome

@@ -5,7 +5,7 @@ import json
 import msgspec
 import pytest
 
-from mbtool.devices.named import NamedTransaction, PointValue
+from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
 from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.answers import MAX_HELD, AnswerRules
 from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.responses import MAX_HELD, AnswerRules
 from mbtool.modbus.adu import Transport, Verdict
 from tests.devices.checking.talk import (
     MASTER,
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 OTHER = "04 0000 0001"
 OTHER_ANSWER = "04 02 0007"

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from mbtool.devices.loading import builtin_profiles, load_profile
-from mbtool.devices.matching import MatchResult, ProfileMatch, match, model_function, models_of
 from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.profile_match import MatchResult, ProfileMatch, match, model_function, models_of
 from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.transaction import Outcome, Transaction

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbtool.devices.form import form_codes, is_quantity_wrong, padding_of, request_codes
+from mbtool.devices.standard_checks import form_codes, is_quantity_wrong, padding_of, request_codes
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.transaction import Outcome
 from tests.devices.checking.talk import transaction

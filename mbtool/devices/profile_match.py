@@ -23,7 +23,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.devices.blocks import can_be_read
+from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.devices.references import write_reference
 from mbtool.modbus.adu import Transport
