@@ -75,7 +75,7 @@ def _malformed_codes(transaction: Transaction) -> list[str]:
     if Verdict.MALFORMED_REQUEST in transaction.verdicts:
         codes.append(request_form(transaction)[0])
     if Verdict.MALFORMED_RESPONSE in transaction.verdicts:
-        broken = answer_form(transaction)
+        broken = response_form(transaction)
         if broken is not None:
             codes.append(broken[0])
     return codes
@@ -93,7 +93,7 @@ def request_form(transaction: Transaction) -> tuple[str, str]:
     return "MB-102", problem
 
 
-def answer_form(transaction: Transaction) -> tuple[str, str] | None:
+def response_form(transaction: Transaction) -> tuple[str, str] | None:
     """The code for an answer that is known to be malformed, and what is wrong.
 
     None for the true echo of a request that is malformed itself.

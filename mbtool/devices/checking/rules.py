@@ -1,13 +1,12 @@
-"""The rules whose breaking is a finding: how grave each is, what it says, and who says it."""
+"""The table of all rules: code, severity, meaning and source."""
 
-# The one table of codes. docs/findings.md has a section for each row, with an example, and a test
-# compares the two.
+# docs/findings.md has a section for each row, with an example; a test compares the two.
 #
-# A code is a family and a number. What is asked of everyone has numbers of its own (MB-101); what
-# one device's manual asks has the profile's prefix, a letter and a number (FT1A-Q16), where the
-# number is the function code in decimal, for E the exception code. The prefix tells whose manual is
-# broken, the letter stays when a limit changes, and the number makes each of them something to
-# select. A code never changes its meaning.
+# A rule of the standard has a code like MB-101: a family and a number. A rule of a device's manual
+# has a code like FT1A-Q16: the profile's prefix, a letter for the kind of rule, and the function
+# code in decimal (for E, the exception code). The letter does not depend on the limit in the
+# manual, and the number lets users select a rule for one function. A code never changes its
+# meaning.
 #
 # Sources, each with its section: MODBUS Application Protocol Specification V1.1b3, MODBUS over
 # Serial Line V1.02, MODBUS Messaging on TCP/IP Implementation Guide V1.0b; the devices' manuals.
@@ -20,30 +19,30 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """How grave a finding is; the words of SARIF."""
+    """How serious a finding is; the words of SARIF."""
 
     ERROR = "error"
-    """Somebody says what nobody can answer rightly, or answers wrongly."""
+    """A request that cannot have a correct response, or an incorrect response."""
     WARNING = "warning"
     """It may work, and it may fail."""
     NOTE = "note"
-    """Worth knowing; nothing has to be wrong."""
+    """Worth knowing; not necessarily wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A rule, or for a letter the rules of all devices that are of its kind."""
+    """A rule of the standard, or one kind of rule in all devices' manuals."""
 
     code: str
-    """A code, or a letter."""
+    """The code, or the letter of the kind."""
     severity: Severity
     meaning: str
-    """What is the matter where it is broken, in one sentence."""
+    """A sentence about a record that breaks the rule."""
     source: str
 
     @property
     def is_of_devices(self) -> bool:
-        """Whether its codes have a profile's prefix and a number."""
+        """True for a kind of rule: its codes have a profile's prefix and a number."""
         return len(self.code) == 1
 
 
@@ -52,7 +51,7 @@ _MANUAL = "manual of the device, as its profile has it"
 _FA3 = "manual of the FA3 modules"
 
 _ROWS = (
-    # What a device's manual says of a request and its answer.
+    # Manuals of devices.
     ("F", _E, "The device's manual does not list the function.", _MANUAL),
     (
         "Q",
@@ -108,7 +107,7 @@ _ROWS = (
         "A request has function code 00H, or one from 80H on, which mark exceptions.",
         "Application Protocol 4.1",
     ),
-    # Answers.
+    # Responses.
     (
         "MB-201",
         _E,
@@ -131,7 +130,7 @@ _ROWS = (
     # Broadcasts.
     ("MB-301", _E, "A broadcast is answered.", "Serial Line 2.1"),
     ("MB-302", _W, "A broadcast reads, where it can only write.", "Serial Line 2.1"),
-    # Question and answer.
+    # Requests without responses, and responses without requests.
     ("MB-401", _W, "A request has no answer.", "Serial Line 2.4.1; TCP/IP guide 4.4.1"),
     ("MB-402", _W, "A request had to be repeated before it was answered.", "Serial Line 2.4.1"),
     (
@@ -208,7 +207,7 @@ _ROWS = (
     ("TCP-201", _W, "A connection to a Modbus port carries another protocol.", "TCP/IP guide 4.2"),
     ("TCP-202", _W, "Bytes in a Modbus/TCP connection are no ADU.", "TCP/IP guide 3.1.3"),
     ("TCP-203", _W, "A TCP retransmission has other bytes than the first copy.", "RFC 9293, 3.8.1"),
-    # What only one family of devices does.
+    # Single families of devices.
     (
         "FA3-X1",
         _E,
@@ -248,7 +247,7 @@ _ROWS = (
 )
 
 RULES = {row[0]: Rule(*row) for row in _ROWS}
-"""Every rule by its code, those of devices by their letter."""
+"""Rules of the standard by code, rules of manuals by letter."""
 
 _OF_A_DEVICE = re.compile(r"(?P<prefix>.+)-(?P<letter>[A-Z])(?P<number>\d{1,3})", re.ASCII)
 
@@ -271,7 +270,7 @@ class DeviceCode:
 
 
 def rule_of(code: str) -> Rule | None:
-    """The rule that a code belongs to; None for a code of another program or edition."""
+    """The rule of a code; None if this edition does not know the code."""
     rule = RULES.get(code)
     if rule is not None:
         return rule
@@ -280,6 +279,6 @@ def rule_of(code: str) -> Rule | None:
 
 
 def severity_of(code: str) -> Severity:
-    """How grave a finding is; of a code that is not known, a warning."""
+    """The severity of a finding; a warning if the code is unknown."""
     rule = rule_of(code)
     return rule.severity if rule is not None else Severity.WARNING

@@ -6,8 +6,8 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.connections import (
+    MAX_PENDING,
     MAX_RECENT,
-    MAX_WAITING,
     ConnectionRules,
     is_foreign_message,
 )
@@ -123,9 +123,9 @@ def test_memory_is_bounded() -> None:
     rules = ConnectionRules(None)
     assert not [*rules.event(opened())]
     told = 0
-    for number in range(2 * MAX_WAITING):
+    for number in range(2 * MAX_PENDING):
         assert not [*rules.transaction(transaction(number=number, at_ms=number / 1000))]
         told += len([*rules.event(event(EventKind.SKIPPED, at_ms=number / 1000))])
-    assert told == MAX_WAITING
+    assert told == MAX_PENDING
     (connection,) = rules._connections.values()
     assert len(connection.recent) == MAX_RECENT

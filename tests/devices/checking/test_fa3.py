@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
-from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.devices.loading import load_profile
 from mbtool.devices.named_transaction import NamedTransaction
 from tests.devices.checking.talk import MASTER, event, opened, transaction
@@ -142,10 +142,10 @@ def test_the_family_is_known_by_its_behaviour() -> None:
 
 def test_memory_is_bounded() -> None:
     rules = Fa3Rules()
-    for number in range(MAX_KEPT + 10):
+    for number in range(MAX_ENTRIES + 10):
         one = event(EventKind.OPENED, destination=f"10.1.{number // 256}.{number % 256}:502")
         assert not [*rules.event(one)]
-    assert len(rules._modules) == MAX_KEPT
+    assert len(rules._modules) == MAX_ENTRIES
     for number in range(500):
         assert len([*rules.event(opened(source=f"10.0.0.1:{number}"))]) == (number > 1)
     module = rules._modules["10.0.0.2:502"]

@@ -7,8 +7,8 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.devices.checking.finding import Finding
-from mbtool.devices.checking.line import ENOUGH, LineRules
-from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.line import MIN_TRANSACTIONS, LineRules
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.modbus.adu import Verdict
 from tests.devices.checking.talk import assigned, line_event, transaction
 
@@ -77,10 +77,10 @@ def test_a_late_read_now_and_then_is_a_remark(verdict: Verdict) -> None:
 
 
 def test_many_broken_silences_are_the_adapters() -> None:
-    glued = [on_line(at_ms=1000 * at, verdicts=(Verdict.GLUED,)) for at in range(ENOUGH)]
+    glued = [on_line(at_ms=1000 * at, verdicts=(Verdict.GLUED,)) for at in range(MIN_TRANSACTIONS)]
     assert codes(*glued) == ["RTU-104"]
     assert codes(*glued[:-1]) == ["RTU-103"]
-    good = [on_line(at_ms=1000 * at) for at in range(ENOUGH, 4 * ENOUGH)]
+    good = [on_line(at_ms=1000 * at) for at in range(MIN_TRANSACTIONS, 4 * MIN_TRANSACTIONS)]
     assert codes(*glued, *good) == ["RTU-104"]
     assert codes(*glued, *good, on_line(at_ms=100_000)) == ["RTU-103"]
 
@@ -165,7 +165,7 @@ def test_a_clock_that_was_set_back_tells_nothing_of_the_pace() -> None:
 
 def test_memory_is_bounded() -> None:
     rules = LineRules()
-    for number in range(MAX_KEPT + 10):
+    for number in range(MAX_ENTRIES + 10):
         event = WireEvent(ts_ns=0, link=f"line {number}", kind=EventKind.SKIPPED, message="")
         assert not [*rules.event(event)]
-    assert len(rules._lines) == MAX_KEPT
+    assert len(rules._lines) == MAX_ENTRIES

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.lru_dict import MAX_KEPT
-from mbtool.devices.checking.responses import MAX_HELD, AnswerRules
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
+from mbtool.devices.checking.responses import MAX_PENDING, ResponseRules
 from mbtool.modbus.adu import Transport, Verdict
 from tests.devices.checking.talk import (
     MASTER,
@@ -31,12 +31,12 @@ OTHER_ANSWER = "04 02 0007"
 def found(
     *records: NamedTransaction | WireEvent, profile: str | None = None
 ) -> list[tuple[str, str]]:
-    rules = AnswerRules()
+    rules = ResponseRules()
     return [(one.code, one.message) for one in _findings(rules, records, profile)]
 
 
 def _findings(
-    rules: AnswerRules, records: Iterable[NamedTransaction | WireEvent], profile: str | None
+    rules: ResponseRules, records: Iterable[NamedTransaction | WireEvent], profile: str | None
 ) -> Iterable[Finding]:
     for record in records:
         if isinstance(record, WireEvent):
@@ -186,14 +186,14 @@ def test_an_answer_with_another_transaction_id_is_an_answer() -> None:
 
 
 def test_memory_is_bounded() -> None:
-    rules = AnswerRules()
+    rules = ResponseRules()
     found = 0
-    for number in range(MAX_HELD + 500):
+    for number in range(MAX_PENDING + 500):
         source = f"10.0.0.1:{number}"
         for told in (opened(source=source), event(EventKind.CLOSED, source=source)):
             assert not [*rules.event(told)]
         one = transaction(response=None, source=source, at_ms=1)
         found += len([*rules.transaction(one, None)])
     assert found == 500
-    assert rules._number_held == MAX_HELD
-    assert len(rules._states) <= MAX_KEPT
+    assert rules._pending_count == MAX_PENDING
+    assert len(rules._states) <= MAX_ENTRIES

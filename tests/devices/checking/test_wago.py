@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.devices.loading import load_profile
 from tests.devices.checking.talk import transaction
@@ -49,7 +49,7 @@ def test_the_family_is_known_also_where_a_user_built_on_it() -> None:
 
 def test_memory_is_bounded() -> None:
     rules = WagoRules()
-    for number in range(MAX_KEPT + 10):
+    for number in range(MAX_ENTRIES + 10):
         one = msgspec.structs.replace(failed(), destination=f"10.1.{number}:502")
         assert not [*rules.transaction(one)]
-    assert len(rules._couplers) == MAX_KEPT
+    assert len(rules._couplers) == MAX_ENTRIES
