@@ -359,6 +359,11 @@ class Point(_Part, frozen=True, kw_only=True):
         """The first address of each of the `count` points."""
         return range(self.address, self.address + self.count * self.stride, self.stride)
 
+    @property
+    def all_addresses(self) -> set[int]:
+        """Every address that the `count` points take."""
+        return {at for first in self.addresses for at in range(first, first + self.words)}
+
 
 class Profile(_Part, frozen=True, kw_only=True):
     """One device, or one model of a family."""
