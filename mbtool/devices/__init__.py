@@ -1,4 +1,4 @@
-"""What vendors mean: device profiles, and transactions in their words."""
+"""Device profiles: what vendors' manuals say, and transactions with the names from them."""
 
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
 from mbtool.devices.difference import Difference, DifferenceKind, Side
@@ -11,7 +11,6 @@ from mbtool.devices.loading import (
 )
 from mbtool.devices.model import (
     Access,
-    AnswerWord,
     Area,
     ByteOrder,
     Exceptions,
@@ -19,7 +18,6 @@ from mbtool.devices.model import (
     Point,
     PointType,
     Profile,
-    Radix,
     Timing,
     WordOrder,
 )
@@ -34,7 +32,6 @@ from mbtool.devices.wording import describe, describe_points, describe_written
 
 __all__ = [
     "Access",
-    "AnswerWord",
     "Area",
     "Assignment",
     "Assignments",
@@ -50,7 +47,6 @@ __all__ = [
     "PointType",
     "PointValue",
     "Profile",
-    "Radix",
     "Side",
     "Span",
     "Timing",

@@ -28,9 +28,7 @@ def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
     return _addresses(in_blocks, span) <= _addresses(readable, span)
 
 
-def _touched_points(
-    profile: Profile, table: Table, span: range
-) -> tuple[list[Point], list[Point]]:
+def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[Point], list[Point]]:
     """The points of blocks that a range touches, and the readable points outside all blocks."""
     if all(point.block is None for point in profile.points):
         return [], []

@@ -32,6 +32,8 @@ Texts = dict[int, str]
 """The meaning of each value."""
 
 WORD_BITS = 16
+READ_AND_WRITE = 0x17
+"""The one function that both reads and writes (6.17)."""
 
 
 class Radix(StrEnum):

@@ -1,21 +1,22 @@
-"""Says which profiles explain what was seen of a slave, how well, and why."""
+"""Finds the profiles that explain the observed traffic of a slave, with a score and reasons."""
 
-# Every different request is asked of a profile: would the device answer it? An answer where it
-# would, and a refusal where it would not, speak for the profile. An answer to what it lacks, a
-# refusal of what it has, and one that says that a function is lacking where something else is, or
-# the other way round, speak against it. Exceptions that its manual does not have, and a line or a
-# unit that it cannot be on, count against it, too.
+# For every different request, the profile predicts whether the device accepts or refuses it.
 #
-# Nothing say a silence, exceptions that are about no function, address or quantity (a state, a
-# gateway, a maker's own), a refused value, which stands for itself and not for its address, and a
-# refused 17H, of which nobody knows whether it was the reading or the writing.
+# For the profile:      the slave responds as predicted; the identity that it reports (2B/0E, 11H)
+#                       names the profile's vendor or model
+# Against the profile:  the slave accepts what the profile refuses, or refuses what it accepts; the
+#                       exception gives another reason than the profile (for example, "no such
+#                       function" for a wrong address); the exception code is not in the manual; the
+#                       device has not such a transport or such a unit number
+# Neither:              no response; an exception about anything but function, address and quantity
+#                       (a state, a gateway, a vendor's own code); a write refused for its value; a
+#                       refused 17H, because either its read or its write may be the reason
 #
-# A model code is decisive either way: the answer to 42H of an FA3 module is its model. Vendor and
-# product names that the slave gives (2B/0E, 11H) speak for the profile that they name.
+# A model code decides alone: an FA3 module responds to 42H with the code of its model.
 #
-# Names of points tell no devices apart: another device that answers at the same addresses has no
-# fewer for want of a longer manual. They are counted, and only put those in order that explain a
-# slave equally well, which are a tie and told as one.
+# How many of the addresses have names in a profile says nothing about the device, because a longer
+# manual has more names. The number only sorts profiles that explain a slave equally well; these are
+# reported as a tie.
 
 from __future__ import annotations
 
@@ -24,6 +25,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.block_reads import can_be_read
+from mbtool.devices.model import READ_AND_WRITE
 from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.devices.references import write_reference
 from mbtool.modbus.adu import Transport
@@ -43,12 +45,11 @@ _REFUSALS = frozenset(
         ExceptionCode.ILLEGAL_DATA_VALUE,
     )
 )
-_READ_WRITE = 0x17
-_CLEAR = 0.9
-"""What share of the requests a profile must explain to be named as the device."""
+_MIN_SHARE = 0.9
+"""Share of the requests that a profile must explain to be plausible."""
 _MAX_REASONS = 6
 _UNCONFIRMED = ", though no refusal, model code or name confirms it"
-_LEAST_WORD = 4
+_MIN_WORD_LETTERS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,27 +58,29 @@ class ProfileMatch:
 
     profile: str
     explained: int
-    """Different requests that ended as the profile says."""
+    """Different requests that ended as predicted."""
     contradicted: int
+    """Different requests that did not, and other contradictions."""
     named: int
-    """Addresses asked for that the profile has a point for."""
+    """Addresses that were read or written and have a point in the profile."""
     addresses: int
-    """Addresses asked for."""
+    """Addresses that were read or written."""
     is_model: bool
-    """The slave gave the profile's model code."""
+    """True if the slave gave the profile's model code."""
     is_other_model: bool
-    """It gave another's."""
-    is_called_so: bool
-    """Its own words name the profile's vendor or model."""
+    """True if the slave gave another model code."""
+    has_name: bool
+    """True if the identity that the slave reports names the profile's vendor or model."""
     refused: int
-    """Requests that it refused as the profile says."""
+    """Requests that were refused as predicted."""
     reasons: tuple[str, ...]
     against: tuple[str, ...]
 
     @property
     def share(self) -> float:
-        told = self.explained + self.contradicted
-        return self.explained / told if told else 0.0
+        """Share of the evidence that is for the profile, 0 to 1."""
+        total = self.explained + self.contradicted
+        return self.explained / total if total else 0.0
 
     @property
     def score(self) -> int:
@@ -86,44 +89,44 @@ class ProfileMatch:
             return 0
         if self.is_model:
             return 100
-        certain = 5 * self.is_called_so + 5 * (self.refused > 0)
-        return int(90 * self.share + certain) if self.explained else 0
+        confirmation = 5 * self.has_name + 5 * (self.refused > 0)
+        return int(90 * self.share + confirmation) if self.explained else 0
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether more speaks for it than that it answered, which many devices would have."""
-        return self.is_model or self.is_called_so or self.refused > 0
+        """True if there is better evidence than accepted requests, which many devices accept."""
+        return self.is_model or self.has_name or self.refused > 0
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
-        """What is greater is better; equal ranks are a tie."""
-        return self.is_model, self.is_called_so, self.share
+        """A greater rank is a better match; equal ranks are a tie."""
+        return self.is_model, self.has_name, self.share
 
     @property
     def is_plausible(self) -> bool:
-        """Whether the slave may well be this device."""
+        """True if the slave is probably this device."""
         if self.is_other_model:
             return False
-        return self.is_model or (self.explained > 0 and self.share >= _CLEAR)
+        return self.is_model or (self.explained > 0 and self.share >= _MIN_SHARE)
 
 
 @dataclass(frozen=True, slots=True)
 class MatchResult:
-    """The profiles for one slave, the best first, and what to make of them."""
+    """All profiles compared with one slave, the best first."""
 
-    seen: ObservedSlave
+    slave: ObservedSlave
     matches: tuple[ProfileMatch, ...]
 
     @property
     def best(self) -> tuple[ProfileMatch, ...]:
-        """The one that explains it best, or those that do so equally well; none if none does."""
+        """The best plausible profile, or several that are a tie; empty if none is plausible."""
         plausible = [one for one in self.matches if one.is_plausible]
         return tuple(one for one in plausible if one.rank == plausible[0].rank)
 
     @property
     def sentence(self) -> str:
-        seen, best = self.seen, self.best
-        if not seen.answered:
+        best = self.best
+        if not self.slave.has_responded:
             return "never answered, so nothing tells what it is"
         if not best:
             nearest = next((one.profile for one in self.matches if one.explained), None)
@@ -134,20 +137,20 @@ class MatchResult:
             return f"explained best by {best[0].profile}{unsure}"
         *others, last = (one.profile for one in best)
         names = f"{', '.join(others)} and {last}"
-        asked = len(seen.asked)
-        what = "one request" if asked == 1 else f"{asked} different requests"
+        count = len(self.slave.requests)
+        what = "one request" if count == 1 else f"{count} different requests"
         return f"a tie of {names}: nothing in {what} tells them apart"
 
 
-def match(seen: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
+def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
     """Compare a slave with profiles."""
-    in_ascii = seen.transports == {Transport.ASCII}
-    given = seen.given()
+    in_ascii = slave.transports == {Transport.ASCII}
+    known = slave.known_addresses()
     matches = [
-        _match(seen, profile.in_mode(Transport.ASCII) if in_ascii else profile, given)
+        _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
         for profile in profiles
     ]
-    # Those of another model come last, whatever else speaks for them.
+    # Profiles of other models come last, with any other evidence.
     matches.sort(
         key=lambda one: (
             one.is_other_model,
@@ -156,24 +159,24 @@ def match(seen: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
             one.profile,
         )
     )
-    return MatchResult(seen, tuple(matches))
+    return MatchResult(slave, tuple(matches))
 
 
-def _match(seen: ObservedSlave, profile: Profile, given: dict[Table, bytearray]) -> ProfileMatch:
+def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]) -> ProfileMatch:
     reasons: list[str] = []
     against: list[str] = []
-    is_model, is_other = _compare_models(seen, profile, reasons, against)
-    is_called_so = _compare_words(seen, profile, reasons)
-    explained, contradicted, refusals = _compare_requests(seen, profile, against)
+    is_model, is_other = _compare_models(slave, profile, reasons, against)
+    has_name = _compare_names(slave, profile, reasons)
+    explained, contradicted, refusals = _compare_requests(slave, profile, against)
     if explained:
         count = explained + contradicted
         what = "the one request" if count == 1 else f"{explained} of {count} different requests"
         reasons.append(f"{what} ended as it says")
-    contradicted += _compare_exceptions(seen, profile, against)
-    contradicted += _compare_transports(seen, profile, against)
-    contradicted += _compare_unit(seen, profile, against)
-    addresses = sum(here.count(1) for here in given.values())
-    named = min(_named(given, profile), addresses)
+    contradicted += _compare_exceptions(slave, profile, against)
+    contradicted += _compare_transports(slave, profile, against)
+    contradicted += _compare_unit(slave, profile, against)
+    addresses = sum(flags.count(1) for flags in known.values())
+    named = min(_count_named(known, profile), addresses)
     if named:
         reasons.append(f"names {named} of {addresses} addresses asked for")
     return ProfileMatch(
@@ -184,7 +187,7 @@ def _match(seen: ObservedSlave, profile: Profile, given: dict[Table, bytearray])
         addresses=addresses,
         is_model=is_model,
         is_other_model=is_other,
-        is_called_so=is_called_so,
+        has_name=has_name,
         refused=len(refusals),
         reasons=tuple([*reasons, *refusals][:_MAX_REASONS]),
         against=tuple(against[:_MAX_REASONS]),
@@ -192,93 +195,108 @@ def _match(seen: ObservedSlave, profile: Profile, given: dict[Table, bytearray])
 
 
 def _compare_requests(
-    seen: ObservedSlave, profile: Profile, against: list[str]
+    slave: ObservedSlave, profile: Profile, against: list[str]
 ) -> tuple[int, int, list[str]]:
-    """How many requests ended as the profile says, how many did not, and whose refusal it says."""
-    explained, contradicted = 0, 0
+    """Count the requests that ended as predicted and those that did not.
+
+    The third result is a sentence for each request that was refused as predicted.
+    """
+    explained, before = 0, len(against)
     refusals: list[str] = []
-    for ask, replies in seen.asked.items():
-        problem, would = _expected(profile, ask)
-        told = _told(profile, ask, replies, would=would)
-        if told is None:
+    for request, replies in slave.requests.items():
+        rule, is_predicted = _predict(profile, request)
+        is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
+        if is_accepted is None:
             continue
-        other = "" if told or would else _other_refusal(profile, ask, replies)
-        if other:
-            contradicted += 1
-            against.append(f"{_said(profile, ask)} refused by {other}, though {problem}")
-        elif told is would:
+        if is_accepted and is_predicted:
             explained += 1
-            if not told:
-                refusals.append(f"{_said(profile, ask)} refused, as {problem}")
+            continue
+        text = _request_text(profile, request)
+        other = _other_refusal(profile, request, replies)
+        if is_accepted or is_predicted:
+            against.append(f"{text} {'answered' if is_accepted else 'refused'}, though {rule}")
+        elif other:
+            against.append(f"{text} refused by {other}, though {rule}")
         else:
-            contradicted += 1
-            against.append(
-                f"{_said(profile, ask)} {'answered' if told else 'refused'}, though {problem}"
-            )
+            explained += 1
+            refusals.append(f"{text} refused, as {rule}")
+    contradicted = len(against) - before
     return explained, contradicted, refusals
 
 
-def _told(profile: Profile, ask: ObservedRequest, replies: Replies, *, would: bool) -> bool | None:
-    """Whether the slave does what is asked; None where its replies do not tell."""
+def _observed(
+    profile: Profile, request: ObservedRequest, replies: Replies, *, is_predicted: bool
+) -> bool | None:
+    """True if the slave accepts a request, False if it refuses it, None if neither is certain."""
     if replies.ok:
         return True
     codes = profile.exceptions
     refusals = _REFUSALS | {codes.function, codes.address, codes.value}
     refused = refusals.intersection(replies.exceptions)
-    if ask.function == _READ_WRITE:
+    if request.function == READ_AND_WRITE:
         refused &= {codes.function}
-    elif ask.writes and would and codes.value not in (codes.function, codes.address):
+    elif request.writes and is_predicted and codes.value not in (codes.function, codes.address):
         refused -= {codes.value}
     return False if refused else None
 
 
-def _other_refusal(profile: Profile, ask: ObservedRequest, replies: Replies) -> str:
-    """The code of a refusal that is for another reason than the profile's; empty for the same."""
-    lacks = profile.exceptions.function
-    others = {profile.exceptions.address, profile.exceptions.value} - {lacks}
+def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
+    """The exception codes, if they give another reason than the profile; otherwise empty.
+
+    There are two reasons: the function, or the addresses and the quantity.
+    """
+    no_function = profile.exceptions.function
+    others = {profile.exceptions.address, profile.exceptions.value} - {no_function}
     given = set(replies.exceptions)
-    is_lacking = profile.rule(ask.function) is None
-    is_other = lacks not in given if is_lacking else not given & others and lacks in given
+    if profile.rule(request.function) is None:
+        is_other = no_function not in given
+    else:
+        is_other = no_function in given and not given & others
     return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
 
 
-def _expected(profile: Profile, ask: ObservedRequest) -> tuple[str, bool]:
-    """Whether a device of the profile would do what is asked, and the rule that says so."""
-    rule = profile.rule(ask.function)
+def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
+    """The rule for a request, and True if a device of the profile accepts the request."""
+    function, table, span = request.function, request.table, request.span
+    rule = profile.rule(function)
     if rule is None:
-        return f"it has no function {ask.function:02X}", False
-    if ask.table is None or ask.address is None:
-        return f"it has function {ask.function:02X}", True
-    known = FUNCTIONS.get(ask.function)
-    if ask.function == _READ_WRITE and ask.writes:
+        return f"it has no function {function:02X}", False
+    if table is None or request.address is None:
+        return f"it has function {function:02X}", True
+    known = FUNCTIONS.get(function)
+    if function == READ_AND_WRITE and request.writes:
         limit: int | None = rule.write_limit or WRITE_LIMIT_17H
     else:
         limit = rule.limit or (known.limit if known is not None else None)
-    if limit is not None and not 1 <= ask.quantity <= limit:
+    if limit is not None and not 1 <= request.quantity <= limit:
         return f"its limit is {limit}", False
-    is_in_areas = profile.allows(ask.table, ask.span)
-    if ask.writes and not profile.allows(ask.table, ask.span, writing=True):
-        return ("one cannot write there" if is_in_areas else "it is outside its areas"), False
-    if not ask.writes and not can_be_read(profile, ask.table, ask.span):
-        return ("one cannot read there" if is_in_areas else "it is outside its areas"), False
-    return "its manual has that", True
+    if request.writes:
+        verb, is_allowed = "write", profile.allows(table, span, writing=True)
+    else:
+        verb, is_allowed = "read", can_be_read(profile, table, span)
+    if is_allowed:
+        return "its manual has that", True
+    if profile.allows(table, span):
+        return f"one cannot {verb} there", False
+    return "it is outside its areas", False
 
 
-def _said(profile: Profile, ask: ObservedRequest) -> str:
-    if ask.table is None or ask.address is None:
-        return f"{ask.function:02X} {function_name(ask.function)}"
-    where = write_reference(profile, ask.table, ask.address, ask.quantity, writing=ask.writes)
-    return f"{ask.function:02X} {where}"
+def _request_text(profile: Profile, request: ObservedRequest) -> str:
+    function, table, address = request.function, request.table, request.address
+    if table is None or address is None:
+        return f"{function:02X} {function_name(function)}"
+    where = write_reference(profile, table, address, request.quantity, writing=request.writes)
+    return f"{function:02X} {where}"
 
 
 def _compare_models(
-    seen: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
+    slave: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
 ) -> tuple[bool, bool]:
-    """Whether the slave gave this model's code, or another's."""
+    """Two results: the slave gave the profile's model code; it gave only others."""
     function = model_function(profile)
     if function is None or profile.model_code is None:
         return False, False
-    codes = {word for asked, word in seen.answer_words if asked == function}
+    codes = {word for code, word in slave.answer_words if code == function}
     if profile.model_code in codes:
         reasons.append(f"{function:02X}H was answered {profile.model_code:04X}H, its model code")
         return True, False
@@ -292,30 +310,24 @@ def _compare_models(
 
 
 def model_function(profile: Profile) -> int | None:
-    """The function that gives the model code: its answer has a text for it."""
+    """The function whose response is the model code: the code is among the response's texts."""
     for code, rule in profile.functions.items():
         if rule.answer is not None and profile.model_code in rule.answer.texts:
             return int(code, 16)
     return None
 
 
-def _compare_words(seen: ObservedSlave, profile: Profile, reasons: list[str]) -> bool:
-    """Whether what the slave says of itself names the profile's vendor or device."""
+def _compare_names(slave: ObservedSlave, profile: Profile, reasons: list[str]) -> bool:
+    """True if the identity that the slave reports names the profile's vendor or device."""
     known = _words(f"{profile.vendor} {profile.title} {profile.name}")
-    hits = {
-        name: sorted(known & _words(text))
-        for name, text in seen.identity.items()
-        if known & _words(text)
-    }
-    if hits:
-        reasons.append(
-            "it says of itself: "
-            + ", ".join(f"{name} {seen.identity[name]!r}" for name in sorted(hits))
-        )
-    return bool(hits)
+    matching = {name: text for name, text in slave.identity.items() if known & _words(text)}
+    if matching:
+        texts = ", ".join(f"{name} {text!r}" for name, text in sorted(matching.items()))
+        reasons.append(f"it says of itself: {texts}")
+    return bool(matching)
 
 
-_COMMON = frozenset(
+_COMMON_WORDS = frozenset(
     ("modbus", "slave", "module", "device", "input", "inputs", "output", "outputs", "digital",
      "analog", "unit", "series", "type", "interface", "network", "controller", "electric", "with",
      "unknown", "operator", "company", "product", "code", "traffic", "coupler", "recorder",
@@ -325,51 +337,56 @@ _COMMON = frozenset(
 
 def _words(text: str) -> set[str]:
     words = re.findall(r"[a-z0-9]+", text.lower())
-    return {word for word in words if len(word) >= _LEAST_WORD} - _COMMON
+    return {word for word in words if len(word) >= _MIN_WORD_LETTERS} - _COMMON_WORDS
 
 
-def _compare_exceptions(seen: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    codes = {code for one in seen.asked.values() for code in one.exceptions}
-    strange = sorted(codes - set(profile.exceptions.documented))
-    against += [f"exception {code:02X} is none of its manual's" for code in strange]
-    return len(strange)
+def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
+    """The number of exception codes that are not in the profile's manual."""
+    codes = {code for one in slave.requests.values() for code in one.exceptions}
+    undocumented = sorted(codes - set(profile.exceptions.documented))
+    against += [f"exception {code:02X} is none of its manual's" for code in undocumented]
+    return len(undocumented)
 
 
-def _compare_transports(seen: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """What the line speaks; a serial device may stand behind a gateway, no other on a line."""
+def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
+    """The contradictions by a transport that the profile does not have.
+
+    Just 1 for a serial device on a network, because it may be behind a gateway. Otherwise more than
+    all requests can outweigh.
+    """
     spoken = set(profile.transports)
-    if seen.transports & spoken or not seen.transports:
+    if slave.transports & spoken or not slave.transports:
         return 0
-    heard = ", ".join(sorted(seen.transports))
-    is_on_line = all(one.is_serial for one in seen.transports)
+    heard = ", ".join(sorted(slave.transports))
+    is_on_line = all(one.is_serial for one in slave.transports)
     if is_on_line or not any(one.is_serial for one in spoken):
         against.append(f"it speaks {', '.join(sorted(spoken))}, and this is {heard}")
-        return 1 + len(seen.asked)
+        return 1 + len(slave.requests)
     against.append(f"it is a serial device, and this is {heard}: only behind a gateway")
     return 1
 
 
-def _compare_unit(seen: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Whether it can be that unit, which on a line is the number that it was given."""
+def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
+    """The contradictions by a unit number on a serial line that the device cannot have."""
     last = profile.last_unit
-    on_line = any(one.is_serial for one in seen.transports)
-    if last is None or not on_line or seen.unit <= last:
+    on_line = any(one.is_serial for one in slave.transports)
+    if last is None or not on_line or slave.unit <= last:
         return 0
-    against.append(f"it can be unit 1 to {last}, and this is {seen.unit}")
-    return 1 + len(seen.asked)
+    against.append(f"it can be unit 1 to {last}, and this is {slave.unit}")
+    return 1 + len(slave.requests)
 
 
-def _named(given: dict[Table, bytearray], profile: Profile) -> int:
-    """How many of the addresses have points."""
+def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
+    """The number of known addresses that have points."""
     return sum(
-        given[point.table].count(1, address, address + point.words)
+        known[point.table].count(1, address, address + point.words)
         for point in profile.points
         for address in point.addresses
     )
 
 
 def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
-    """Which profile a model code stands for, by the function that gives it and the code."""
+    """Profiles by the function that gives the model code, and by the code."""
     return {
         (function, profile.model_code): profile
         for profile in profiles

@@ -113,9 +113,9 @@ def test_profiles_in_use_are_listed_once() -> None:
 
 def test_memory_is_bounded() -> None:
     assignments = _assignments("all=fa3-at1m8x")
-    for port in range(3 * module._MAX_REMEMBERED):
+    for port in range(3 * module._MAX_CACHED):
         assert _profile_name(assignments, f"10.0.0.9:{port}", 1) == "fa3-at1m8x"
-    assert len(assignments._remembered) <= module._MAX_REMEMBERED
+    assert len(assignments._cache) <= module._MAX_CACHED
 
 
 def test_on_an_ascii_line_a_profile_has_the_limits_of_that_mode() -> None:

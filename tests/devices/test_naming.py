@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import FunctionRule, Point
-from mbtool.devices.naming import _MAX_REMEMBERED, Namer
+from mbtool.devices.naming import _MAX_CACHED, Namer
 from mbtool.devices.wording import describe, describe_points
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.adu_bytes import mbap_adu
@@ -322,10 +322,10 @@ def test_what_nobody_assigned_keeps_its_names() -> None:
 
 def test_memory_is_bounded() -> None:
     namer = _namer("fa3-at1m8x")
-    for address in range(_MAX_REMEMBERED + 10):
+    for address in range(_MAX_CACHED + 10):
         namer.name(transaction(3, address, quantity=1))
     for vocabulary in namer._vocabularies.values():
-        assert len(vocabulary._remembered) <= _MAX_REMEMBERED
+        assert len(vocabulary._cache) <= _MAX_CACHED
 
 
 def test_an_exception_is_said_in_the_words_of_the_device() -> None:

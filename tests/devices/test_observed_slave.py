@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.devices.assignment import parse_who
 from mbtool.devices.observed_slave import (
-    MAX_ASKS,
+    MAX_REQUESTS,
     MAX_ROWS,
     MAX_SAMPLED,
     ObservedRequest,
@@ -34,11 +34,11 @@ def test_equal_requests_are_counted_together() -> None:
         transaction(3, 10, quantity=2, exception=2, outcome=Outcome.EXCEPTION),
         transaction(3, 10, quantity=2, outcome=Outcome.NO_ANSWER),
     )
-    assert list(found.asked) == [READ]
-    replies = found.asked[READ]
+    assert list(found.requests) == [READ]
+    replies = found.requests[READ]
     assert (replies.ok, replies.silent, replies.exceptions) == (1, 1, {2: 1})
     assert found.samples[READ].rows == [(1, 2)]
-    assert found.answered
+    assert found.has_responded
 
 
 def test_17h_reads_and_writes() -> None:
@@ -47,7 +47,7 @@ def test_17h_reads_and_writes() -> None:
             0x17, 10, quantity=2, write_address=20, request_values=[7], response_values=[1, 2]
         )
     )
-    assert list(found.asked) == [
+    assert list(found.requests) == [
         ObservedRequest(0x17, Table.HOLDING_REGISTERS, 10, 2, writes=False),
         ObservedRequest(0x17, Table.HOLDING_REGISTERS, 20, 1, writes=True),
     ]
@@ -55,7 +55,7 @@ def test_17h_reads_and_writes() -> None:
 
 def test_a_response_without_its_request_shows_its_function_only() -> None:
     found = seen(transaction(3, outcome=Outcome.UNSOLICITED, response_values=[1]))
-    assert [(ask.function, ask.address) for ask in found.asked] == [(3, None)]
+    assert [(ask.function, ask.address) for ask in found.requests] == [(3, None)]
 
 
 def test_what_it_calls_itself_is_kept() -> None:
@@ -77,8 +77,8 @@ def test_it_is_called_as_the_options_call_it(destination: str | None, who: str) 
 
 
 def test_the_kinds_of_requests_are_bounded() -> None:
-    found = seen(*(transaction(6, at, request_values=[1]) for at in range(MAX_ASKS + 3)))
-    assert len(found.asked) == MAX_ASKS
+    found = seen(*(transaction(6, at, request_values=[1]) for at in range(MAX_REQUESTS + 3)))
+    assert len(found.requests) == MAX_REQUESTS
     assert len(found.samples) == MAX_SAMPLED
     assert found.forgotten == 3
 

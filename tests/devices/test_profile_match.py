@@ -8,7 +8,13 @@ import pytest
 
 from mbtool.devices.loading import builtin_profiles, load_profile
 from mbtool.devices.observed_slave import ObservedSlave
-from mbtool.devices.profile_match import MatchResult, ProfileMatch, match, model_function, models_of
+from mbtool.devices.profile_match import (
+    MatchResult,
+    ProfileMatch,
+    match_profiles,
+    model_function,
+    models_of,
+)
 from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -31,7 +37,7 @@ def verdict(*transactions: Transaction) -> MatchResult:
     seen = ObservedSlave("line", transactions[0].destination, transactions[0].unit)
     for one in transactions:
         seen.note(one)
-    return match(seen, PROFILES)
+    return match_profiles(seen, PROFILES)
 
 
 def best(found: MatchResult) -> list[str]:

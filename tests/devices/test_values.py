@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from mbtool.core import UsageError
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, ByteOrder, Point, PointType, WordOrder
-from mbtool.devices.values import _MAX_REMEMBERED, PointInstance, places_of, registers_of, values_of
+from mbtool.devices.values import (
+    _MAX_CACHED,
+    PointInstance,
+    point_instances,
+    point_values,
+    registers_of,
+)
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
@@ -252,7 +258,7 @@ def test_places_of_a_table_are_those_that_one_can_read_or_write() -> None:
     )
 
     def names(*, writing: bool) -> list[tuple[str, str]]:
-        places = places_of(profile, Table.HOLDING_REGISTERS, writing=writing)
+        places = point_instances(profile, Table.HOLDING_REGISTERS, writing=writing)
         return [(place.reference, place.name) for place in places]
 
     rest = [("HR400003..400004", "serial"), ("HR400005..400006", "speed")]
@@ -314,14 +320,12 @@ def test_any_registers_have_a_text(
     assert _value(type_, *raw[:size], **fields).text
 
 
-@pytest.mark.parametrize(
-    ("scale", "most"), [(1.0, 0), (0.1, _MAX_REMEMBERED)], ids=["plain", "scaled"]
-)
+@pytest.mark.parametrize(("scale", "most"), [(1.0, 0), (0.1, _MAX_CACHED)], ids=["plain", "scaled"])
 def test_memory_is_bounded(scale: float, most: int) -> None:
     place = PointInstance(_point(PointType.UINT16, scale=scale), 0, "R0")
-    for word in range(3 * _MAX_REMEMBERED):
+    for word in range(3 * _MAX_CACHED):
         assert place.value([word]).value == pytest.approx(word * scale)
-    assert len(place._remembered) <= most
+    assert len(place._cache) <= most
 
 
 @given(
@@ -362,7 +366,7 @@ def test_each_place_among_others_says_its_own_value_if_it_is_all_there(
 ) -> None:
     long = PointInstance(_point(PointType.UINT32), 0, "R0")
     short = PointInstance(_point(PointType.INT16), 0, "R1")
-    said = values_of([(first, long), (second, short)], words)
+    said = point_values([(first, long), (second, short)], words)
     assert said == [
         *([long.value(words[first : first + 2])] if first + 2 <= len(words) else []),
         *([short.value([words[second]])] if second < len(words) else []),
