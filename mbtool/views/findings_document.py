@@ -1,7 +1,7 @@
 """Findings as one document for programs: mbtool's own JSON, or SARIF 2.1.0."""
 
-# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0): a log with one run. Its rules are
-# those with findings. A result has its rule, a message, and a location: the capture is the
+# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0): a log with one run. Its rules
+# are those with findings. A result has its rule, a message, and a location: the capture is the
 # artifact; link, unit and reference are the logical location in it. SARIF has no field for a time,
 # so the time is in the properties, as nanoseconds and as text.
 #
