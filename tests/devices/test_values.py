@@ -237,7 +237,7 @@ def test_every_text_is_read_back(text: str, byte_order: ByteOrder) -> None:
     assert _value(PointType.STRING, *raw, **fields).text == text
 
 
-def test_places_of_a_table_are_those_that_one_can_read_or_write() -> None:
+def test_point_instances_of_a_table_are_those_that_can_be_read_or_written() -> None:
     def point(name: str, address: int, access: Access | None) -> Point:
         return Point(
             name=name,
@@ -298,7 +298,7 @@ def test_nibble_field_names_the_channels_by_what_they_are(
     assert _value(PointType.NIBBLE_FIELD, word, **fields).text == text
 
 
-def test_place_among_several_has_its_own_name() -> None:
+def test_each_point_of_a_series_has_its_own_name() -> None:
     several = Point(
         name="CH{n} at {reference}", table=Table.HOLDING_REGISTERS, address=8, count=4, stride=2
     )
@@ -333,7 +333,7 @@ def test_memory_is_bounded(scale: float, most: int) -> None:
     st.lists(st.lists(st.integers(-1, 3) | WORDS, min_size=4, max_size=4), max_size=12),
     st.sampled_from([0.1, 1.0]),
 )
-def test_what_was_said_before_changes_nothing(
+def test_earlier_values_do_not_change_a_value(
     type_: PointType, readings: list[list[int]], scale: float
 ) -> None:
     size = type_.words or 4
@@ -349,7 +349,7 @@ def test_what_was_said_before_changes_nothing(
     st.sampled_from([0.0, -40.0, 0.5, 1e-3]),
     WORDS,
 )
-def test_the_short_way_for_plain_numbers_says_the_same(
+def test_the_fast_path_for_plain_numbers_gives_the_same(
     type_: PointType, scale: float, offset: float, word: int
 ) -> None:
     plain = _point(type_, scale=scale, offset=offset, unit="V")
@@ -361,7 +361,7 @@ def test_the_short_way_for_plain_numbers_says_the_same(
 
 
 @given(st.lists(WORDS, max_size=5), st.integers(0, 3), st.integers(0, 3))
-def test_each_place_among_others_says_its_own_value_if_it_is_all_there(
+def test_each_complete_point_of_a_range_has_its_own_value(
     words: list[int], first: int, second: int
 ) -> None:
     long = PointInstance(_point(PointType.UINT32), 0, "R0")

@@ -321,7 +321,7 @@ def _told(text: str | bytes, folder: Path, monkeypatch: pytest.MonkeyPatch) -> s
     return str(caught.value)
 
 
-def test_the_profile_that_is_made_wrong_is_right(tmp_path: Path) -> None:
+def test_the_profile_that_these_tests_change_is_valid(tmp_path: Path) -> None:
     (tmp_path / "pump.toml").write_text(PUMP, encoding="utf-8")
     assert load_profile(str(tmp_path / "pump.toml")).name == "pump"
 
@@ -334,7 +334,7 @@ def test_wrong_profile_is_told_in_one_line(
     assert _told(PUMP.replace(old, new), tmp_path, monkeypatch) == f"pump.toml: {told}"
 
 
-def test_no_two_mistakes_are_told_alike() -> None:
+def test_each_mistake_has_its_own_message() -> None:
     told = [message for _, _, message in WRONG]
     assert len(set(told)) == len(told) > 40
     assert not any("\n" in message or "Error" in message for message in told)

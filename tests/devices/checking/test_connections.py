@@ -95,9 +95,7 @@ def test_bytes_at_the_edges_of_a_capture_are_no_finding() -> None:
 
 @pytest.mark.parametrize("kind", [EventKind.GAP, EventKind.CUT, EventKind.DISCARDED])
 @pytest.mark.parametrize("ends", [(MASTER, SLAVE), (SLAVE, MASTER)])
-def test_bytes_around_those_that_the_capture_lacks_are_no_finding(
-    kind: EventKind, ends: tuple[str, str]
-) -> None:
+def test_bytes_beside_missing_bytes_are_no_finding(kind: EventKind, ends: tuple[str, str]) -> None:
     source, destination = ends
     lost = event(kind, at_ms=20, source=source, destination=destination)
     for at_ms in (10, 30):

@@ -109,7 +109,7 @@ def test_a_value_within_its_range_is_no_finding() -> None:
     assert messages("03 00F2 0001", "03 02 FFFF", profile="fa3-at1m8x") == []
 
 
-def test_a_request_is_said_in_few_words() -> None:
+def test_a_request_is_described_in_few_words() -> None:
     assert request_text(transaction()) == "read holding 0"
     assert request_text(transaction(profile="idec-ft1a-touch")) == "read holding HR400001"
     assert request_text(transaction("42 00", "42 0016", profile="fa3-at1m8x")) == "read model name"
