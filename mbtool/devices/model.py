@@ -163,33 +163,21 @@ class FunctionRule(_Part, frozen=True, kw_only=True):
     data: Annotated[
         str | None, _about("Hexadecimal bytes that must follow the function code; more may follow.")
     ] = None
-    title: Annotated[
-        str | None, _about("The vendor's name for a function of the vendor's own.")
-    ] = None
-    answer: Annotated[
-        AnswerWord | None, _about("The response to a function of the vendor's own.")
-    ] = None
-    answers: Annotated[
-        bool, _about("False if the device carries out the function without a response.")
-    ] = True
+    title: Annotated[str | None, _about("The vendor's name for the vendor's own function.")] = None
+    answer: Annotated[AnswerWord | None, _about("The response to the vendor's function.")] = None
+    answers: Annotated[bool, _about("False if the device gives no response.")] = True
 
 
 class Exceptions(_Part, frozen=True, kw_only=True):
     """The exception codes that the device gives, which may differ from the standard's."""
 
     function: Annotated[ExceptionCode, _about("For a function that the device does not have.")] = 1
-    address: Annotated[
-        ExceptionCode, _about("For addresses that are not all inside its areas.")
-    ] = 2
-    value: Annotated[
-        ExceptionCode, _about("For a quantity, byte count or value that is not allowed.")
-    ] = 3
+    address: Annotated[ExceptionCode, _about("For addresses outside its areas.")] = 2
+    value: Annotated[ExceptionCode, _about("For a wrong quantity, byte count or value.")] = 3
     documented: Annotated[list[ExceptionCode], _about("Every exception code in the manual.")] = (
         msgspec.field(default_factory=lambda: [1, 2, 3])
     )
-    texts: Annotated[
-        Texts, _about("The meaning of each code that differs from the standard's.")
-    ] = {}
+    texts: Annotated[Texts, _about("Meanings that differ from the standard's.")] = {}
 
 
 class Timing(_Part, frozen=True, kw_only=True):
@@ -325,9 +313,7 @@ class Point(_Part, frozen=True, kw_only=True):
     decimals: Annotated[
         Annotated[int, Meta(ge=0, le=15)] | None, _about("Decimal places; by default, as needed.")
     ] = None
-    first_channel: Annotated[
-        int, _about("The channel number of the lowest bit or nibble of a field.")
-    ] = 1
+    first_channel: Annotated[int, _about("The channel of the lowest bit or nibble.")] = 1
     channels: Annotated[
         Annotated[int, Meta(ge=1, le=16)] | None, _about("Channels of a field; by default, all.")
     ] = None
@@ -336,9 +322,7 @@ class Point(_Part, frozen=True, kw_only=True):
         Texts, _about("Meanings of numbers. A bit field shows only bits whose value has one.")
     ] = {}
     bits: Annotated[Texts, _about("The names of the bits of `flags`; 0 is the lowest bit.")] = {}
-    default: Annotated[
-        Word | None, _about("Content of the register or bit before the first write.")
-    ] = None
+    default: Annotated[Word | None, _about("The content before the first write.")] = None
     minimum: Annotated[
         int | float | None, _about("The least value allowed, after `scale` and `offset`.")
     ] = None

@@ -7,7 +7,7 @@
 # Against the profile:  the slave accepts what the profile refuses, or refuses what it accepts; the
 #                       exception gives another reason than the profile (for example, "no such
 #                       function" for a wrong address); the exception code is not in the manual; the
-#                       device has not such a transport or such a unit number
+#                       device does not support the transport, or cannot have the unit number
 # Neither:              no response; an exception about anything but function, address and quantity
 #                       (a state, a gateway, a vendor's own code); a write refused for its value; a
 #                       refused 17H, because either its read or its write may be the reason

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
 
 MAX_VALUES = 16
-"""Registers that a cell lists; of more, it tells their number."""
+"""Registers that a cell lists. If there are more, it shows how many there are."""
 
 MAX_BITS = 32
 
@@ -127,8 +127,7 @@ def result_text(transaction: NamedTransaction) -> str:
         text = f"exception {transaction.exception:02X}"
         if not name.startswith(text):  # The name of an unknown code is `exception` and the number.
             text = f"{text} {name}".rstrip()
-        unasked = transaction.outcome is Outcome.UNSOLICITED
-        return f"unsolicited {text}" if unasked else text
+        return f"unsolicited {text}" if transaction.outcome is Outcome.UNSOLICITED else text
     match transaction.outcome:
         case Outcome.NO_ANSWER:
             return "no answer"

@@ -50,7 +50,8 @@ class JsonDocument:
 
     def add(self, finding: Finding, file: str) -> str:
         if finding.code not in self._rules:
-            self._rules[finding.code] = {"severity": finding.severity.value, **_told(finding.code)}
+            rule = {"severity": finding.severity.value, **_rule_texts(finding.code)}
+            self._rules[finding.code] = rule
         joint, self._joint = self._joint, ",\n"
         return joint + _json({**_fields(finding), "file": file})
 
@@ -150,7 +151,7 @@ def _fields(finding: Finding) -> dict[str, Any]:
     return {key: value for key, value in fields.items() if value is not None}
 
 
-def _told(code: str) -> dict[str, str]:
+def _rule_texts(code: str) -> dict[str, str]:
     rule = rule_of(code)
     return {} if rule is None else {"meaning": rule.meaning, "source": rule.source}
 

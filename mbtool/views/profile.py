@@ -58,9 +58,9 @@ def profile_page(profile: Profile) -> RenderableType:
         ("t3.5 {}", timing.t3_5),
         ("at least {} before each request", timing.request_interval),
     ]
-    said = ", ".join(text.format(silence) for text, silence in silences if silence)
-    if said:
-        parts.append(plain(f"timing: {said}"))
+    timing_text = ", ".join(text.format(silence) for text, silence in silences if silence)
+    if timing_text:
+        parts.append(plain(f"timing: {timing_text}"))
     if profile.last_unit is not None:
         parts.append(plain(f"units: 1 to {profile.last_unit}"))
     if profile.any_unit:

@@ -15,7 +15,7 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """What the user said about a capture, or what its settings say."""
+    """The options of the user and the settings of the lines that the rules need."""
 
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line

@@ -59,12 +59,10 @@ class Checker:
         yield from self._lines.close()
         yield from self._polls.close()
         if self._ambiguous:
-            many = self._ambiguous > 1
             self.remarks.append(
-                f"{self._ambiguous} transactions are ambiguous; what they say was held against no "
-                "rule"
-                if many
-                else "1 transaction is ambiguous; what it says was held against no rule"
+                f"{self._ambiguous} transactions are ambiguous; their contents were not checked"
+                if self._ambiguous > 1
+                else "1 transaction is ambiguous; its contents were not checked"
             )
         self.remarks += self._lines.remarks
 

@@ -182,7 +182,7 @@ class LineRules:
                 few[text] += cases.number
         self.remarks += [
             f"{link}: {text} in {number} of {line.transactions} transactions; "
-            "so few are late reads more likely than the line's"
+            "so few are probably late reads, and no fault of the line"
             for text, number in few.items()
         ]
 

@@ -186,11 +186,11 @@ def _requested_alone(address: int, pairs: Sequence[tuple[int, int]]) -> Guess:
         return Guess(address, type_, f"{reason}, the first of them {_listed(firsts)}")
     if seconds <= {0, 0xFFFF} and firsts - {0}:
         type_ = PointType.INT32 if 0xFFFF in seconds else PointType.UINT32
-        said = f"{reason}, the second of them {_listed(seconds)}"
-        return Guess(address, type_, said, WordOrder.LOW_FIRST)
+        reason += f", the second of them {_listed(seconds)}"
+        return Guess(address, type_, reason, WordOrder.LOW_FIRST)
     high, low = pairs[-1]
-    said = f"last {high << 16 | low}, or low word first {low << 16 | high}"
-    return Guess(address, PointType.UINT32, f"{reason}: {said}")
+    reason += f": last {high << 16 | low}, or low word first {low << 16 | high}"
+    return Guess(address, PointType.UINT32, reason)
 
 
 def _single(

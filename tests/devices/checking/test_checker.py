@@ -76,9 +76,9 @@ def test_too_few_cases_for_a_finding_are_a_remark() -> None:
     assert checker.remarks == []
     assert not [*checker.close()]
     assert checker.remarks == [
-        "1 transaction is ambiguous; what it says was held against no rule",
-        "rs485: a silence longer than t1.5 inside a frame in 1 of 11 transactions; so few are late "
-        "reads more likely than the line's",
+        "1 transaction is ambiguous; its contents were not checked",
+        "rs485: a silence longer than t1.5 inside a frame in 1 of 11 transactions; so few are "
+        "probably late reads, and no fault of the line",
     ]
 
 
