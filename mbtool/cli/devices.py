@@ -1,8 +1,8 @@
-"""mbtool devices: the device profiles, and profiles of the user's own."""
+"""mbtool devices: built-in device profiles, and the user's own."""
 
-# `mbtool devices` lists, `mbtool devices NAME` shows one: a word that is none of the commands below
-# is the name of a profile, or its path, and goes to the hidden command "show". A file that is
-# called as a command is can be shown by its path, ./new.toml. The commands are in devices_own.py.
+# `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is no command is
+# passed to the hidden command "show" as the name or path of a profile. The other commands are in
+# devices_own.py.
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SHOW = "show"
 
 
 class _ShowsByDefault(TyperGroup):
-    """A group in which every other word is the name of a profile."""
+    """A group of commands in which any other word is the name of a profile."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands or args[0] == _SHOW:
@@ -39,7 +39,7 @@ class _ShowsByDefault(TyperGroup):
 
 
 class MatchFormat(StrEnum):
-    """How matches are printed."""
+    """The output format of --match."""
 
     TABLE = "table"
     JSONL = "jsonl"
@@ -79,9 +79,9 @@ def _devices(
     from mbtool.cli.options import reading_options
     from mbtool.core import UsageError
 
-    is_about_match = port or rtu_port or link or format_ is not MatchFormat.TABLE
+    has_match_option = port or rtu_port or link or format_ is not MatchFormat.TABLE
     if matched is None:
-        if is_about_match:
+        if has_match_option:
             raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
         if context.invoked_subcommand is None:
             _list()
@@ -128,18 +128,18 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Ma
     from mbtool.cli.devices_own import survey
     from mbtool.cli.talk import say
     from mbtool.devices import builtin_profiles, load_profile
-    from mbtool.devices.matching import match
-    from mbtool.views.matches import print_verdicts, verdict_record
+    from mbtool.devices.profile_match import match_profiles
+    from mbtool.views.matches import match_record, print_match_results
 
     profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]
     found = survey(file, options)
-    verdicts = [match(one, profiles) for one in found.slaves]
+    results = [match_profiles(slave, profiles) for slave in found.slaves]
     if format_ is MatchFormat.JSONL:
-        for verdict in verdicts:
-            typer.echo(json.dumps(verdict_record(verdict), separators=(",", ":")))
+        for result in results:
+            typer.echo(json.dumps(match_record(result), separators=(",", ":")))
     else:
-        print_verdicts(PipeConsole(), verdicts)
-    if not verdicts:
+        print_match_results(PipeConsole(), results)
+    if not results:
         say(f"{file}: no transaction in it, so nothing to match")
     if found.forgotten:
         say(f"{found.forgotten} transactions of further slaves were not looked at")

@@ -60,7 +60,7 @@ def new(
 ) -> None:
     """Write a commented start of a profile, to be edited."""
     from mbtool.cli.talk import say
-    from mbtool.devices.starting import name_for, starting_profile
+    from mbtool.devices.profile_template import name_for, starting_profile
 
     _write(file, starting_profile(file, name_for(file)))
     say(f"{file}: written; edit it, and look at it with mbtool devices {_as_argument(file)}")
@@ -101,7 +101,7 @@ def import_(
     from mbtool.devices.importing.placing import ImportOptions
     from mbtool.devices.importing.register_list import WrongCellsError, import_register_list
     from mbtool.devices.importing.rows import Scaling
-    from mbtool.devices.starting import name_for
+    from mbtool.devices.profile_template import name_for
     from mbtool.modbus.tables import Table
 
     _demand_new(output)
@@ -152,7 +152,7 @@ def draft(
     from mbtool.cli.talk import say
     from mbtool.devices import parse_who
     from mbtool.devices.drafting.draft import draft_profile
-    from mbtool.devices.starting import name_for
+    from mbtool.devices.profile_template import name_for
 
     _demand_new(output)
     who = parse_who(unit) if unit is not None else None

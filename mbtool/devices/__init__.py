@@ -1,9 +1,8 @@
-"""What vendors mean: device profiles, and transactions in their words."""
+"""Device profiles: what vendors' manuals say, and transactions with the names from them."""
 
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
 from mbtool.devices.difference import Difference, DifferenceKind, Side
 from mbtool.devices.dumping import dump_profile
-from mbtool.devices.findings import finding_text
 from mbtool.devices.loading import (
     builtin_profiles,
     load_profile,
@@ -12,7 +11,6 @@ from mbtool.devices.loading import (
 )
 from mbtool.devices.model import (
     Access,
-    AnswerWord,
     Area,
     ByteOrder,
     Exceptions,
@@ -20,12 +18,12 @@ from mbtool.devices.model import (
     Point,
     PointType,
     Profile,
-    Radix,
     Timing,
     WordOrder,
 )
-from mbtool.devices.named import NamedTransaction, PointValue
+from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
+from mbtool.devices.profile_checks import finding_text
 from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema
 from mbtool.devices.spans import Span, parse_span
@@ -34,7 +32,6 @@ from mbtool.devices.wording import describe, describe_points, describe_written
 
 __all__ = [
     "Access",
-    "AnswerWord",
     "Area",
     "Assignment",
     "Assignments",
@@ -50,7 +47,6 @@ __all__ = [
     "PointType",
     "PointValue",
     "Profile",
-    "Radix",
     "Side",
     "Span",
     "Timing",

@@ -1,13 +1,14 @@
-"""Which device stands where: WHO=PROFILE of the command line."""
+"""Assigns profiles to slaves: WHO=PROFILE on the command line."""
 
 #     5=idec-ft1a-touch                  unit 5 on any link
 #     192.168.3.250=fa3-at1m8x           an address, all its ports and units
 #     192.168.3.250:1502=fa3-at1m8x      an address and a port; [::1]:1502 for IPv6
 #     192.168.3.250/5=./pump.toml        an address and a unit
-#     all=idec-ft1a-touch                whatever nothing else names
+#     all=idec-ft1a-touch                every slave without another assignment
 #
-# Where several fit a transaction the most specific wins: an address before a unit, a unit before a
-# port. Addresses are numeric, as a capture has them; names are not looked up.
+# If several assignments match a transaction, the most specific one applies: an address counts more
+# than a unit, a unit more than a port. Addresses are numeric, as in a capture; host names are not
+# resolved.
 
 from __future__ import annotations
 
@@ -25,14 +26,14 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.transaction import Transaction
 
-_MAX_REMEMBERED = 1024
+_MAX_CACHED = 1024
 
 _EXAMPLES = "5, 192.168.3.250, 192.168.3.250:1502, 192.168.3.250/5, [::1]:502 or all"
 
 
 @dataclass(frozen=True, slots=True)
 class Who:
-    """Which transactions are meant. A part that is None fits any."""
+    """A pattern for slaves. A part that is None matches every slave."""
 
     host: str | None = None
     port: int | None = None
@@ -40,7 +41,7 @@ class Who:
 
     @classmethod
     def of_slave(cls, destination: str | None, unit: int) -> Who:
-        """A slave as a transaction names it; None is the slave of a line."""
+        """The pattern for one slave of a transaction; its destination is None on a serial line."""
         host, port = _split_endpoint(destination) if destination is not None else (None, None)
         return cls(host, int(port) if port is not None and port.isdecimal() else None, unit)
 
@@ -60,7 +61,7 @@ class Who:
         )
 
     def fits_slave(self, destination: str | None, unit: int) -> bool:
-        """The same for a slave as a transaction names it."""
+        """True if the pattern matches the slave of a transaction."""
         slave = Who.of_slave(destination, unit)
         return self.fits(slave.host, slave.port, unit)
 
@@ -113,14 +114,14 @@ def parse_who(text: str) -> Who:
 
 
 class Assignments:
-    """The devices that the user named."""
+    """The profiles that the user assigned to slaves."""
 
     def __init__(self, assignments: Iterable[Assignment] = ()) -> None:
-        """Raises UsageError where one WHO has two profiles."""
-        # Most specific first, so that the first that fits is the answer.
+        """Raises UsageError if one WHO has two profiles."""
+        # Sorted so that the first match is the most specific one.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
-        self._remembered: dict[tuple[str | None, int, Transport], Profile | None] = {}
-        # Made once, since a namer knows a profile by its identity.
+        self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
+        # Made once, because Namer identifies a profile by its id().
         self._in_ascii = {
             each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
         }
@@ -135,7 +136,7 @@ class Assignments:
         self._demand_one_profile_for_a_name()
 
     def _demand_one_profile_for_a_name(self) -> None:
-        """A log keeps profiles by name, so two of one name could not be told apart in it."""
+        """Raise UsageError if two profiles have one name: a log identifies profiles by name."""
         named: dict[str, Profile] = {}
         for each in self._assignments:
             if named.setdefault(each.profile.name, each.profile) != each.profile:
@@ -153,25 +154,22 @@ class Assignments:
         return list({each.profile.name: each.profile for each in self._assignments}.values())
 
     def profile_for(self, transaction: Transaction) -> Profile | None:
-        """The profile of the slave of a transaction, if the user named one.
-
-        On an ASCII line it is the profile in that mode.
-        """
+        """The profile of a transaction's slave, for ASCII mode if it is in ASCII; None if none."""
         key = (transaction.destination, transaction.unit, transaction.transport)
         try:
-            return self._remembered[key]
+            return self._cache[key]
         except KeyError:
             pass
-        if len(self._remembered) >= _MAX_REMEMBERED:
-            self._remembered.clear()
+        if len(self._cache) >= _MAX_CACHED:
+            self._cache.clear()
         profile = self._find(transaction.destination, transaction.unit)
         if profile is not None and transaction.transport is Transport.ASCII:
             profile = self._in_ascii[profile.name]
-        self._remembered[key] = profile
+        self._cache[key] = profile
         return profile
 
     def profiles_at(self, destination: str) -> list[Profile]:
-        """The profiles of all units that an endpoint may have."""
+        """The profiles that are assigned to any unit at an endpoint."""
         return [
             each.profile
             for each in self._assignments
@@ -186,7 +184,7 @@ class Assignments:
 
 
 def _split_endpoint(text: str) -> tuple[str, str | None]:
-    """Host and port of `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` and `[::1]:502`."""
+    """Split `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` or `[::1]:502` into host and port."""
     if text.startswith("["):
         host, closed, rest = text[1:].partition("]")
         if rest.startswith(":"):

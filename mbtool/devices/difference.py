@@ -1,6 +1,6 @@
-"""In what two captures differ, in the words of their devices."""
+"""A difference between two captures, with the names of their devices."""
 
-# replay/comparing.py finds it, and views/differences.py shows it.
+# replay/comparing.py finds differences, and views/differences.py shows them.
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 
 
 class DifferenceKind(StrEnum):
-    """In what two captures differ."""
+    """The aspect in which two captures differ."""
 
     SLAVE = "slave"
     REQUEST = "request"
@@ -20,35 +20,35 @@ class DifferenceKind(StrEnum):
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What one capture has."""
+    """The content of one of the two captures."""
 
     text: str
-    """For readers; empty where it has nothing."""
+    """For readers; empty if the capture has nothing here."""
     count: int | None = None
-    """How many transactions that is."""
+    """Number of transactions."""
     values: list[int] | None = None
-    """The values of a register that is told alone."""
+    """The values of a register that has a difference of its own."""
     median_ns: int | None = None
     p95_ns: int | None = None
 
 
 class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One thing in which two captures differ."""
+    """One difference between two captures."""
 
     kind: DifferenceKind
     unit: int
     link: str | None = None
-    """Where the unit alone does not tell the slave."""
+    """Absent if the unit alone identifies the slave."""
     function: int | None = None
     reference: str | None = None
-    """What it is about, in the notation of the device."""
+    """The addresses, in the notation of the device."""
     name: str | None = None
-    """What the device's manual calls that."""
+    """Their name in the device's manual."""
     what: str
     """`read`, `written`, or the function's name."""
     a: Side
     b: Side
     p: float | None = None
-    """How likely a difference like this is by chance, where that was tested."""
+    """The probability of such a difference by chance, if a test was made."""
     alike: int = 0
-    """How many other requests of this function have their latencies shifted, too."""
+    """Other requests of this function whose latencies also changed."""

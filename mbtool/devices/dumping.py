@@ -1,9 +1,10 @@
-"""A profile as the text of a TOML file."""
+"""Writes a profile as the text of a TOML file."""
 
-# The text is whole: what a profile extends is in it, and loading it gives an equal profile. Keys
-# that say what goes without saying are left out. A profile keeps no comments, but who makes one can
-# give some along. The TOML is written here and not by a library, since how a number stands is half
-# of what a reader sees: addresses are hexadecimal where the manual's are, and so are codes.
+# The text contains all that the profile extends, and loading it gives an equal profile. Keys with
+# default values are left out. A profile has no comments, but the caller can add some.
+#
+# No library is used, because numbers must be readable: addresses are hexadecimal where they are so
+# in the manual, and so are codes.
 
 from __future__ import annotations
 
@@ -33,10 +34,10 @@ _WRITTEN_IN_HEX = (
 
 
 def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None = None) -> str:
-    """The TOML text of a profile, to be loaded again or edited.
+    """The TOML text of a profile.
 
-    `comments` are sentences to stand before a part: "" is the head, others are called as in errors:
-    `functions`, `areas "NAME"`, `points "NAME"`.
+    `comments` are sentences before a part: before the file "", or before `functions`,
+    `areas "NAME"` or `points "NAME"`.
     """
     about = comments or {}
     blocks = [
@@ -52,18 +53,18 @@ def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None 
     if "functions" in about:
         blocks[1] = [*_comment(about["functions"]), *blocks[1]]
     for area in profile.areas:
-        said = _comment(about.get(f'areas "{area.name}"', ()))
-        blocks.append([*said, "[[areas]]", *_area(area)])
+        comment = _comment(about.get(f'areas "{area.name}"', ()))
+        blocks.append([*comment, "[[areas]]", *_area(area)])
     for point in profile.points:
-        said = _comment(about.get(f'points "{point.name}"', ()))
-        blocks.append([*said, "[[points]]", *_point(profile, point)])
+        comment = _comment(about.get(f'points "{point.name}"', ()))
+        blocks.append([*comment, "[[points]]", *_point(profile, point)])
     if "" in about:
         blocks.insert(0, _comment(about[""]))
     return "\n\n".join("\n".join(block) for block in blocks) + "\n"
 
 
 def _comment(sentences: Iterable[str]) -> list[str]:
-    """Each sentence as lines of a comment; control characters, which would end it, as ?."""
+    """Each sentence as comment lines. Control characters, such as line ends, become ?."""
     lines: list[str] = []
     for sentence in sentences:
         plain = "".join(one if one.isprintable() else "?" for one in sentence)
@@ -74,7 +75,7 @@ def _comment(sentences: Iterable[str]) -> list[str]:
 
 
 def _functions(functions: Mapping[str, FunctionRule]) -> Iterator[list[str]]:
-    """One table, and behind it one for each function whose answer needs room of its own."""
+    """One table of all functions, then one table for each function with an `answer`."""
     yield [
         "[functions]",
         *(
@@ -120,7 +121,7 @@ def _in_hex(texts: Texts, digits: int) -> dict[str, str]:
 
 
 def _keys(part: msgspec.Struct, leave_out: Iterable[str] = ()) -> dict[str, Any]:
-    """The keys of a part of a profile that say something."""
+    """The keys of a part of a profile that differ from their defaults."""
     keys = {name: getattr(part, name) for name in part.__struct_fields__ if name not in leave_out}
     defaults = _defaults(type(part))
     return {
@@ -140,7 +141,7 @@ def _defaults(part: type[msgspec.Struct]) -> dict[str, Any]:
 
 
 def _lines(keys: Mapping[str, Any], within: str = "", in_hex: Iterable[str] = ()) -> list[str]:
-    """A line for each key; what is too long for one becomes a list or a table of several."""
+    """A line for each key; long lists take several lines, and long tables become `[tables]`."""
     lines, tables = [], []
     for key, value in keys.items():
         text = f"0x{value:04X}" if key in in_hex else _value(value)
@@ -164,7 +165,7 @@ def _value(value: Any) -> str:
         case float():
             return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
         case str():
-            # JSON writes a text as TOML does, but for one character.
+            # JSON and TOML differ only for the character DEL.
             return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         case list():
             return f"[{', '.join(map(_value, value))}]"

@@ -1,10 +1,10 @@
-"""What a device says about itself: by functions 2B/0E and 11H, and by a maker's own."""
+"""The identity that a device reports: by functions 2B/0E and 11H, or by a vendor's function."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.devices.named import PointValue
+from mbtool.devices.named_transaction import PointValue
 from mbtool.modbus.identification import identities
 from mbtool.modbus.pdu import whole_pdu
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def identity_points(transaction: Transaction) -> list[PointValue]:
-    """A value for each thing that the answer says; empty for the answers to other functions."""
+    """A value for each part of a reported identity; empty for responses of other functions."""
     return [
         PointValue(
             name=one.name,
@@ -27,7 +27,7 @@ def identity_points(transaction: Transaction) -> list[PointValue]:
 
 
 def answer_word(transaction: Transaction) -> int | None:
-    """The word behind the function code, where that is the whole answer: FA3's model code."""
+    """The word behind the function code, if the response has nothing else: FA3's model code."""
     if transaction.exception is not None:
         return None
     pdu = whole_pdu(transaction.transport, transaction.response_raw)

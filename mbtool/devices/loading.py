@@ -1,17 +1,18 @@
-"""Reads device profiles: built-in ones by name, a user's own by path."""
+"""Loads device profiles: built-in ones by name, a user's own by path."""
 
-# A profile file is TOML; docs/devices.md lists its keys. A file may name another in `extends` (a
-# built-in name, or a path from where the file stands) and then says only what differs:
+# A profile file is TOML; docs/devices.md lists its keys. A file may extend another one, which
+# `extends` names: a built-in name, or a path relative to the file. Then the file has only what
+# differs, and is merged with the extended file:
 #
 #   functions, exceptions,
 #   timing                  merged key by key
-#   areas, points           added; one with the name of an extended one takes its place
-#   notes                   added
-#   any other key           takes the place of the extended one
+#   areas, points           added to the extended ones, or replace one of the same name
+#   notes                   added to the extended ones
+#   any other key           replaces the extended one
 #
-# Each file is checked key by key before it is merged, so that an error names the file it is in.
+# Each file is checked key by key before it is merged, so that an error names the right file.
 #
-# Limits: a file of at most 1 MiB; at most 8 files extend one another.
+# Limits: 1 MiB for each file; a chain of 8 files that extend one another.
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ import msgspec
 
 from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
-from mbtool.devices.schema import docstrings
+from mbtool.devices.schema import description
 from mbtool.devices.toml_file import TomlError, read_toml
 from mbtool.devices.validation import validate
 
@@ -44,15 +45,16 @@ _T = TypeVar("_T", bound=msgspec.Struct)
 
 
 def builtin_profiles() -> list[str]:
-    """The names of the built-in profiles, in order. Reads no file."""
-    # A file whose name begins with an underscore is for others to extend: no device by itself.
+    """The names of the built-in profiles, sorted. Reads no file."""
+    # Names with an underscore are no devices; other profiles extend them.
     return sorted(path.stem for path in _BUILT_IN.glob("[!_]*.toml"))
 
 
 def load_profile(name_or_path: str) -> Profile:
     """Load a built-in profile by its name, or a TOML file by its path.
 
-    Raises ProfileError for what stands in a file, UsageError where there is none.
+    Raises ProfileError for mistakes in a file, InputError for a file that cannot be read, and
+    UsageError for an unknown name.
     """
     if name_or_path in builtin_profiles():
         return _load_builtin(name_or_path)
@@ -63,12 +65,12 @@ def load_profile(name_or_path: str) -> Profile:
 
 
 def profile_to_json(profile: Profile) -> bytes:
-    """A profile whole, with all that it extends, as the log attaches it."""
+    """A profile, with all that it extends, as JSON for the attachment of a log."""
     return msgspec.json.encode(profile)
 
 
 def profile_from_json(data: bytes, file: str) -> Profile:
-    """Read what profile_to_json wrote; `file` names it in errors. Raises ProfileError."""
+    """Parse the result of profile_to_json. `file` is for messages. Raises ProfileError."""
     try:
         keys = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -109,7 +111,7 @@ def _guess(name: str) -> str:
 
 
 def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """The parts of a file and of all that it extends; `extending` are those that lead to it."""
+    """Read a file and all that it extends. `extending` are the files that extend it, in order."""
     file = str(path)
     keys = _read_toml(path)
     extends = keys.pop("extends", None)
@@ -156,19 +158,22 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            # What stands twice in one file stays, for validation to tell.
-            places = {part.name: index for index, part in enumerate(extended[key])}
+            # Two parts of one name in one file are both kept, so that validation finds them.
+            indices = {part.name: index for index, part in enumerate(extended[key])}
             merged[key] = list(extended[key])
             for part in own[key]:
-                at = places.pop(part.name, len(merged[key]))
-                merged[key][at : at + 1] = [part]
+                index = indices.pop(part.name, len(merged[key]))
+                merged[key][index : index + 1] = [part]
     if "notes" in extended and "notes" in own:
         merged["notes"] = extended["notes"] + own["notes"]
     return merged
 
 
 def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
-    """The same keys with areas, functions and points made; the rest only known to be keys."""
+    """Check the keys of a file, and convert areas, points and functions.
+
+    The other keys keep their TOML values, which are converted after merging.
+    """
     _refuse_unknown(Profile, keys, file, "")
     parts = dict(keys)
     if "areas" in keys:
@@ -202,15 +207,15 @@ def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
 
 
 def _parse_points(value: Any, file: str) -> list[Point]:
-    """Where nothing says the stride of several points, each stands behind the one before."""
+    """Parse points. The default stride is the number of addresses that each point takes."""
     points = _parse_list(Point, value, file, "points")
     return [
-        point if "stride" in keys else _one_behind_another(point)
+        point if "stride" in keys else _side_by_side(point)
         for point, keys in zip(points, value, strict=True)
     ]
 
 
-def _one_behind_another(point: Point) -> Point:
+def _side_by_side(point: Point) -> Point:
     return msgspec.structs.replace(point, stride=point.words if point.count > 1 else 1)
 
 
@@ -232,13 +237,13 @@ def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
 
 
 def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
-    """Make one part of a profile, or say which of its keys is wrong and why."""
+    """Convert one part of a profile. Raises ProfileError for the first wrong key."""
     if not isinstance(value, dict):
         raise ProfileError(file, key, f"expected a table, {{ key = value }}, not {_shown(value)}")
     _refuse_unknown(cls, value, file, key)
     for name in _required(cls):
         if name not in value:
-            about = docstrings(cls)[name].partition("\n")[0].removesuffix(".")
+            about = description(cls, name).partition("\n")[0].removesuffix(".")
             raise ProfileError(
                 file, _join(key, name), f"this key is missing: {about[0].lower()}{about[1:]}"
             )
@@ -303,7 +308,7 @@ _WORDS = {
 
 
 def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, str]:
-    """The key concerned, and what is wrong with it in words."""
+    """The key and the problem in a message of msgspec."""
     match = _MESSAGE.fullmatch(message)
     if match is None or not match["path"]:
         return "", message
@@ -331,7 +336,7 @@ def _expected_list(value: object, choices: list[str], *, of_numbers: bool = Fals
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
-    """The values of the enumeration that a key takes, if it takes one."""
+    """The values that a key can have, if its type is an enumeration; else none."""
     hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
     for kind in (hint, *typing.get_args(hint)):
         if isinstance(kind, type) and issubclass(kind, StrEnum):

@@ -1,8 +1,9 @@
-"""A device profile: what a vendor's manual says, as data."""
+"""The data model of a device profile: what a vendor's manual says about a device."""
 
-# The TOML of docs/devices.md maps one to one onto these types: a file's keys are the fields. Checks
-# that one field alone cannot show (areas that overlap, points outside their area) are in
-# validation.py; reading a file, and one file that extends another, in loading.py.
+# The keys of a profile file (docs/devices.md) are the fields of these classes, one to one. The
+# descriptions are for readers of the JSON Schema (schema.py) and of messages about missing keys.
+# Rules between several keys (areas that overlap, points outside their area) are checked in
+# validation.py. loading.py reads files and merges a profile with the one it extends.
 
 from __future__ import annotations
 
@@ -10,19 +11,29 @@ from enum import StrEnum
 from typing import Annotated
 
 import msgspec
+from msgspec import Meta
 
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import READ_LIMIT, exception_name
 from mbtool.modbus.tables import Table
 
-Address = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
-Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
-Quantity = Annotated[int, msgspec.Meta(ge=1, le=0xFFFF)]
-ExceptionCode = Annotated[int, msgspec.Meta(ge=1, le=0xFF)]
+Address = Annotated[int, Meta(ge=0, le=0xFFFF)]
+Word = Annotated[int, Meta(ge=0, le=0xFFFF)]
+Quantity = Annotated[int, Meta(ge=1, le=0xFFFF)]
+ExceptionCode = Annotated[int, Meta(ge=1, le=0xFF)]
+
+
+def _about(description: str) -> Meta:
+    """The description of a field, for the JSON Schema and for messages about missing keys."""
+    return Meta(description=description)
+
+
 Texts = dict[int, str]
-"""What a value means, by the value."""
+"""The meaning of each value."""
 
 WORD_BITS = 16
+READ_AND_WRITE = 0x17
+"""The one function that both reads and writes (6.17)."""
 
 
 class Radix(StrEnum):
@@ -31,7 +42,7 @@ class Radix(StrEnum):
     DECIMAL = "decimal"
     HEX = "hex"
     OCTAL_DIGIT = "octal-digit"
-    """The last digit counts to 7, those before it are decimal: M7, M10, ..., M97, M100."""
+    """The last digit is octal, those before it are decimal: M7, M10, ..., M97, M100."""
 
     def write(self, number: int) -> str:
         match self:
@@ -43,7 +54,7 @@ class Radix(StrEnum):
                 return f"{number // 8 or ''}{number % 8}"
 
     def read(self, digits: str) -> int:
-        """The number that `digits` stand for. Raises ValueError."""
+        """Parse digits as `write` writes them. Raises ValueError."""
         valid = "0123456789ABCDEF" if self is Radix.HEX else "0123456789"
         last = "01234567" if self is Radix.OCTAL_DIGIT else valid
         if not digits or not set(digits) <= set(valid) or digits[-1] not in last:
@@ -65,7 +76,10 @@ class Access(StrEnum):
 
 
 class BehaviourName(StrEnum):
-    """What a family of devices does beyond its data, as the embedded slave and `check` know it."""
+    """A device family with behaviour that profile data cannot express.
+
+    The embedded slave imitates the behaviour, and `check` has rules for it.
+    """
 
     FA3 = "fa3"
     LT830 = "lt830"
@@ -75,35 +89,31 @@ class BehaviourName(StrEnum):
 class _Part(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """A part of a profile; an unknown key is an error."""
+    """A part of a profile. Unknown keys are errors."""
 
 
 class Area(_Part, frozen=True, kw_only=True):
-    """A range of addresses that the device has, and how its manual writes them."""
+    """A range of addresses of the device, and how its manual writes them."""
 
-    name: str
-    """The manual's name for it."""
-    table: Table
-    """Which of the four tables of the data model."""
-    first: Address
-    """Its first address on the wire, 0-based."""
-    last: Address
-    """Its last address, included."""
-    access: Access
-    """What a master may do with it: r, w or rw."""
-    prefix: str = ""
-    """What stands before the number of a reference: HR in HR400001."""
-    base: Annotated[int, msgspec.Meta(ge=-0xFFFF, le=1_000_000)] = 0
-    """The number that the manual gives to address 0: reference = base + address.
-
-    Negative where the area begins above 0 and its numbers do not.
-    """
-    radix: Radix = Radix.DECIMAL
-    """How the number is written."""
-    width: Annotated[int, msgspec.Meta(ge=0, le=8)] = 0
-    """Digits of the reference, padded with zeros."""
-    suffix: str = ""
-    """What stands behind the number: H in 0102H."""
+    name: Annotated[str, _about("The manual's name for the area.")]
+    table: Annotated[Table, _about("One of the four tables of the data model.")]
+    first: Annotated[Address, _about("First address on the wire, 0-based.")]
+    last: Annotated[Address, _about("Last address on the wire, inclusive.")]
+    access: Annotated[Access, _about("What a master may do: read r, write w, both rw.")]
+    prefix: Annotated[str, _about("Text before the number: HR in HR400001.")] = ""
+    base: Annotated[
+        int,
+        Meta(ge=-0xFFFF, le=1_000_000),
+        _about(
+            "The manual's number for address 0: written number = base + address.\n\n"
+            "Negative if the manual counts from 0 in an area that begins at a higher address."
+        ),
+    ] = 0
+    radix: Annotated[Radix, _about("How the number is written.")] = Radix.DECIMAL
+    width: Annotated[
+        int, Meta(ge=0, le=8), _about("Least number of digits; shorter ones get zeros.")
+    ] = 0
+    suffix: Annotated[str, _about("Text behind the number: H in 0102H.")] = ""
 
     def reference(self, address: int) -> str:
         """Write an address the vendor's way: HR400001, 0102H, X1F."""
@@ -112,8 +122,8 @@ class Area(_Part, frozen=True, kw_only=True):
     def span(self, first: int, last: int) -> str:
         """Write a range the vendor's way: HR400001..400002, X0..XF, 0105H..010EH.
 
-        A decimal number stands alone at the end; a hexadecimal one keeps its prefix, since F could
-        be a word.
+        The prefix of the last address is left out, except from hexadecimal numbers: without its
+        prefix, F could be read as a word.
         """
         if last <= first:
             return self.reference(first)
@@ -126,7 +136,7 @@ class Area(_Part, frozen=True, kw_only=True):
 
     @property
     def notation(self) -> tuple[str, int, Radix, int, str]:
-        """What makes two areas write their addresses alike."""
+        """All that decides how an address is written; equal for areas that write alike."""
         return self.prefix, self.base, self.radix, self.width, self.suffix
 
     def holds(self, table: Table, address: int, quantity: int = 1) -> bool:
@@ -134,73 +144,64 @@ class Area(_Part, frozen=True, kw_only=True):
 
 
 class AnswerWord(_Part, frozen=True, kw_only=True):
-    """The 16-bit word that is all the data of the answer to a function of the maker's own."""
+    """The 16-bit word that is all the data in the response to a vendor's own function."""
 
-    name: str
-    """What the word is called."""
-    texts: Texts = {}
-    """What a value means, by the value."""
+    name: Annotated[str, _about("The name of the word.")]
+    texts: Annotated[Texts, _about("The meaning of each value.")] = {}
 
 
 class FunctionRule(_Part, frozen=True, kw_only=True):
-    """A function that the device has."""
+    """A function of the device."""
 
-    limit: Quantity | None = None
-    """The largest quantity, where the manual states one."""
-    write_limit: Quantity | None = None
-    """How many registers function 17 writes at most, where the manual states it; `limit` is how
-    many it reads."""
-    ascii_limit: Quantity | None = None
-    """The largest quantity in ASCII mode, where the manual states another one for it."""
-    data: str | None = None
-    """What stands behind the function code of a request, where the manual fixes it, in hexadecimal
-    digits; more may follow."""
-    title: str | None = None
-    """The maker's name for a function of his own."""
-    answer: AnswerWord | None = None
-    """What a function of the maker's own gives back."""
-    answers: bool = True
-    """False where the device carries the function out and stays silent."""
+    limit: Annotated[Quantity | None, _about("The largest quantity in the manual.")] = None
+    write_limit: Annotated[
+        Quantity | None, _about("Function 17: most registers written; `limit` is for reading.")
+    ] = None
+    ascii_limit: Annotated[
+        Quantity | None, _about("The largest quantity in ASCII mode, if it differs.")
+    ] = None
+    data: Annotated[
+        str | None, _about("Hexadecimal bytes that must follow the function code; more may follow.")
+    ] = None
+    title: Annotated[str | None, _about("The vendor's name for the vendor's own function.")] = None
+    answer: Annotated[AnswerWord | None, _about("The response to the vendor's function.")] = None
+    answers: Annotated[bool, _about("False if the device gives no response.")] = True
 
 
 class Exceptions(_Part, frozen=True, kw_only=True):
-    """Which exception code the device gives for what (its manual's codes, not the standard's)."""
+    """The exception codes that the device gives, which may differ from the standard's."""
 
-    function: ExceptionCode = 1
-    """A function it lacks."""
-    address: ExceptionCode = 2
-    """An address, or address + quantity, outside its areas."""
-    value: ExceptionCode = 3
-    """A quantity, byte count or value that is not allowed."""
-    documented: list[ExceptionCode] = msgspec.field(default_factory=lambda: [1, 2, 3])
-    """Every code that the manual lists."""
-    texts: Texts = {}
-    """What a code means, where the manual says it otherwise than the standard."""
+    function: Annotated[ExceptionCode, _about("For a function that the device does not have.")] = 1
+    address: Annotated[ExceptionCode, _about("For addresses outside its areas.")] = 2
+    value: Annotated[ExceptionCode, _about("For a wrong quantity, byte count or value.")] = 3
+    documented: Annotated[list[ExceptionCode], _about("Every exception code in the manual.")] = (
+        msgspec.field(default_factory=lambda: [1, 2, 3])
+    )
+    texts: Annotated[Texts, _about("Meanings that differ from the standard's.")] = {}
 
 
 class Timing(_Part, frozen=True, kw_only=True):
-    """Silences that the manual asks for, where it gives others than the standard: 28bits, 5ms."""
+    """Silences in the manual that differ from the standard's: 28bits, 5ms."""
 
-    t1_5: str | None = None
-    """The longest silence inside a frame."""
-    t3_5: str | None = None
-    """The shortest silence between frames."""
-    request_interval: str | None = None
-    """What a master leaves at least from an answer to its next request."""
+    t1_5: Annotated[str | None, _about("The longest silence inside a frame.")] = None
+    t3_5: Annotated[str | None, _about("The shortest silence between frames.")] = None
+    request_interval: Annotated[
+        str | None, _about("The shortest silence from a response to the next request.")
+    ] = None
 
 
 class PointType(StrEnum):
-    """How a point's value stands in its registers or bits."""
+    """How a point's value is encoded in its registers or bits."""
 
     BIT = "bit"
     UINT16 = "uint16"
     INT16 = "int16"
     BCD16 = "bcd16"
-    """Four decimal digits, each in four bits."""
+    """Four decimal digits of four bits each."""
     HEX16 = "hex16"
-    """A code that its manual writes in hexadecimal."""
+    """A code that the manual writes in hexadecimal."""
     OCTETS = "octets"
-    """Two octets of an IP address, the earlier one in the high byte."""
+    """Two octets of an IP address; the first one is in the high byte."""
     UINT32 = "uint32"
     INT32 = "int32"
     BCD32 = "bcd32"
@@ -209,7 +210,7 @@ class PointType(StrEnum):
     INT64 = "int64"
     FLOAT64 = "float64"
     STRING = "string"
-    """Two characters in each register, the earlier one in the high byte."""
+    """Two characters in each register; the first one is in the high byte."""
     FLAGS = "flags"
     """A register whose bits have names."""
     BIT_FIELD = "bit-field"
@@ -219,22 +220,22 @@ class PointType(StrEnum):
 
     @property
     def words(self) -> int:
-        """How many addresses a value takes; 0 for a string, whose point says it."""
+        """Addresses that a value takes; 0 for a string, whose length is the point's `length`."""
         return 0 if self is PointType.STRING else _WORDS.get(self, 1)
 
     @property
     def channel_bits(self) -> int:
-        """How many bits of the register each channel has; 0 where it is no field."""
+        """Bits for each channel of a field; 0 for other types."""
         return {PointType.BIT_FIELD: 1, PointType.NIBBLE_FIELD: 4}.get(self, 0)
 
     @property
     def whole_numbers(self) -> range | None:
-        """The whole numbers that it can hold; None where it holds other things."""
+        """The range of an integer type; None for other types."""
         return _RANGES.get(self)
 
     @property
     def is_number(self) -> bool:
-        """Whether its value is a quantity, which can have a scale and a unit."""
+        """True if the value is a quantity, which can have a scale and a unit."""
         return self in _RANGES or self in (PointType.FLOAT32, PointType.FLOAT64)
 
 
@@ -260,151 +261,161 @@ _RANGES = {
 
 
 class WordOrder(StrEnum):
-    """Which register of a value of several comes first."""
+    """Which register of a value of several registers comes first."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"
 
 
 class ByteOrder(StrEnum):
-    """Which byte of a register comes first; the standard says the high one."""
+    """Which byte of a register comes first; the high one in the standard."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"
 
 
 class Point(_Part, frozen=True, kw_only=True):
-    """A value that the manual names."""
+    """A value, or a series of values, that the manual names."""
 
-    name: str
-    """Its name; {n} stands for the number, {reference} for the reference, of one of several."""
-    table: Table
-    """Which of the four tables of the data model."""
-    address: Address
-    """Its first address on the wire, 0-based."""
-    type: PointType = PointType.UINT16
-    """How its value stands in the registers or the bit."""
-    count: Quantity = 1
-    """How many such points follow one another; {n} in the name counts them from `counted_from`."""
-    stride: Quantity = 1
-    """From one of them to the next, in addresses; absent in a file: as many as each takes."""
-    counted_from: int = 1
-    """The number {n} of the first of them."""
-    length: Annotated[int, msgspec.Meta(ge=1, le=READ_LIMIT)] | None = None
-    """How many registers a string takes."""
-    access: Access | None = None
-    """What a master may do with it, where that is less than with its area."""
-    block: Address | None = None
-    """Where a read must begin to find it: it is a part of a block of registers which is read from
-    that address alone, and whose other addresses stand for other things where a read begins there.
-    """
-    word_order: WordOrder = WordOrder.HIGH_FIRST
-    """Which register of a number of several comes first."""
-    byte_order: ByteOrder = ByteOrder.HIGH_FIRST
-    """Which byte of each register comes first; the standard says the high one."""
-    unit: str | None = None
-    """What the value is counted in: degC, bar."""
-    scale: float = 1.0
-    """The value is the register's number times this, plus `offset`."""
-    offset: float = 0.0
-    """What is added once the number is scaled."""
-    decimals: Annotated[int, msgspec.Meta(ge=0, le=15)] | None = None
-    """Digits behind the point where it is written; absent: as many as it has."""
-    first_channel: int = 1
-    """The channel of the lowest bit or nibble of a field."""
-    channels: Annotated[int, msgspec.Meta(ge=1, le=16)] | None = None
-    """How many channels a field has; absent: as many as fit, 16 or 4."""
-    channel: str = "CH"
-    """What a field's channel is called, before its number."""
-    texts: Texts = {}
-    """What a number means. A bit field speaks of the bits whose value has a text, no others."""
-    bits: Texts = {}
-    """The names of the bits of `flags`, 0 for the lowest."""
-    default: Word | None = None
-    """What stands in its register or bit before anyone writes it."""
-    minimum: int | float | None = None
-    """The least value that the manual allows, after `scale` and `offset`."""
-    maximum: int | float | None = None
-    """The largest value that the manual allows, after `scale` and `offset`."""
-    note: str | None = None
-    """A sentence for readers."""
+    name: Annotated[
+        str, _about("The name; in a series, {n} is the number and {reference} the reference.")
+    ]
+    table: Annotated[Table, _about("One of the four tables of the data model.")]
+    address: Annotated[Address, _about("First address on the wire, 0-based.")]
+    type: Annotated[PointType, _about("How the value is encoded in the registers or the bit.")] = (
+        PointType.UINT16
+    )
+    count: Annotated[
+        Quantity, _about("Points in the series; {n} in the name counts from `counted_from`.")
+    ] = 1
+    stride: Annotated[
+        Quantity, _about("Addresses from one point to the next; by default, side by side.")
+    ] = 1
+    counted_from: Annotated[int, _about("The number {n} of the first point of the series.")] = 1
+    length: Annotated[
+        Annotated[int, Meta(ge=1, le=READ_LIMIT)] | None, _about("Registers of a string.")
+    ] = None
+    access: Annotated[
+        Access | None, _about("What a master may do, if that is less than the area allows.")
+    ] = None
+    block: Annotated[
+        Address | None, _about("The point exists only in reads that begin at this address.")
+    ] = None
+    word_order: Annotated[
+        WordOrder, _about("Which register of a number of several comes first.")
+    ] = WordOrder.HIGH_FIRST
+    byte_order: Annotated[
+        ByteOrder, _about("Which byte of each register comes first; the high one in the standard.")
+    ] = ByteOrder.HIGH_FIRST
+    unit: Annotated[str | None, _about("The unit of the value: degC, bar.")] = None
+    scale: Annotated[float, _about("value = number in the register x `scale` + `offset`.")] = 1.0
+    offset: Annotated[float, _about("Added after scaling.")] = 0.0
+    decimals: Annotated[
+        Annotated[int, Meta(ge=0, le=15)] | None, _about("Decimal places; by default, as needed.")
+    ] = None
+    first_channel: Annotated[int, _about("The channel of the lowest bit or nibble.")] = 1
+    channels: Annotated[
+        Annotated[int, Meta(ge=1, le=16)] | None, _about("Channels of a field; by default, all.")
+    ] = None
+    channel: Annotated[str, _about("The word before the number of a field's channel.")] = "CH"
+    texts: Annotated[
+        Texts, _about("Meanings of numbers. A bit field shows only bits whose value has one.")
+    ] = {}
+    bits: Annotated[Texts, _about("The names of the bits of `flags`; 0 is the lowest bit.")] = {}
+    default: Annotated[Word | None, _about("The content before the first write.")] = None
+    minimum: Annotated[
+        int | float | None, _about("The least value allowed, after `scale` and `offset`.")
+    ] = None
+    maximum: Annotated[
+        int | float | None, _about("The largest value allowed, after `scale` and `offset`.")
+    ] = None
+    note: Annotated[str | None, _about("A sentence for readers.")] = None
 
     @property
     def words(self) -> int:
-        """How many addresses each of the `count` points takes."""
+        """Addresses that each of the `count` points takes."""
         return self.type.words or self.length or 1
 
     def allows(self, *, writing: bool) -> bool:
-        """Whether it is a value for writing or for reading, if its area lets a master do that."""
+        """True if a master may write (or read) the point, as far as its area allows it."""
         return self.access is None or self.access.allows(writing=writing)
 
     @property
     def addresses(self) -> range:
-        """Where each of the `count` points begins."""
+        """The first address of each of the `count` points."""
         return range(self.address, self.address + self.count * self.stride, self.stride)
+
+    @property
+    def all_addresses(self) -> set[int]:
+        """Every address that the `count` points take."""
+        return {at for first in self.addresses for at in range(first, first + self.words)}
 
 
 class Profile(_Part, frozen=True, kw_only=True):
     """One device, or one model of a family."""
 
-    name: str
-    """What --device and the log call it: letters, digits, '-', '_' and '.'."""
-    title: str
-    """What it is, for readers."""
-    vendor: str
-    """Who makes it."""
-    transports: list[Transport]
-    """The kinds of line that it is on."""
-    source: str
-    """The manual, with its number and edition."""
-    areas: list[Area]
-    """The ranges of addresses that it has."""
-    functions: dict[str, FunctionRule]
-    """The functions that it has, by their code in two hexadecimal digits."""
-    exceptions: Exceptions = msgspec.field(default_factory=Exceptions)
-    """Which exception code it gives for what."""
-    timing: Timing = msgspec.field(default_factory=Timing)
-    """The silences that its manual asks for."""
-    points: list[Point] = []
-    """The values that its manual names."""
-    behaviour: BehaviourName | None = None
-    """The name of what data cannot say: fa3, lt830 or wago."""
-    finding_prefix: str | None = None
-    """What the codes of broken rules begin with; absent: the name in capitals."""
-    model_code: Word | None = None
-    """What the device calls itself, where a function of the maker's asks for it."""
-    last_unit: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
-    """The highest unit that it can be on a serial line, where the manual states it."""
-    any_unit: bool = False
-    """The device answers whatever unit a Modbus/TCP request names."""
-    notes: list[str] = []
-    """Sentences for readers: what is assumed, where the manual contradicts itself."""
+    name: Annotated[
+        str, _about("The name for --device and the log: letters, digits, '-', '_' and '.'.")
+    ]
+    title: Annotated[str, _about("The device's full name, for readers.")]
+    vendor: Annotated[str, _about("The company that makes the device.")]
+    transports: Annotated[list[Transport], _about("The transports it supports.")]
+    source: Annotated[str, _about("The manual, with its number and edition.")]
+    areas: Annotated[list[Area], _about("The ranges of addresses that it has.")]
+    functions: Annotated[
+        dict[str, FunctionRule], _about("Its functions, by code in two hexadecimal digits.")
+    ]
+    exceptions: Annotated[Exceptions, _about("The exception codes that it gives.")] = msgspec.field(
+        default_factory=Exceptions
+    )
+    timing: Annotated[Timing, _about("Silences in its manual that differ from the standard's.")] = (
+        msgspec.field(default_factory=Timing)
+    )
+    points: Annotated[list[Point], _about("The values that its manual names.")] = []
+    behaviour: Annotated[
+        BehaviourName | None, _about("The family, if a profile cannot express all it does.")
+    ] = None
+    finding_prefix: Annotated[
+        str | None, _about("Beginning of finding codes; by default, the name in capitals.")
+    ] = None
+    model_code: Annotated[
+        Word | None, _about("What the device gives when a function asks for its model.")
+    ] = None
+    last_unit: Annotated[
+        Annotated[int, Meta(ge=1, le=255)] | None, _about("Highest unit on a serial line.")
+    ] = None
+    any_unit: Annotated[bool, _about("True if it responds to every unit number in Modbus/TCP.")] = (
+        False
+    )
+    notes: Annotated[
+        list[str], _about("Sentences for readers: assumptions, contradictions in the manual.")
+    ] = []
 
     def rule(self, function: int) -> FunctionRule | None:
-        """The rule of a function that the device has, else None."""
+        """The rule for a function; None if the device does not have it."""
         return self.functions.get(f"{function:02X}")
 
     def in_mode(self, transport: Transport) -> Profile:
-        """The profile as it holds on a transport: in ASCII mode with the limits of that mode."""
-        own = {
+        """The profile for one transport: for ASCII with the limits of ASCII mode."""
+        ascii_rules = {
             code: msgspec.structs.replace(rule, limit=rule.ascii_limit)
             for code, rule in self.functions.items()
             if rule.ascii_limit is not None
         }
-        if transport is not Transport.ASCII or not own:
+        if transport is not Transport.ASCII or not ascii_rules:
             return self
-        return msgspec.structs.replace(self, functions=self.functions | own)
+        return msgspec.structs.replace(self, functions=self.functions | ascii_rules)
 
     def exception_name(self, code: int) -> str:
-        """What an exception code means on this device, else in the standard."""
+        """The device's name for an exception code; the standard's if it has none."""
         return self.exceptions.texts.get(code) or exception_name(code)
 
     def area(
         self, table: Table, address: int, quantity: int = 1, *, writing: bool = False
     ) -> Area | None:
-        """The area that holds all of a range, else None.
+        """The area that contains a whole range; None if there is none.
 
-        Where what is read and what is written are two areas, `writing` says which is meant.
+        If one area is for reading and another for writing, `writing` chooses between them.
         """
         holding = [area for area in self.areas if area.holds(table, address, quantity)]
         for area in holding:
@@ -413,7 +424,7 @@ class Profile(_Part, frozen=True, kw_only=True):
         return holding[0] if holding else None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
-        """Whether a master may reach all of a range; it may run from one area into the next."""
+        """True if a master may read (or write) a whole range, which may span several areas."""
         at = span.start
         while at < span.stop:
             area = self.area(table, at, writing=writing)

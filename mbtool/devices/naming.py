@@ -1,12 +1,13 @@
-"""Gives transactions the names of their devices."""
+"""Names transactions: adds device, references, point values and findings from profiles."""
 
-# A profile is compiled into a vocabulary once. What a request addresses (reference, places,
-# findings) depends only on its function, addresses and quantities, and a master asks the same few
-# things over and over: the vocabulary remembers them, at most _MAX_REMEMBERED, so that a repeated
-# request costs one look-up and its values.
+# A profile is compiled into a vocabulary once. The reference, the points and most findings of a
+# request depend only on its function, addresses and quantities. A master repeats the same few
+# requests, so the vocabulary caches the meaning of at most _MAX_CACHED of them, and naming a
+# repeated request costs one look-up and its values.
 #
-# Function 17H reads and writes: its reference names both, and its places are those written, from
-# the request, which say so, and those read, from the response. Function 16H writes masks, no value.
+# Function 17H reads and writes. Its reference has both ranges; its points are those written, with
+# values from the request, and those read, with values from the response. Function 16H writes masks,
+# which are no values of points.
 
 from __future__ import annotations
 
@@ -17,7 +18,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.devices.assignment import Assignments
-from mbtool.devices.findings import (
+from mbtool.devices.identity import answer_word, identity_points
+from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, PointType, Profile
+from mbtool.devices.named_transaction import NamedTransaction, PointValue
+from mbtool.devices.profile_checks import (
     Ranges,
     data_finding,
     exception_finding,
@@ -28,12 +32,9 @@ from mbtool.devices.findings import (
     value_ranges,
     values_outside,
 )
-from mbtool.devices.form import form_codes
-from mbtool.devices.identity import answer_word, identity_points
-from mbtool.devices.model import AnswerWord, Point, PointType, Profile
-from mbtool.devices.named import NamedTransaction, PointValue
 from mbtool.devices.references import write_reference
-from mbtool.devices.values import PointInstance, places_of, values_of
+from mbtool.devices.standard_checks import form_codes
+from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
@@ -43,15 +44,14 @@ from mbtool.modbus.transaction import Outcome
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
-_MAX_REMEMBERED = 4096
+_MAX_CACHED = 4096
 
 _MASK_WRITE = 0x16
-_READ_WRITE = 0x17
-_UNSOLICITED = Outcome.UNSOLICITED  # Python 3.11 takes long to find a member of an enumeration.
+_UNSOLICITED = Outcome.UNSOLICITED  # Looking up a member of an enumeration is slow in Python 3.11.
 
 
 class Namer:
-    """Names transactions by the profiles that the user assigned."""
+    """Names transactions with the profiles that the user assigned."""
 
     def __init__(self, assignments: Assignments | None = None) -> None:
         self._assignments = assignments or Assignments()
@@ -59,23 +59,22 @@ class Namer:
         self._vocabularies: dict[int, _Vocabulary] = {}
 
     def name(self, transaction: Transaction) -> NamedTransaction:
-        """The same transaction with device, reference, points and findings.
+        """Add device, reference, points and findings, or replace those that are there.
 
-        Those of one that is named already are replaced. Never raises, also for values that no wire
-        carries.
+        Never raises, not even for numbers that are impossible on a wire.
         """
         profile = self._assignments.profile_for(transaction)
         return self._vocabulary(profile).name(transaction)
 
     def rename(self, named: NamedTransaction) -> NamedTransaction:
-        """The same where the user assigned a profile; elsewhere as it is."""
+        """Name a transaction again if its slave has a profile; otherwise return it unchanged."""
         profile = self._assignments.profile_for(named)
         return named if profile is None else self._vocabulary(profile).name(named)
 
     def _vocabulary(self, profile: Profile | None) -> _Vocabulary:
         if profile is None:
             return self._neutral
-        # By identity: it is quick, and the assignments keep every profile alive.
+        # The key is the profile's identity, for speed; the assignments keep every profile alive.
         vocabulary = self._vocabularies.get(id(profile))
         if vocabulary is None:
             vocabulary = self._vocabularies[id(profile)] = _Vocabulary(profile)
@@ -84,27 +83,29 @@ class Namer:
 
 @dataclass(frozen=True, slots=True)
 class _Meaning:
-    """What one combination of function, addresses and quantities means."""
+    """All that depends only on the function, addresses and quantities of a transaction."""
 
     function_name: str | None = None
     reference: str | None = None
     written: tuple[tuple[int, PointInstance], ...] = ()
-    """Each place with the index of its first value."""
+    """Each point with the index of its first value."""
     read: tuple[tuple[int, PointInstance], ...] = ()
     answer: PointInstance | None = None
+    """The word in the response to a vendor's own function, as a point."""
     findings: tuple[str, ...] = ()
 
 
 class _Vocabulary:
-    """A profile, made ready for naming."""
+    """A profile, or no profile, compiled for naming."""
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
         self._device = profile.name if profile is not None else None
-        self._places: dict[tuple[Table, bool], list[PointInstance]] = {}
-        """By table, and whether it is written."""
+        self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
+        """By table and by whether the request writes; sorted by address."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
-        self._remembered: dict[tuple[int | None, ...], _Meaning] = {}
+        """The addresses of `_points`."""
+        self._cache: dict[tuple[int | None, ...], _Meaning] = {}
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
         if profile is not None:
@@ -135,22 +136,22 @@ class _Vocabulary:
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
     ) -> list[str]:
         if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
-            return []  # Its bytes may be another frame's, which would say something else.
-        # What nobody asked for was not asked for wrongly.
-        asked = transaction.outcome is not _UNSOLICITED
-        findings = [*meaning.findings] if asked else []
+            return []  # Its bytes may be a different frame.
+        # Without a request, no rule about requests can be broken.
+        has_request = transaction.outcome is not _UNSOLICITED
+        findings = [*meaning.findings] if has_request else []
         findings += form_codes(transaction)
         profile = self.profile
         if profile is not None:
             fixed = self._fixed_data.get(transaction.function)
-            if fixed is not None and asked and has_other_data(transaction, fixed):
+            if fixed is not None and has_request and has_other_data(transaction, fixed):
                 findings.append(data_finding(profile, transaction.function))
             if transaction.exception is not None:
                 undocumented = exception_finding(profile, transaction.exception)
                 findings += [undocumented] if undocumented is not None else []
             if self._ranges and transaction.request_values and meaning.written and points:
                 written = points
-                if transaction.function == _READ_WRITE:
+                if transaction.function == READ_AND_WRITE:
                     written = [point for point in points if point.written]
                 if values_outside(self._ranges, written):
                     findings.append(value_finding(profile, transaction.function))
@@ -161,9 +162,9 @@ class _Vocabulary:
         self._fixed_data = fixed_data(profile)
         for table in Table:
             for writing in (False, True):
-                places = places_of(profile, table, writing=writing)
-                self._places[table, writing] = places
-                self._addresses[table, writing] = [place.address for place in places]
+                points = point_instances(profile, table, writing=writing)
+                self._points[table, writing] = points
+                self._addresses[table, writing] = [point.address for point in points]
 
     def _meaning(self, transaction: Transaction) -> _Meaning:
         function = transaction.function
@@ -174,19 +175,16 @@ class _Vocabulary:
             transaction.write_address,
             0 if transaction.write_address is None else len(transaction.request_values or ()),
         )
-        meaning = self._remembered.get(key)
+        meaning = self._cache.get(key)
         if meaning is None:
-            if len(self._remembered) >= _MAX_REMEMBERED:
-                self._remembered.clear()
-            meaning = self._remembered[key] = self._work_out(transaction)
+            if len(self._cache) >= _MAX_CACHED:
+                self._cache.clear()
+            meaning = self._cache[key] = self._find_meaning(transaction)
         return meaning
 
-    def _work_out(self, transaction: Transaction) -> _Meaning:
-        function, address, quantity = (
-            transaction.function,
-            transaction.address,
-            transaction.quantity,
-        )
+    def _find_meaning(self, transaction: Transaction) -> _Meaning:
+        function, address = transaction.function, transaction.address
+        quantity = transaction.quantity
         findings = tuple(request_findings(self.profile, transaction))
         title: str | None = None
         answer: PointInstance | None = None
@@ -194,72 +192,73 @@ class _Vocabulary:
             rule = self.profile.rule(function)
             if rule is not None:
                 title = rule.title
-                answer = _answer_place(rule.answer, function) if rule.answer is not None else None
+                answer = _answer_point(rule.answer, function) if rule.answer is not None else None
         known = FUNCTIONS.get(function)
         if known is None or known.table is None or address is None:
             return _Meaning(title, answer=answer, findings=findings)
-        writes = known.writes and function != _READ_WRITE
+        writes = known.writes and function != READ_AND_WRITE
         reference = write_reference(self.profile, known.table, address, quantity, writing=writes)
-        places = self._between(known.table, address, max(quantity or 1, 1), writing=writes)
-        if function == _READ_WRITE and transaction.write_address is not None:
+        points = self._points_in(known.table, address, max(quantity or 1, 1), writing=writes)
+        if function == READ_AND_WRITE and transaction.write_address is not None:
             start, count = transaction.write_address, len(transaction.request_values or ())
             written = write_reference(self.profile, known.table, start, count, writing=True)
             return _Meaning(
                 title,
                 reference=f"{reference}, write {written}",
-                written=self._between(known.table, start, count, writing=True),
-                read=places,
+                written=self._points_in(known.table, start, count, writing=True),
+                read=points,
                 findings=findings,
             )
         if function == _MASK_WRITE:
-            places = ()
+            points = ()
         return _Meaning(
             title,
             reference=reference,
-            written=places if known.writes else (),
-            read=() if known.writes else places,
+            written=points if known.writes else (),
+            read=() if known.writes else points,
             findings=findings,
         )
 
-    def _between(
+    def _points_in(
         self, table: Table, address: int, quantity: int, *, writing: bool
     ) -> tuple[tuple[int, PointInstance], ...]:
-        """The places whose registers or bits are all in a range, each with its index there.
+        """The points that are completely in a range, each with the index of its first value.
 
-        What has no name beside others that have one goes by its reference.
+        If there are any, the other addresses of the range become points named by their reference.
         """
         addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)
         last = bisect_left(addresses, address + quantity)
-        places = self._places[table, writing][first:last] if last > first else []
-        # What a block holds is there for who asks from its beginning, and then nothing else is.
-        block = address if any(place.block == address for place in places) else None
-        whole = [
-            place
-            for place in places
-            if place.block == block and place.address + place.words <= address + quantity
+        points = self._points[table, writing][first:last] if last > first else []
+        # A read from the beginning of a block contains only the block; other reads, no block.
+        block = address if any(point.block == address for point in points) else None
+        complete = [
+            point
+            for point in points
+            if point.block == block and point.address + point.words <= address + quantity
         ]
-        if whole and sum(place.words for place in whole) < quantity:
-            whole = self._with_unnamed(whole, table, range(address, address + quantity), writing)
-        return tuple((place.address - address, place) for place in whole)
+        if complete and sum(point.words for point in complete) < quantity:
+            span = range(address, address + quantity)
+            complete = self._with_unnamed(complete, table, span, writing)
+        return tuple((point.address - address, point) for point in complete)
 
     def _with_unnamed(
-        self, places: list[PointInstance], table: Table, span: range, writing: bool
+        self, points: list[PointInstance], table: Table, span: range, writing: bool
     ) -> list[PointInstance]:
-        named = {word for each in places for word in range(each.address, each.address + each.words)}
+        named = {word for each in points for word in range(each.address, each.address + each.words)}
         kind = PointType.BIT if table.is_bits else PointType.UINT16
         for address in span:
             if address not in named:
                 reference = write_reference(self.profile, table, address, writing=writing)
                 point = Point(name=reference, table=table, address=address, type=kind)
-                places.append(PointInstance(point, address, reference))
-        return sorted(places, key=lambda place: place.address)
+                points.append(PointInstance(point, address, reference))
+        return sorted(points, key=lambda point: point.address)
 
 
-def _answer_place(answer: AnswerWord, function: int) -> PointInstance:
+def _answer_point(answer: AnswerWord, function: int) -> PointInstance:
     point = Point(
         name=answer.name,
-        table=Table.HOLDING_REGISTERS,  # Not looked at: the word has no address.
+        table=Table.HOLDING_REGISTERS,  # Any table: the word has no address.
         address=0,
         type=PointType.UINT16,
         texts=answer.texts,
@@ -270,11 +269,11 @@ def _answer_place(answer: AnswerWord, function: int) -> PointInstance:
 def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     points: list[PointValue] = []
     if meaning.written and transaction.request_values:
-        points += values_of(meaning.written, transaction.request_values)
-        if transaction.function == _READ_WRITE:
+        points += point_values(meaning.written, transaction.request_values)
+        if transaction.function == READ_AND_WRITE:
             points = [msgspec.structs.replace(point, written=True) for point in points]
     if meaning.read and transaction.response_values:
-        points += values_of(meaning.read, transaction.response_values)
+        points += point_values(meaning.read, transaction.response_values)
     if meaning.answer is not None:
         word = answer_word(transaction)
         if word is not None:

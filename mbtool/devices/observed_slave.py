@@ -1,11 +1,12 @@
-"""What was seen of one slave: what it was asked, how it answered, and the values it gave."""
+"""Everything observed of one slave: requests, how it responded, and sampled register values."""
 
-# For saying which device it is (matching.py) and for a profile from its traffic (drafting/).
+# Used to find the profile that fits a slave (profile_match.py), and to draft a profile (drafting/).
 # Equal requests are counted together.
 #
-# Limits, of each slave: MAX_ASKS different requests, of which the further ones are counted in
-# `forgotten`; of the first MAX_SAMPLED requests MAX_ROWS answers are kept, spread over all of the
-# time, since whenever there are more every second one is dropped, and half as many come in.
+# Limits for each slave: MAX_REQUESTS different requests; transactions with further ones are only
+# counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED requests, at most
+# MAX_ROWS rows each. When there are more rows, every second one is dropped, and from then on half
+# as many are taken, so that the sample is spread over the whole time.
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.assignment import Who
 from mbtool.devices.identity import answer_word
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.devices.model import READ_AND_WRITE
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -26,50 +28,50 @@ if TYPE_CHECKING:
     from mbtool.modbus.adu import Transport
     from mbtool.modbus.transaction import Transaction
 
-MAX_ASKS = 8192
+MAX_REQUESTS = 8192
 MAX_SAMPLED = 512
 MAX_ROWS = 64
 MAX_TEXTS = 64
 
-_READ_WRITE = 0x17
-
 
 @dataclass(frozen=True, slots=True)
 class ObservedRequest:
-    """A request, but for what it writes."""
+    """A request without the values that it writes. A function 17H is two: a read and a write."""
 
     function: int
     table: Table | None
     address: int | None
-    """None where the function has none, or a response came without its request."""
+    """None if the function has no address, or if there is only a response."""
     quantity: int
     writes: bool
 
     @property
     def span(self) -> range:
-        """Its addresses, without those beyond the last that there is."""
+        """Its addresses, up to FFFFH."""
         first = self.address or 0
         return range(first, min(first + max(self.quantity, 1), 1 << 16))
 
 
 @dataclass(slots=True)
 class Replies:
-    """How often a request was answered, and how."""
+    """The number of responses of each kind to one request."""
 
     ok: int = 0
     silent: int = 0
-    """Not answered, or not in the form that an answer has."""
+    """No response, or a malformed one."""
     exceptions: Counter[int] = field(default_factory=Counter)
 
 
 @dataclass(slots=True)
 class Samples:
-    """The registers that came with one request: read from the slave, or written to it."""
+    """The register values of one request: read from the slave, or written to it."""
 
     rows: list[tuple[int, ...]] = field(default_factory=list)
+    """The sample: the values of some transactions."""
     count: int = 0
+    """All transactions with values."""
     changes: list[int] = field(default_factory=list)
-    """How often each value differed from the one before it."""
+    """For each register, how often its value differed from the one before; of all transactions."""
     _last: tuple[int, ...] = ()
     _every: int = 1
 
@@ -92,7 +94,7 @@ class Samples:
 
 
 class ObservedSlave:
-    """What one slave was asked and answered."""
+    """The requests to one slave and its responses."""
 
     def __init__(
         self, link: str, destination: str | None, unit: int, *, with_values: bool = False
@@ -101,66 +103,67 @@ class ObservedSlave:
         self.destination = destination
         self.unit = unit
         self.transports: set[Transport] = set()
-        self.asked: dict[ObservedRequest, Replies] = {}
+        self.requests: dict[ObservedRequest, Replies] = {}
         self.samples: dict[ObservedRequest, Samples] = {}
         self.identity: dict[str, str] = {}
-        """What it says about itself, by the names of modbus/identification.py."""
+        """Its reported identity, by the names in modbus/identification.py."""
         self.answer_words: set[tuple[int, int]] = set()
-        """Functions whose whole answer was one word, with that word."""
+        """Vendor's functions whose response was a single word: function code and word."""
         self.transactions = 0
         self.forgotten = 0
+        """Requests that were not recorded because there were too many different ones."""
         self._with_values = with_values
 
     @property
     def who(self) -> Who:
-        """As --device would name it, its port included."""
+        """The slave as in --device, with its port."""
         return Who.of_slave(self.destination, self.unit)
 
     @property
-    def answered(self) -> bool:
-        return any(one.ok or one.exceptions for one in self.asked.values())
+    def has_responded(self) -> bool:
+        return any(replies.ok or replies.exceptions for replies in self.requests.values())
 
-    def given(self) -> dict[Table, bytearray]:
-        """Each table's addresses, those marked by 1 that were asked for and given, or taken."""
-        given = {table: bytearray(1 << 16) for table in Table}
-        for ask, replies in self.asked.items():
-            if ask.table is not None and replies.ok:
-                span = ask.span
-                given[ask.table][span.start : span.stop] = b"\x01" * len(span)
-        return given
+    def known_addresses(self) -> dict[Table, bytearray]:
+        """For each table and address, 1 if a read or write of the address succeeded, else 0."""
+        known = {table: bytearray(1 << 16) for table in Table}
+        for request, replies in self.requests.items():
+            if request.table is not None and replies.ok:
+                span = request.span
+                known[request.table][span.start : span.stop] = b"\x01" * len(span)
+        return known
 
     def note(self, transaction: Transaction) -> None:
-        """Take one transaction of this slave."""
+        """Add one transaction of this slave."""
         self.transactions += 1
         self.transports.add(transaction.transport)
         if transaction.response_raw is not None and transaction.exception is None:
             self._note_identity(transaction)
-        if not 0 < transaction.function < 0x80:
-            return  # No function that a device could have.
-        for ask, values in _asks(transaction):
-            replies = self.asked.get(ask)
+        if not 0 < transaction.function < EXCEPTION_BIT:
+            return  # No device has such a function.
+        for request, values in _requests(transaction):
+            replies = self.requests.get(request)
             if replies is None:
-                if len(self.asked) >= MAX_ASKS:
+                if len(self.requests) >= MAX_REQUESTS:
                     self.forgotten += 1
                     continue
-                replies = self.asked[ask] = Replies()
+                replies = self.requests[request] = Replies()
             if transaction.exception is not None:
                 replies.exceptions[transaction.exception] += 1
             elif transaction.outcome in (Outcome.OK, Outcome.UNSOLICITED):
                 replies.ok += 1
                 if self._with_values and values:
-                    self._sample(ask, values)
+                    self._sample(request, values)
             else:
                 replies.silent += 1
 
-    def _sample(self, ask: ObservedRequest, values: Sequence[int]) -> None:
-        if ask.table is None or ask.table.is_bits:
+    def _sample(self, request: ObservedRequest, values: Sequence[int]) -> None:
+        if request.table is None or request.table.is_bits:
             return
-        samples = self.samples.get(ask)
+        samples = self.samples.get(request)
         if samples is None and len(self.samples) < MAX_SAMPLED:
-            samples = self.samples[ask] = Samples()
+            samples = self.samples[request] = Samples()
         if samples is not None:
-            samples.add(values[: len(ask.span)])
+            samples.add(values[: len(request.span)])
 
     def _note_identity(self, transaction: Transaction) -> None:
         for one in identities(transaction):
@@ -172,27 +175,19 @@ class ObservedSlave:
                 self.answer_words.add((transaction.function, word))
 
 
-def _asks(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[int] | None]]:
-    """What it asks for, each with the values that came along."""
+def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[int] | None]]:
+    """The request of a transaction, or both parts of a function 17H; each with its values."""
     function = transaction.function
     known = FUNCTIONS.get(function)
     table = known.table if known is not None else None
     if known is None or table is None or transaction.address is None:
-        return [
-            (ObservedRequest(function, None, None, 1, known is not None and known.writes), None)
-        ]
+        writes = known is not None and known.writes
+        return [(ObservedRequest(function, None, None, 1, writes), None)]
     quantity = 1 if transaction.quantity is None else transaction.quantity
-    if function == _READ_WRITE and transaction.write_address is not None:
+    if function == READ_AND_WRITE and transaction.write_address is not None:
         written = transaction.request_values or []
-        return [
-            (
-                ObservedRequest(function, table, transaction.address, quantity, False),
-                transaction.response_values,
-            ),
-            (
-                ObservedRequest(function, table, transaction.write_address, len(written), True),
-                written,
-            ),
-        ]
+        read = ObservedRequest(function, table, transaction.address, quantity, False)
+        write = ObservedRequest(function, table, transaction.write_address, len(written), True)
+        return [(read, transaction.response_values), (write, written)]
     values = transaction.request_values if known.writes else transaction.response_values
     return [(ObservedRequest(function, table, transaction.address, quantity, known.writes), values)]

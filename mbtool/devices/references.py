@@ -1,13 +1,14 @@
-"""Addresses in the vendor's notation, both ways."""
+"""Writes and parses addresses in the vendor's notation."""
 
-# Where no profile tells, an address is written as it stands on the wire, 0-based, behind the
-# field's word for its table: `holding 107..109`, `coil 0`. So `holding 107` is what older documents
-# call 40108, and no vendor's reference can be mistaken for it.
+# Without a profile, an address is written in the neutral notation: a word for the table and the
+# address on the wire, 0-based: `holding 107..109`, `coil 0`. Older documents call `holding 107`
+# 40108; the word prevents confusion with a vendor's reference.
 #
-# An address outside the areas goes on in the notation of the one that ends nearest below it, else
-# of one above: behind M1277 comes M1280. But no reference is made that stands for another address
-# (where coils are 1 to 9999, the one at 10000 is not 10001, a discrete input); then the next area
-# counts, and where none is left, the neutral way. A range has the notations of both its ends.
+# An address outside all areas is written in the notation of the area that ends nearest below it, or
+# else begins nearest above it: M1280 follows M1277. An area is passed over if the result would be
+# the reference of another address: if coils are 1 to 9999 and discrete inputs 10001 to 19999, the
+# coil at address 10000 must not be written 10001. If no area is left, the neutral notation is used.
+# The two ends of a range may be in two areas with different notations.
 
 from __future__ import annotations
 
@@ -35,10 +36,10 @@ def write_reference(
     *,
     writing: bool = False,
 ) -> str:
-    """A range in the notation of its device: `HR400001..400002`, `X0..XF`, `holding 107..109`.
+    """Write a range in the notation of its device: `HR400001..400002`, `X0..XF`, `holding 107`.
 
-    A quantity of 0 or None is written as the address alone. `writing` chooses between two areas at
-    one address, of which one is read and the other written.
+    With a quantity of 0 or None, only the address is written. If one area at an address is for
+    reading and another for writing, `writing` chooses between them.
     """
     last = address + max(quantity or 1, 1) - 1
     if profile is not None:
@@ -55,12 +56,12 @@ def write_reference(
 
 
 def is_neutral(reference: str) -> bool:
-    """Whether it names its table itself, since no vendor's notation fits: `holding 107`."""
+    """True for a reference in the neutral notation, which has a word for the table."""
     return reference.partition(" ")[0] in _NEUTRAL.values()
 
 
 def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
-    """The table and address of one reference, in any case: `HR400001`, `x1f`. Raises UsageError."""
+    """The table and address of a reference in upper or lower case. Raises UsageError."""
     wanted = text.strip().upper()
     for area in profile.areas:
         address = _address_in(area, wanted)
@@ -76,15 +77,15 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
 
 
 def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
-    """The area that an address lies in, else one whose notation can go on to it."""
+    """The area that contains an address, or else one whose notation can be continued to it."""
     area = profile.area(table, address, writing=writing)
     if area is not None:
         return area
-    there = [area for area in profile.areas if area.table is table]
-    # Of areas that end alike, the one for what is asked.
-    there.sort(key=lambda area: not area.access.allows(writing=writing))
-    below = sorted((area for area in there if area.last < address), key=lambda area: -area.last)
-    above = sorted((area for area in there if area.first > address), key=lambda area: area.first)
+    areas = [area for area in profile.areas if area.table is table]
+    # Sorted three times: by distance, and areas at one distance by access.
+    areas.sort(key=lambda area: not area.access.allows(writing=writing))
+    below = sorted((area for area in areas if area.last < address), key=lambda area: -area.last)
+    above = sorted((area for area in areas if area.first > address), key=lambda area: area.first)
     for area in (*below, *above):
         if area.base + address >= 0:
             reference = area.reference(address).upper()
@@ -98,7 +99,7 @@ def _address_in(area: Area, wanted: str) -> int | None:
     if not (wanted.startswith(prefix) and wanted.endswith(suffix)):
         return None
     digits = wanted[len(prefix) : len(wanted) - len(suffix)]
-    # No reference has more digits; int() of thousands of them would be slow.
+    # No reference has more digits, and int() of thousands of digits would be slow.
     if len(digits) > 8:
         return None
     try:

@@ -1,30 +1,27 @@
 """The profile format as JSON Schema, for editors that complete and check TOML."""
 
-# Draft 7, which the editors' TOML tools read (taplo, Even Better TOML). Types, limits and defaults
-# are those of model.py, descriptions its docstrings. Everything stands in its place, without
-# references: a description beside a `$ref` does not count in draft 7.
+# Draft 7, because the TOML plug-ins of editors read it (taplo, Even Better TOML). msgspec makes the
+# schema of model.py's classes; here it is rewritten without references, because draft 7 ignores a
+# description beside a `$ref`.
 #
-# A schema sees one file, so what needs several keys or files (overlaps, points outside their areas,
-# `extends`) is left to loading a profile. It asks for one spelling where loading takes several:
-# 28bits for a silence, 3 or 0x0E30 for a number as a key.
+# The schema describes one file. Rules between keys or files (areas that overlap, points outside
+# their area, `extends`) are checked when a profile is loaded. The schema accepts one spelling where
+# loading accepts several: 28bits for a silence, 3 or 0x0E30 for a number as a key.
 
 from __future__ import annotations
 
-import ast
-import functools
-import inspect
-import textwrap
-from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mbtool.devices import model
 from mbtool.devices.model import PointType, Profile
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
 _EXTENDS = (
-    "A built-in profile's name, or the path of a file from where this one stands; this file then "
-    "says only what differs."
+    "A built-in profile's name, or the path of a file relative to this one. This file then has "
+    "only what differs."
 )
 _FUNCTION_CODE = "^(0[1-9A-Fa-f]|[1-7][0-9A-Fa-f])$"
 _NUMBER_AS_KEY = "^-?(0x[0-9A-Fa-f]+|0|[1-9][0-9]*)$"
@@ -62,60 +59,42 @@ def profile_schema() -> dict[str, Any]:
     }
 
 
-@functools.cache
-def docstrings(part: type) -> dict[str, str]:
-    """What stands below each field of a part of the model."""
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(part))).body
-    assert isinstance(definition, ast.ClassDef)
-    found = {}
-    for field, below in pairwise(definition.body):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-            found[field.target.id] = _text(below)
-    return found
-
-
-def _text(statement: ast.stmt) -> str:
-    assert isinstance(statement, ast.Expr)
-    assert isinstance(statement.value, ast.Constant)
-    paragraphs = inspect.cleandoc(str(statement.value.value)).split("\n\n")
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+def description(part: type[msgspec.Struct], key: str) -> str:
+    """The description of a key of a part of the profile model."""
+    keys = msgspec.json.schema(part)["$defs"][part.__name__]["properties"]
+    return str(keys[key]["description"])
 
 
 def _demand(type_: PointType, key: str) -> dict[str, Any]:
-    """A point of this type needs that key."""
+    """The rule that points of one type must have a key."""
     return {
         "if": {"properties": {"type": {"const": type_.value}}, "required": ["type"]},
         "then": {"required": [key]},
     }
 
 
-def _placed(node: dict[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """A schema of msgspec's without references, and without null, which TOML does not have."""
-    placed = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
+def _inlined(node: Mapping[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
+    """A schema without references, and without null, which TOML does not have."""
+    inlined = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
     if node.get("default") not in (None, [], {}):
-        placed["default"] = node["default"]
+        inlined["default"] = node["default"]
     if "$ref" in node:
-        placed = _part(node["$ref"].rpartition("/")[2], parts) | placed
+        inlined = _part(node["$ref"].rpartition("/")[2], parts) | inlined
     for choice in node.get("anyOf", []):
-        # Of "integer or number" the later says both.
-        placed |= {} if choice == {"type": "null"} else _placed(choice, parts)
+        # Of "integer or number", the later one allows both.
+        inlined |= {} if choice == {"type": "null"} else _inlined(choice, parts)
     for key in ("items", "additionalProperties"):
-        if isinstance(placed.get(key), dict):
-            placed[key] = _placed(placed[key], parts)
-    if placed.get("additionalProperties") == {"type": "string"}:
-        # Every table of texts is by number: what a value, a code or a bit means.
-        placed["propertyNames"] = {"pattern": _NUMBER_AS_KEY}
-    return placed
+        if isinstance(inlined.get(key), dict):
+            inlined[key] = _inlined(inlined[key], parts)
+    if inlined.get("additionalProperties") == {"type": "string"}:
+        # The keys of every table of texts are numbers: values, codes or bits.
+        inlined["propertyNames"] = {"pattern": _NUMBER_AS_KEY}
+    return inlined
 
 
 def _part(name: str, parts: dict[str, Any]) -> dict[str, Any]:
-    node = parts[name]
-    if "enum" in node:
-        return {"type": "string", "enum": node["enum"]}
-    about = docstrings(getattr(model, name))
-    described = {key: node[key] for key in ("type", "description", "additionalProperties")}
-    described["properties"] = {
-        key: _placed(value, parts) | {"description": about[key]}
-        for key, value in node["properties"].items()
-    }
-    return described | ({"required": node["required"]} if node["required"] else {})
+    part = {key: value for key, value in parts[name].items() if key != "title" and value != []}
+    if "enum" in part:
+        return {"type": "string", "enum": part["enum"]}
+    part["properties"] = {key: _inlined(value, parts) for key, value in part["properties"].items()}
+    return part

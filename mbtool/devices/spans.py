@@ -1,7 +1,7 @@
-"""Ranges of registers or bits as a user names them: `HR400010..400020`, `holding 7..9`."""
+"""Parses ranges of registers or bits: `HR400010..400020`, `holding 7..9`."""
 
-# The notation is that of the devices in use, or the neutral one of a line without a profile
-# (references.py). A number behind the dots may stand without its prefix, as mbtool writes it.
+# A range is in the notation of one of the profiles, or in the neutral notation (references.py). The
+# number behind the dots may lack its prefix, as in the output of mbtool.
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LAST_ADDRESS = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Addresses of one table, both ends included."""
+    """A range of addresses of one table; `last` is inclusive."""
 
     table: Table
     first: int
@@ -36,7 +36,7 @@ class Span:
 
 
 def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
-    """Read a reference or a range of them. Raises UsageError."""
+    """Parse one reference or a range. Raises UsageError."""
     neutral = _NEUTRAL_SPAN.fullmatch(text.strip().lower())
     if neutral is not None and neutral[1] in _NEUTRAL:
         return _span(text, _NEUTRAL[neutral[1]], int(neutral[2]), int(neutral[3] or neutral[2]))
@@ -59,10 +59,10 @@ def _in_notation(text: str, profile: Profile) -> Span | None:
     except UsageError:
         return None
     area = profile.area(table, first)
-    spelled = (end, f"{area.prefix}{end}{area.suffix}", f"{area.prefix}{end}") if area else (end,)
-    for each in spelled:
+    spellings = (end, f"{area.prefix}{end}{area.suffix}", f"{area.prefix}{end}") if area else (end,)
+    for spelling in spellings:
         try:
-            other, last = parse_reference(profile, each)
+            other, last = parse_reference(profile, spelling)
         except UsageError:
             continue
         if other is table:

@@ -1,7 +1,6 @@
-"""Reads a TOML file of a user's: a profile, values to start with, a list of faults."""
+"""Reads a user's TOML file: a profile, start values, or a list of faults."""
 
-# Here, and not in core, because core does no I/O. Who calls says how much may be read; no more than
-# that is held.
+# This is not in core/ because core/ does no I/O. The caller limits the size of the file.
 
 from __future__ import annotations
 
@@ -22,24 +21,24 @@ _ADVICE = (
     ("Invalid statement", "; write key = value, or [table]"),
     ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
 )
-"""What to add to a message of the parser, by how it begins."""
+"""The beginning of a message of the TOML parser, and the advice to append to the message."""
 
 
 class TomlError(InputError):
-    """A file that cannot be read, or is no TOML."""
+    """A file that cannot be read or is not TOML."""
 
     def __init__(self, file: str, place: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (file, place, problem) if part))
         self.place = place
-        """Where in the file; empty for one that cannot be read at all."""
+        """Line, byte or key in the file; empty if the file cannot be opened."""
         self.problem = problem
 
 
 def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str, Any]:
-    """The keys of a file, in their order.
+    """Read the keys of a file, in the order of the file.
 
-    Raises TomlError for one that cannot be read, is longer than `max_bytes` and so no `what`, or is
-    no TOML; `hint` ends what is said of a line that the parser does not take.
+    Raises TomlError if the file cannot be read, is longer than `max_bytes`, or is not TOML. `what`
+    names the kind of file in messages; `hint` is appended to the parser's message about a line.
     """
     file = str(path)
     try:
@@ -50,7 +49,7 @@ def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str
     if len(data) > max_bytes:
         raise TomlError(file, "size", f"more than {max_bytes} bytes are no {what}")
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors begin with a byte order mark.
+        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors write a byte order mark.
     except UnicodeDecodeError as error:
         problem = "not UTF-8, so not TOML; save it as UTF-8"
         raise TomlError(file, f"byte {error.start}", problem) from error

@@ -1,8 +1,8 @@
-"""What must hold between the keys of a profile."""
+"""Validates the rules between several keys of a profile."""
 
-# loading.py sees to each key alone. Here: areas that end before they begin or overlap, limits that
-# no frame could carry, points outside every area or on top of one another. What a point says of
-# itself is validated in validation_of_points.py.
+# Examples: areas that end before they begin, or overlap; limits above the standard's; points
+# outside every area, or two points at one address. loading.py validates each key by itself, and
+# validation_of_points.py the keys of each point.
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.silence import Silence
-from mbtool.devices.model import Access, Area, Point, Profile
+from mbtool.devices.model import READ_AND_WRITE, Access, Area, Point, Profile
 from mbtool.devices.validation_of_characters import validate_characters
-from mbtool.devices.validation_of_points import Accused, validate_point
+from mbtool.devices.validation_of_points import PartErrors, validate_point
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, function_name
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from mbtool.modbus.tables import Table
 
 _MAX_CODE = 0xFF
-_READ_WRITE = 0x17
+
 _MAX_SPANS = 5
 _BAUDS = (110, 4_000_000)
-"""The slowest and the fastest line: what is too long on both is too long on all."""
+"""The slowest and the fastest line: silences that are wrong at both are wrong at all."""
 _CHARACTER_BITS = 11
 _OCTETS = re.compile(r"([0-9A-Fa-f]{2})+")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def validate(profile: Profile, file: str) -> None:
-    """Raise ProfileError for the first thing that cannot be."""
+    """Raise ProfileError for the first broken rule."""
     validate_characters(profile, file)
     if _NAME.fullmatch(profile.name) is None:
         raise ProfileError(
@@ -57,25 +57,25 @@ def _validate_areas(profile: Profile, file: str) -> None:
     before: list[Area] = []
     names: set[str] = set()
     for area in sorted(profile.areas, key=lambda area: area.first):
-        accused = Accused(file, f'areas "{area.name}"')
+        errors = PartErrors(file, f'areas "{area.name}"')
         if area.name in names:
-            accused.wrong("name", "another area has this name; give it one of its own")
+            errors.wrong("name", "another area has this name; give it one of its own")
         names.add(area.name)
         if area.last < area.first:
-            accused.wrong(
+            errors.wrong(
                 "last", f"{_address(area.last)} ends before it begins, at {_address(area.first)}"
             )
         if area.access is not Access.READ and not area.table.is_writable:
-            accused.wrong("access", f"no function writes {area.table}; 'r' would be right")
+            errors.wrong("access", f"no function writes {area.table}; 'r' would be right")
         if area.base + area.first < 0:
-            accused.wrong(
+            errors.wrong(
                 "base",
                 f"{area.base} gives its first address, {area.first}, the number "
                 f"{area.base + area.first}; {-area.first} or more would be right",
             )
         for other in before:
             if _collide(area, other):
-                accused.wrong(
+                errors.wrong(
                     "first",
                     f'{_address(area.first)} lies in area "{other.name}" of the same table, which '
                     f"ends at {_address(other.last)}; only an 'r' and a 'w' area may overlap",
@@ -84,7 +84,7 @@ def _validate_areas(profile: Profile, file: str) -> None:
 
 
 def _collide(area: Area, other: Area) -> bool:
-    # One is read and the other written: two meanings of one address, both beyond doubt.
+    # If one area is only read and the other only written, the access tells which one is meant.
     apart = {area.access, other.access} == {Access.READ, Access.WRITE}
     overlap = area.first <= other.last and other.first <= area.last
     return area.table is other.table and overlap and not apart
@@ -93,7 +93,7 @@ def _collide(area: Area, other: Area) -> bool:
 def _validate_functions(profile: Profile, file: str) -> None:
     for digits, rule in profile.functions.items():
         code = int(digits, 16)
-        accused = Accused(file, f"functions.{digits}")
+        errors = PartErrors(file, f"functions.{digits}")
         known = FUNCTIONS.get(code)
         standard = known.limit if known is not None and known.table is not None else None
         for name in ("limit", "ascii_limit"):
@@ -102,37 +102,40 @@ def _validate_functions(profile: Profile, file: str) -> None:
                 continue
             decimal = _meant_in_decimal(profile, digits, limit)
             if standard is None and decimal:
-                accused.wrong(name, f"the standard has none for {function_name(code)}{decimal}")
+                errors.wrong(name, f"the standard has none for {function_name(code)}{decimal}")
             if standard is not None and limit > standard:
-                accused.wrong(
+                errors.wrong(
                     name,
                     f"{limit} is more than the {standard} that the standard allows for "
                     f"{function_name(code)}{decimal}",
                 )
         if rule.data is not None and _OCTETS.fullmatch(rule.data) is None:
-            accused.wrong(
+            errors.wrong(
                 "data", f"{rule.data!r}: two hexadecimal digits for each byte, like '0000'"
             )
-        if rule.write_limit is not None and code != _READ_WRITE:
-            accused.wrong(
+        if rule.write_limit is not None and code != READ_AND_WRITE:
+            errors.wrong(
                 "write_limit", "only function 17 both reads and writes; 'limit' would be right"
             )
         if rule.write_limit is not None and rule.write_limit > WRITE_LIMIT_17H:
-            accused.wrong(
+            errors.wrong(
                 "write_limit",
                 f"{rule.write_limit} is more than the {WRITE_LIMIT_17H} that the standard allows "
                 "function 17 to write",
             )
         if rule.ascii_limit is not None and Transport.ASCII not in profile.transports:
-            accused.wrong(
+            errors.wrong(
                 "ascii_limit", "the device is on no ASCII line; add 'ascii' to the transports"
             )
         if rule.answer is not None and not rule.answers:
-            accused.wrong("answers", "false, but 'answer' says what it answers; leave one out")
+            errors.wrong("answers", "false, but 'answer' says what it answers; leave one out")
 
 
 def _meant_in_decimal(profile: Profile, digits: str, limit: int) -> str:
-    """What to add where a key, read as a decimal number, is a function that can have the limit."""
+    """A hint if the user probably wrote a function code in decimal, else an empty text.
+
+    That is so if the digits, read as a decimal number, are a function that can have the limit.
+    """
     code = int(digits) if digits.isdecimal() else 0
     known = FUNCTIONS.get(code)
     if known is None or known.table is None or limit > known.limit or profile.rule(code):
@@ -188,46 +191,46 @@ def _validate_points(profile: Profile, file: str) -> None:
     names: set[str] = set()
     taken: dict[tuple[Table, int | None, int, bool], str] = {}
     for point in profile.points:
-        accused = Accused(file, f'points "{point.name}"')
-        validate_point(point, accused)
+        errors = PartErrors(file, f'points "{point.name}"')
+        validate_point(point, errors)
         if point.name in names:
-            accused.wrong("name", "another point has this name; give it one of its own")
+            errors.wrong("name", "another point has this name; give it one of its own")
         names.add(point.name)
         if point.block is not None and point.block > point.address:
-            accused.wrong(
+            errors.wrong(
                 "block",
                 f"{_address(point.block)} is behind the point itself, at {_address(point.address)}",
             )
         for address in point.addresses:
-            access = _access(profile, point, address, accused)
+            access = _access(profile, point, address, errors)
             for word in range(address, address + point.words):
                 for writing in (False, True):
                     if not access.allows(writing=writing):
                         continue
-                    place = (point.table, point.block, word, writing)
-                    other = taken.setdefault(place, point.name)
+                    key = (point.table, point.block, word, writing)
+                    other = taken.setdefault(key, point.name)
                     if other != point.name:
-                        accused.wrong(
+                        errors.wrong(
                             "address", f'{point.table} {_address(word)} is "{other}" already'
                         )
 
 
-def _access(profile: Profile, point: Point, address: int, accused: Accused) -> Access:
-    """What a master may do with a point."""
+def _access(profile: Profile, point: Point, address: int, errors: PartErrors) -> Access:
+    """What a master may do with a point: its own access, or its area's."""
     areas = [area for area in profile.areas if area.holds(point.table, address, point.words)]
     if not areas:
-        there = [area for area in profile.areas if area.table is point.table]
-        _wrong_address(point, address, there, accused)
+        of_table = [area for area in profile.areas if area.table is point.table]
+        _wrong_address(point, address, of_table, errors)
     if point.access is None:
         if len(areas) > 1:
-            accused.wrong(
+            errors.wrong(
                 "access",
                 f"this key is missing; {point.table} {_address(address)} is read in one area and "
                 "written in another: write 'r' or 'w'",
             )
         return areas[0].access
     if len(areas) == 1 and areas[0].access not in (Access.READ_WRITE, point.access):
-        accused.wrong(
+        errors.wrong(
             "access",
             f"'{point.access}' is not what its area \"{areas[0].name}\" allows: "
             f"'{areas[0].access}'",
@@ -235,14 +238,14 @@ def _access(profile: Profile, point: Point, address: int, accused: Accused) -> A
     return point.access
 
 
-def _wrong_address(point: Point, address: int, there: list[Area], accused: Accused) -> NoReturn:
+def _wrong_address(point: Point, address: int, areas: list[Area], errors: PartErrors) -> NoReturn:
     last = address + point.words - 1
     where = _address(address) if last == address else f"{address}..{last}"
     verb = "is in no area" if last == address else "are not in one area"
-    spans = [f"{area.first}..{area.last}" for area in there[:_MAX_SPANS]]
-    spans += ["..."] if len(there) > _MAX_SPANS else []
+    spans = [f"{area.first}..{area.last}" for area in areas[:_MAX_SPANS]]
+    spans += ["..."] if len(areas) > _MAX_SPANS else []
     have = f"there are {', '.join(spans)}" if spans else "there is none of that table"
-    accused.wrong("address", f"{point.table} {where} {verb}; {have}")
+    errors.wrong("address", f"{point.table} {where} {verb}; {have}")
 
 
 def _address(address: int) -> str:

@@ -1,8 +1,8 @@
-"""No text of a profile holds control characters."""
+"""Validates that no text of a profile has control characters."""
 
-# Texts of a profile stand in tables, in lines of a log and in codes. A line end would tear them,
-# and an escape sequence would be carried out by the terminal that shows them. Only notes, which are
-# prose, may have line ends and tabs.
+# Texts of a profile are printed in tables, in lines of a log and in finding codes. A line end would
+# break them, and a terminal would execute an escape sequence. Only notes may have line ends and
+# tabs.
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 _REFUSED = frozenset(("Cc", "Cs", "Zl", "Zp"))
-"""Categories of Unicode: control characters, halves of pairs, line and paragraph separators."""
-_PROSE = ("notes", "note")
-_OF_PROSE = "\n\r\t"
+"""Categories of Unicode: control characters, surrogates, line and paragraph separators."""
+_NOTES = ("notes", "note")
+_ALLOWED_IN_NOTES = "\n\r\t"
 
 
 def validate_characters(profile: Profile, file: str) -> None:
     """Raise ProfileError for the first text that has a control character."""
     for key, text in _texts("", profile):
-        allowed = _OF_PROSE if key.rpartition(".")[2] in _PROSE else ""
+        allowed = _ALLOWED_IN_NOTES if key.rpartition(".")[2] in _NOTES else ""
         for one in text:
             if unicodedata.category(one) in _REFUSED and one not in allowed:
                 raise ProfileError(
@@ -37,7 +37,7 @@ def validate_characters(profile: Profile, file: str) -> None:
 
 
 def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Every text that is not plainly printable, with its key."""
+    """Every text that is not printable, with its key."""
     if isinstance(value, str):
         if not value.isprintable():
             yield key, value

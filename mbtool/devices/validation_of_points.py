@@ -1,4 +1,4 @@
-"""What must hold between the keys of one point of a profile."""
+"""Validates the rules between the keys of one point of a profile."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from mbtool.devices.values import PointInstance
 _PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
 
-class Accused:
-    """A part of a profile that is looked at, for errors."""
+class PartErrors:
+    """Raises errors about the keys of one part of a profile."""
 
     def __init__(self, file: str, key: str) -> None:
         self._file = file
@@ -24,87 +24,85 @@ class Accused:
         raise ProfileError(self._file, f"{self._key}.{key}", problem)
 
 
-def validate_point(point: Point, accused: Accused) -> None:
-    """Raise ProfileError for the first thing that cannot be, wherever the point stands."""
+def validate_point(point: Point, errors: PartErrors) -> None:
+    """Raise ProfileError for the first broken rule. The areas of the profile do not matter here."""
     if point.table.is_bits != (point.type is PointType.BIT):
         right = "bit" if point.table.is_bits else "a type of registers like uint16"
-        accused.wrong("type", f"{point.type} does not fit {point.table}; {right} would be right")
-    _validate_length(point, accused)
+        errors.wrong("type", f"{point.type} does not fit {point.table}; {right} would be right")
+    _validate_length(point, errors)
     if point.count > 1 and point.stride < point.words:
-        accused.wrong(
+        errors.wrong(
             "stride", f"{point.stride} is less than the {point.words} addresses that each takes"
         )
     if point.count == 1:
         for key in ("stride", "counted_from"):
             if getattr(point, key) != 1:
-                accused.wrong(key, "there is only one such point; 'count' says how many there are")
+                errors.wrong(key, "there is only one such point; 'count' says how many there are")
         if "{n}" in point.name:
-            accused.wrong("name", "{n} counts several points; 'count' says how many there are")
+            errors.wrong("name", "{n} counts several points; 'count' says how many there are")
     if "{" in _PLACEHOLDER.sub("", point.name):
-        accused.wrong("name", "only {n} and {reference} are filled in")
+        errors.wrong("name", "only {n} and {reference} are filled in")
     if point.count > 1 and _PLACEHOLDER.search(point.name) is None:
-        accused.wrong("name", f"{point.count} points need {{n}} or {{reference}} in their name")
+        errors.wrong("name", f"{point.count} points need {{n}} or {{reference}} in their name")
     if point.words == 1 and point.word_order is WordOrder.LOW_FIRST:
-        accused.wrong("word_order", f"{point.type} has one register; 'byte_order' swaps its bytes")
-    _validate_scale(point, accused)
-    _validate_channels(point, accused)
-    _validate_bits(point, accused)
-    _validate_texts(point, accused)
-    _validate_range(point, accused)
+        errors.wrong("word_order", f"{point.type} has one register; 'byte_order' swaps its bytes")
+    _validate_scale(point, errors)
+    _validate_channels(point, errors)
+    _validate_bits(point, errors)
+    _validate_texts(point, errors)
+    _validate_range(point, errors)
 
 
-def _validate_length(point: Point, accused: Accused) -> None:
+def _validate_length(point: Point, errors: PartErrors) -> None:
     if point.type is not PointType.STRING:
         if point.length is not None:
-            accused.wrong("length", f"only a string has a length, not {point.type}")
+            errors.wrong("length", f"only a string has a length, not {point.type}")
         return
     if point.length is None:
-        accused.wrong("length", "this key is missing; it says how many registers the string takes")
+        errors.wrong("length", "this key is missing; it says how many registers the string takes")
     if point.word_order is WordOrder.LOW_FIRST:
-        accused.wrong(
+        errors.wrong(
             "word_order", "the registers of a string stand in order; swap bytes by 'byte_order'"
         )
 
 
-def _validate_scale(point: Point, accused: Accused) -> None:
+def _validate_scale(point: Point, errors: PartErrors) -> None:
     if not math.isfinite(point.scale) or point.scale == 0:
-        accused.wrong("scale", f"{point.scale:g} scales nothing; 0.1 would be right for tenths")
+        errors.wrong("scale", f"{point.scale:g} scales nothing; 0.1 would be right for tenths")
     if not math.isfinite(point.offset):
-        accused.wrong("offset", f"{point.offset} is no number to add; -50 would be one")
+        errors.wrong("offset", f"{point.offset} is no number to add; -50 would be one")
     if point.type.is_number:
         return
     for key, neutral in (("scale", 1), ("offset", 0), ("decimals", None)):
         if getattr(point, key) != neutral:
-            accused.wrong(key, f"only numbers have it, for example int16, not {point.type}")
+            errors.wrong(key, f"only numbers have it, for example int16, not {point.type}")
 
 
-def _validate_channels(point: Point, accused: Accused) -> None:
+def _validate_channels(point: Point, errors: PartErrors) -> None:
     bits = point.type.channel_bits
     if point.channels is None:
         return
     if bits == 0:
-        accused.wrong(
-            "channels", f"only bit-field and nibble-field have channels, not {point.type}"
-        )
+        errors.wrong("channels", f"only bit-field and nibble-field have channels, not {point.type}")
     if point.channels * bits > WORD_BITS:
-        accused.wrong(
+        errors.wrong(
             "channels", f"{point.channels} do not fit a register; {WORD_BITS // bits} at most do"
         )
 
 
-def _validate_bits(point: Point, accused: Accused) -> None:
+def _validate_bits(point: Point, errors: PartErrors) -> None:
     if point.type is not PointType.FLAGS:
         if point.bits:
-            accused.wrong("bits", f"only flags have named bits, not {point.type}")
+            errors.wrong("bits", f"only flags have named bits, not {point.type}")
         return
     if not point.bits:
-        accused.wrong("bits", 'this key is missing; name the bits, for example { 0 = "ready" }')
+        errors.wrong("bits", 'this key is missing; name the bits, for example { 0 = "ready" }')
     for bit in point.bits:
         if not 0 <= bit < WORD_BITS:
-            accused.wrong("bits", f"a register has no bit {bit}, only 0 to {WORD_BITS - 1}")
+            errors.wrong("bits", f"a register has no bit {bit}, only 0 to {WORD_BITS - 1}")
 
 
-def _validate_texts(point: Point, accused: Accused) -> None:
+def _validate_texts(point: Point, errors: PartErrors) -> None:
     if not point.texts:
         return
     bits = 1 if point.type is PointType.BIT else point.type.channel_bits
@@ -114,35 +112,35 @@ def _validate_texts(point: Point, accused: Accused) -> None:
     if allowed is None:
         is_flags = point.type is PointType.FLAGS
         advice = "'bits' name them" if is_flags else "only whole numbers have them"
-        accused.wrong("texts", f"{point.type} has no texts; {advice}")
+        errors.wrong("texts", f"{point.type} has no texts; {advice}")
     for value in point.texts:
         if value not in allowed:
             each = f"the {bits} bit of each channel" if point.type.channel_bits else point.type
-            accused.wrong(
+            errors.wrong(
                 "texts", f"{value} does not fit {each}, which holds {allowed[0]}..{allowed[-1]}"
             )
 
 
-def _validate_range(point: Point, accused: Accused) -> None:
+def _validate_range(point: Point, errors: PartErrors) -> None:
     low, high = point.minimum, point.maximum
     for key, end in (("minimum", low), ("maximum", high)):
         if end is not None and not math.isfinite(end):
-            accused.wrong(key, f"{end} is no limit; leave the key out")
+            errors.wrong(key, f"{end} is no limit; leave the key out")
     if low is not None and high is not None and low > high:
-        accused.wrong("minimum", f"{low} is more than the maximum, {high}")
+        errors.wrong("minimum", f"{low} is more than the maximum, {high}")
     if point.default is None:
         return
     if point.type is PointType.BIT and point.default > 1:
-        accused.wrong("default", f"{point.default} is no bit; 0 or 1 would be right")
+        errors.wrong("default", f"{point.default} is no bit; 0 or 1 would be right")
     if point.words > 1:
-        accused.wrong(
+        errors.wrong(
             "default", f"only a point of one register has a default, not the {point.words} of this"
         )
     value = PointInstance(point, point.address, "").value([point.default]).value
     if value is None:
-        accused.wrong("default", f"0x{point.default:04X} is no {point.type}")
-    said = point.default if value == point.default else f"{point.default}, a value of {value},"
+        errors.wrong("default", f"0x{point.default:04X} is no {point.type}")
+    shown = point.default if value == point.default else f"{point.default}, a value of {value},"
     if low is not None and value < low:
-        accused.wrong("default", f"{said} is less than the minimum, {low}")
+        errors.wrong("default", f"{shown} is less than the minimum, {low}")
     if high is not None and value > high:
-        accused.wrong("default", f"{said} is more than the maximum, {high}")
+        errors.wrong("default", f"{shown} is more than the maximum, {high}")

@@ -1,11 +1,11 @@
-"""The value of a point, from its registers or bits, as a number and in the manual's words."""
+"""Decodes the registers or the bit of a point into a number and a text, and encodes them."""
 
-# Registers come as they stand on the wire, the one at the lowest address first. `byte_order` turns
-# each of them, then `word_order` their sequence, and what results is read high byte first.
+# Registers are in the order of their addresses. `byte_order` swaps the bytes of each register, then
+# `word_order` reverses the registers; the result is big-endian.
 #
-# value = number * scale + offset is worked out in decimal, so that 3 * 0.1 is 0.3, and 64 bits keep
-# all their digits. A string is UTF-8, of which ASCII is a part; what is not stands as \xNN. It
-# ends before the NULs and spaces that fill its registers up.
+# value = number * scale + offset is computed in decimal, so that 3 * 0.1 is 0.3 and 64-bit numbers
+# keep all digits. Strings are UTF-8, which includes ASCII; other bytes are shown as \xNN. NULs and
+# spaces at the end of a string are padding.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.model import WORD_BITS, Access, ByteOrder, Point, PointType, WordOrder
-from mbtool.devices.named import PointValue
+from mbtool.devices.named_transaction import PointValue
 from mbtool.devices.references import write_reference
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
     from mbtool.modbus.tables import Table
 
-_MAX_REMEMBERED = 256
+_MAX_CACHED = 256
 _BIT_TEXTS = {0: "off", 1: "on"}
 
 _FORMATS = {
@@ -36,27 +36,27 @@ _FORMATS = {
     PointType.FLOAT32: ">f",
     PointType.FLOAT64: ">d",
 }
-"""The types that are not simply a number without sign."""
+"""Formats of `struct`; the other types are unsigned numbers."""
 _BCD = (PointType.BCD16, PointType.BCD32)
-# A 32-bit float has seven significant digits; fifteen are what a 64-bit one surely has.
+# A 32-bit float has 7 significant digits, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
 _DIGITS = 15
 
 
 class PointInstance:
-    """One named place of a device: one of the `count` that a point stands for."""
+    """One of the `count` points that a Point describes."""
 
-    # A plain number is said about as soon as it is looked up: of such a place only the last value
-    # is kept, which a machine at rest repeats with every poll. What takes longer to say is seen
-    # again and again, too: each place remembers the last of it, at most _MAX_REMEMBERED.
+    # Values repeat, so each instance caches them. To format a plain number takes hardly longer than
+    # a look-up, so of plain numbers only the last one is cached, which a machine at rest repeats
+    # with every poll. Of other values, up to _MAX_CACHED are cached.
 
     __slots__ = (
+        "_cache",
         "_is_plain",
         "_last",
         "_last_word",
         "_point",
         "_ratio",
-        "_remembered",
         "_signed",
         "_suffix",
         "_unit",
@@ -69,7 +69,7 @@ class PointInstance:
 
     def __init__(self, point: Point, address: int, reference: str) -> None:
         self._point = point
-        self._remembered: dict[int | tuple[int, ...], PointValue] = {}
+        self._cache: dict[int | tuple[int, ...], PointValue] = {}
         self._last: PointValue | None = None
         self._last_word = 0
         is_number = _is_number_of_one_register(point)
@@ -86,29 +86,29 @@ class PointInstance:
         self.name = point.name.replace("{n}", str(number)).replace("{reference}", reference)
 
     def value(self, raw: Sequence[int]) -> PointValue:
-        """Put the registers or the bit of this place into words."""
-        return values_of([(0, self)], raw)[0]
+        """Decode the registers or the bit of this point."""
+        return point_values([(0, self)], raw)[0]
 
     def _value_in(self, values: Sequence[int], index: int) -> PointValue:
         key = values[index] if self.words == 1 else tuple(values[index : index + self.words])
-        known = self._remembered.get(key)
-        if known is not None:
-            return known
+        cached = self._cache.get(key)
+        if cached is not None:
+            return cached
         if self._ratio is not None and isinstance(key, int):
-            value = self._scaled(key, self._ratio)
+            value = self._decode_scaled(key, self._ratio)
         else:
-            value = self._in_words((key,) if isinstance(key, int) else key)
-        if len(self._remembered) >= _MAX_REMEMBERED:
-            self._remembered.clear()
-        self._remembered[key] = value
+            value = self._decode((key,) if isinstance(key, int) else key)
+        if len(self._cache) >= _MAX_CACHED:
+            self._cache.clear()
+        self._cache[key] = value
         return value
 
-    def _scaled(self, word: int, ratio: tuple[int, int, int]) -> PointValue:
-        """A number of one register without texts: what `_in_words` would say of it, sooner."""
-        times, plus, by = ratio
+    def _decode_scaled(self, word: int, ratio: tuple[int, int, int]) -> PointValue:
+        """Decode a scaled number of one register without texts: faster than `_decode`."""
+        factor, summand, divisor = ratio
         number = word - 0x10000 if self._signed and word & 0x8000 else word
-        # The quotient of two integers is rounded once, as it is from a decimal number.
-        scaled = (number * times + plus) / by
+        # Division of integers rounds once, as the conversion of a decimal number does.
+        scaled = (number * factor + summand) / divisor
         return PointValue(
             name=self.name,
             reference=self.reference,
@@ -117,7 +117,7 @@ class PointInstance:
             unit=self._unit,
         )
 
-    def _in_words(self, raw: tuple[int, ...]) -> PointValue:
+    def _decode(self, raw: tuple[int, ...]) -> PointValue:
         number = _number(self._point, raw)
         return PointValue(
             name=self.name,
@@ -128,44 +128,46 @@ class PointInstance:
         )
 
 
-def values_of(
-    places: Iterable[tuple[int, PointInstance]], values: Sequence[int]
+def point_values(
+    points: Iterable[tuple[int, PointInstance]], values: Sequence[int]
 ) -> list[PointValue]:
-    """Put registers or bits into words; each place comes with the index of its first one.
+    """Decode points from registers or bits; each point comes with the index of its first value.
 
-    A response may bring less than was asked for: a place that is not all there says nothing.
+    Points that are not completely in `values` are left out, because a response can be too short.
     """
     count = len(values)
-    said = []
-    for index, place in places:
-        if index + place.words > count:
+    decoded = []
+    for index, point in points:
+        if index + point.words > count:
             continue
-        if not place._is_plain:
-            said.append(place._value_in(values, index))
+        if not point._is_plain:
+            decoded.append(point._value_in(values, index))
             continue
-        # Most values that change with every poll are plain numbers, so theirs is the shortest way.
+        # Decoded here without a call, because most values that often change are plain numbers.
         word = values[index]
-        last = place._last
-        if last is None or word != place._last_word:
-            number = word - 0x10000 if place._signed and word & 0x8000 else word
-            place._last_word = word
-            last = place._last = PointValue(
-                name=place.name,
-                reference=place.reference,
+        last = point._last
+        if last is None or word != point._last_word:
+            number = word - 0x10000 if point._signed and word & 0x8000 else word
+            point._last_word = word
+            last = point._last = PointValue(
+                name=point.name,
+                reference=point.reference,
                 value=number,
-                text=f"{number}{place._suffix}",
-                unit=place._unit,
+                text=f"{number}{point._suffix}",
+                unit=point._unit,
             )
-        said.append(last)
-    return said
+        decoded.append(last)
+    return decoded
 
 
-def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[PointInstance]:
-    """The named places of a table, by address: what a request to write, or to read, can be about.
+def point_instances(
+    profile: Profile, table: Table, *, writing: bool = False
+) -> list[PointInstance]:
+    """The points of a table that a read, or a write, can contain; sorted by address.
 
-    A value that a master cannot write keeps its name where one tries, unless what it would write
-    there has a name of its own. What is only written is never what is read, and blocks are for
-    reading.
+    For writing, points that can only be read are included where no writable point is, because a
+    master may try to write them; points in blocks are not, because blocks can only be read. For
+    reading, points that can only be written are left out.
     """
     points = [point for point in profile.points if point.table is table]
     if writing:
@@ -173,7 +175,7 @@ def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[
     else:
         points = [point for point in points if point.access is not Access.WRITE]
     points.sort(key=lambda point: not point.allows(writing=writing))
-    places: list[PointInstance] = []
+    instances: list[PointInstance] = []
     taken: set[tuple[int | None, int]] = set()
     for point in points:
         for address in point.addresses:
@@ -181,15 +183,15 @@ def places_of(profile: Profile, table: Table, *, writing: bool = False) -> list[
             if taken.isdisjoint(words):
                 taken.update(words)
                 reference = write_reference(profile, table, address, point.words, writing=writing)
-                places.append(PointInstance(point, address, reference))
-    return sorted(places, key=lambda place: place.address)
+                instances.append(PointInstance(point, address, reference))
+    return sorted(instances, key=lambda instance: instance.address)
 
 
 def registers_of(point: Point, value: float | str) -> list[int]:
-    """The registers or the bit that say a value: what Place.value reads, written.
+    """Encode a value into registers or a bit: the inverse of PointInstance.value.
 
-    `value` is in the point's own measure, after scale and offset; of a string it is the text, and
-    for other types one of the point's texts may stand for its number. Raises UsageError.
+    `value` is in the unit of the point, after scale and offset. For a string it is the text; for
+    other types, it can be one of the point's texts. Raises UsageError.
     """
     if point.type is PointType.STRING:
         return _registers(point, _string_bytes(point, value))
@@ -217,16 +219,16 @@ def _is_number_of_one_register(point: Point) -> bool:
 
 
 def _ratio(point: Point) -> tuple[int, int, int] | None:
-    """Integers so that value = (number * first + second) / third; None where it is the number."""
+    """Integers for value = (number * first + second) / third; None if value = number."""
     if point.scale == 1 and point.offset == 0:
         return None
     scale, offset = (Fraction(Decimal(str(one))) for one in (point.scale, point.offset))
-    by = math.lcm(scale.denominator, offset.denominator)
-    return int(scale * by), int(offset * by), by
+    divisor = math.lcm(scale.denominator, offset.denominator)
+    return int(scale * divisor), int(offset * divisor), divisor
 
 
 def _number(point: Point, raw: Sequence[int]) -> float | None:
-    """What the registers hold, before scale and offset; None where that is no number."""
+    """The number in the registers, before scale and offset; None if there is no number."""
     if point.type is PointType.BIT:
         return raw[0]
     if point.type is PointType.STRING:
@@ -333,7 +335,7 @@ def _digits(point: Point, number: float) -> str:
     if scaled is None:
         return str(number)
     if point.decimals is not None:
-        return f"{scaled:z.{point.decimals}f}"  # No -0.00, which a little below 0 would be.
+        return f"{scaled:z.{point.decimals}f}"  # z: 0.00 instead of -0.00.
     if isinstance(scaled, int):
         return str(scaled)
     return f"{scaled:.{_FLOAT32_DIGITS if point.type is PointType.FLOAT32 else _DIGITS}g}"
@@ -355,14 +357,14 @@ def _flags_text(point: Point, word: int) -> str:
 
 
 def _field_text(point: Point, word: int) -> str:
-    """`CH1 CH2 CH6 CH8 enabled`, `CH1 CH3 HOLD, CH2 CH4 CLEAR`: channels by what they are."""
+    """The channels grouped by text: `CH1 CH2 CH6 CH8 enabled`, `CH1 CH3 HOLD, CH2 CH4 CLEAR`."""
     bits = point.type.channel_bits
     texts = point.texts or ({1: "on"} if bits == 1 else {})
     channels = point.channels or WORD_BITS // bits
     by_text: dict[str, list[str]] = {}
     for index in range(channels):
         value = word >> index * bits & (1 << bits) - 1
-        # A bit without a text is the other state of one that has a text, and goes without saying.
+        # A bit value without a text is the opposite of one with a text, and is not shown.
         text = texts.get(value, None if bits == 1 else str(value))
         if text is not None:
             by_text.setdefault(text, []).append(f"{point.channel}{point.first_channel + index}")

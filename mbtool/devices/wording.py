@@ -1,14 +1,14 @@
-"""What a named transaction is about, in one line as its manual would put it."""
+"""Describes a named transaction in one line, in the words of its manual."""
 
 #     0102H A/D conversion enable/disable setting: CH1 CH2 CH6 CH8 enabled
 #     X10..X17 A/D conversion completion flag: CH1 CH2 CH6 CH8 on
 #     RWr2..RWr9 digital operation value: CH1 12000, CH2 4000, ...
 #     00F2H, write 0102H A/D conversion enable/disable setting: CH1 enabled; read ...        (17H)
-#     HR400001..400002                                                  (the manual names no more)
+#     HR400001..400002                                                  (no names in the manual)
 #
-# Points whose names differ in their first word only (CH1 digital value, CH2 digital value) are said
-# together, and so are those whose name is their reference (X0, X1), behind those that have a name.
-# Of several bits, those that are 1 are named.
+# Points whose names differ only in the first word (CH1 digital value, CH2 digital value) form one
+# phrase. Points named by their reference (X0, X1) form one phrase at the end. A phrase about
+# several bits names those that are 1.
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.devices.named import NamedTransaction, PointValue
+    from mbtool.devices.named_transaction import NamedTransaction, PointValue
 
 
 def describe(transaction: NamedTransaction) -> str:
-    """The reference and the named values in one line; empty where there are neither."""
+    """The reference and the named values in one line; empty if there is neither."""
     if transaction.write_address is None:
         return _describe(transaction.reference or "", transaction.points)
     read = "; ".join(describe_points(transaction.read_points))
-    asked = describe_written(transaction)
-    return f"{asked}; read {read}" if read else asked
+    written = describe_written(transaction)
+    return f"{written}; read {read}" if read else written
 
 
 def describe_written(transaction: NamedTransaction) -> str:
-    """The reference and what the request asks to write."""
+    """The reference and the values that the request writes."""
     return _describe(transaction.reference or "", transaction.written_points)
 
 
@@ -39,13 +39,13 @@ def _describe(reference: str, points: Sequence[PointValue]) -> str:
     if not phrases:
         return reference
     if phrases.startswith(f"{reference} "):
-        return phrases  # A name may begin with its reference: T5 current value.
+        return phrases  # The name begins with the reference: T5 current value.
     joint = ": " if all(point.name == point.reference for point in points) else " "
     return f"{reference}{joint}{phrases}" if reference else phrases
 
 
 def describe_points(points: Sequence[PointValue]) -> list[str]:
-    """One phrase for each series of points, in their order."""
+    """One phrase for each series of points, in the order of the points."""
     series: dict[str, list[tuple[str, PointValue]]] = {}
     for point in points:
         label, _, subject = point.name.partition(" ")

@@ -24,7 +24,7 @@ from mbtool.core import UsageError
 from mbtool.query.terms import NAMES, Term, ValueKind, why_never_true
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 Where = Callable[["NamedTransaction"], bool]
 

@@ -1,4 +1,4 @@
-"""The words of the transaction table: each cell as text, for any way of showing it."""
+"""The cells of the transaction table as text, for terminals, files and the live view."""
 
 #     #   time          link   unit  function         what              result       latency
 #     12  09:14:03.201  rs485  1     03 read holding  HR400001..400002  4660, 22136  8.2 ms
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
 
 MAX_VALUES = 16
-"""How many values a result lists before it says how many more there are."""
+"""Registers that a cell lists. If there are more, it shows how many there are."""
 
 MAX_BITS = 32
 
 MAX_RAW = 16
-"""How many bytes of skipped ones are shown."""
+"""Skipped bytes that a cell lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class TransactionRow:
     result: str
     latency: str
     trouble: bool
-    """Something a reader should not miss."""
+    """True for failed transactions and unusual events, which are shown in colour."""
 
     def cells(self) -> tuple[str, ...]:
         return (
@@ -64,7 +64,7 @@ HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency"
 def transaction_row(
     number: int, transaction: NamedTransaction, profile: Profile | None = None
 ) -> TransactionRow:
-    """A transaction as a line; the profile gives findings their figures."""
+    """The row of a transaction. With a profile, findings have the profile's figures."""
     return TransactionRow(
         number=str(number),
         time=clock_time(transaction.start_ns),
@@ -79,7 +79,7 @@ def transaction_row(
 
 
 def event_row(event: WireEvent) -> TransactionRow:
-    """A wire event as a line of the same table."""
+    """The row of a wire event in the same table."""
     return TransactionRow(
         number="",
         time=clock_time(event.ts_ns),
@@ -94,7 +94,7 @@ def event_row(event: WireEvent) -> TransactionRow:
 
 
 def function_text(transaction: NamedTransaction) -> str:
-    """The code in hexadecimal and the function's name; a vendor's own name where he gives one."""
+    """The function code in hexadecimal, and the vendor's or the standard's name."""
     name = short_name(transaction.function, transaction.function_name)
     if transaction.function not in FUNCTIONS and name.startswith("function "):
         name = "unknown function"
@@ -102,7 +102,7 @@ def function_text(transaction: NamedTransaction) -> str:
 
 
 def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> str:
-    """What is addressed, and for a write what is written; then the rules it breaks."""
+    """The reference, the values of a write, and the findings."""
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
     text = transaction.reference or ""
@@ -122,14 +122,13 @@ def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> 
 
 
 def result_text(transaction: NamedTransaction) -> str:
-    """How it ended, and what a read brought."""
+    """The outcome, and the values of a read."""
     if transaction.exception is not None:
         name = transaction.exception_name or ""
         text = f"exception {transaction.exception:02X}"
-        if not name.startswith(text):  # A code without a name of its own is called by its number.
+        if not name.startswith(text):  # The name of an unknown code is `exception` and the number.
             text = f"{text} {name}".rstrip()
-        unasked = transaction.outcome is Outcome.UNSOLICITED
-        return f"unsolicited {text}" if unasked else text
+        return f"unsolicited {text}" if transaction.outcome is Outcome.UNSOLICITED else text
     match transaction.outcome:
         case Outcome.NO_ANSWER:
             return "no answer"
@@ -147,7 +146,7 @@ def result_text(transaction: NamedTransaction) -> str:
 
 
 def values_text(values: list[int], *, bits: bool = False) -> str:
-    """Registers with commas, or bits with spaces; of many, the first."""
+    """Registers with commas, or bits with spaces; of many, the first ones and their number."""
     shown = MAX_BITS if bits else MAX_VALUES
     joint = " " if bits else ", "
     text = joint.join(map(str, values[:shown]))
@@ -155,7 +154,7 @@ def values_text(values: list[int], *, bits: bool = False) -> str:
 
 
 def latency_text(latency_ns: int | None) -> str:
-    """Milliseconds, or seconds from ten of them on."""
+    """In milliseconds; in seconds from 10 s on."""
     if latency_ns is None:
         return ""
     if latency_ns >= 10_000_000_000:
@@ -164,14 +163,14 @@ def latency_text(latency_ns: int | None) -> str:
 
 
 def clock_time(ts_ns: int) -> str:
-    """Time of day in UTC, to the millisecond; of any integer, since a capture may hold any."""
+    """Time of day in UTC, in milliseconds. Never fails: a capture may contain any integer."""
     seconds, milliseconds = divmod(ts_ns // 1_000_000, 1000)
     minutes, second = divmod(seconds % _DAY_S, 60)
     return f"{minutes // 60:02d}:{minutes % 60:02d}:{second:02d}.{milliseconds:03d}"
 
 
 def day(ts_ns: int) -> str:
-    """The date in UTC; beyond the years that a date can have, the days since 1970."""
+    """The date in UTC, or the days since 1970 outside the years 1 to 9999."""
     days = ts_ns // (_DAY_S * 1_000_000_000)
     try:
         return date.fromordinal(_EPOCH + days).isoformat()

@@ -1,7 +1,7 @@
-"""Shows in what two captures differ."""
+"""Shows the differences between two captures: a table for each slave."""
 
-# A table of a row for each difference, grouped by slave, then one line that says how many there
-# are. Names come from profiles and links out of captures, so nothing in them is obeyed.
+# Names come from profiles, and links from captures, so markup and control characters in them must
+# have no effect (tables.py).
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SMALLEST_P = 1e-12
 def print_differences(
     console: Console, found: Sequence[Difference], sides: tuple[str, str] = ("A", "B")
 ) -> None:
-    """Each slave's differences as a table of its own, with a column for each side."""
+    """Print a table for each slave, with a row for each difference and a column for each side."""
     for slave, group in groupby(found, key=_slave):
         table = plain_table(*_HEADINGS, *sides)
         for one in group:
@@ -38,7 +38,7 @@ def print_differences(
 
 
 def what_text(difference: Difference) -> str:
-    """The reference, the name that the manual has, how many are alike, and how likely that is."""
+    """The reference, the manual's name, the number of similar requests, and the probability."""
     parts = [difference.reference or ""]
     if difference.name is not None and difference.name != difference.reference:
         parts.append(difference.name)
@@ -50,7 +50,7 @@ def what_text(difference: Difference) -> str:
 
 
 def count_text(found: Sequence[Difference]) -> str:
-    """How many differences there are."""
+    """The number of differences in words."""
     return counted(len(found), "difference", ",")
 
 

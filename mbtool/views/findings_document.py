@@ -1,12 +1,12 @@
-"""Findings as one document for programs: JSON of our own, and SARIF 2.1.0."""
+"""Findings as one document for programs: mbtool's own JSON, or SARIF 2.1.0."""
 
-# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0): a log of one run; the rules are
-# those that were broken, and a result names its rule, says what happened, and where: the capture as
-# the artifact, and in it link, unit and what was addressed as the logical location. A time is no
-# location, so it stands in the properties, as nanoseconds and readable.
+# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0): a log with one run. Its rules
+# are those with findings. A result has its rule, a message, and a location: the capture is the
+# artifact; link, unit and reference are the logical location in it. SARIF has no field for a time,
+# so the time is in the properties, as nanoseconds and as text.
 #
-# A document is written piece by piece as findings come, and holds the rules that they name. Its
-# pieces are text, which whoever writes it joins.
+# A document is made in pieces of text, one for each finding, which the caller writes one after
+# another. Only the rules with findings are kept in memory.
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ SARIF_SCHEMA = (
 
 
 class Document(Protocol):
-    """A document that grows."""
+    """Makes the pieces of a document."""
 
     def begin(self) -> str: ...
 
-    def add(self, finding: Finding, place: str) -> str: ...
+    def add(self, finding: Finding, file: str) -> str: ...
 
     def end(self, transactions: int) -> str: ...
 
@@ -48,18 +48,19 @@ class JsonDocument:
     def begin(self) -> str:
         return f'{{"version":{_json(self._version)},"findings":['
 
-    def add(self, finding: Finding, place: str) -> str:
+    def add(self, finding: Finding, file: str) -> str:
         if finding.code not in self._rules:
-            self._rules[finding.code] = {"severity": finding.severity.value, **_told(finding.code)}
+            rule = {"severity": finding.severity.value, **_rule_texts(finding.code)}
+            self._rules[finding.code] = rule
         joint, self._joint = self._joint, ",\n"
-        return joint + _json({**_fields(finding), "file": place})
+        return joint + _json({**_fields(finding), "file": file})
 
     def end(self, transactions: int) -> str:
         return f'\n],"rules":{_json(self._rules)},"transactions":{transactions}}}\n'
 
 
 class SarifDocument:
-    """A SARIF log with one run."""
+    """SARIF 2.1.0: a log with one run."""
 
     def __init__(self, version: str) -> None:
         self._version = version
@@ -70,12 +71,12 @@ class SarifDocument:
     def begin(self) -> str:
         return f'{{"$schema":{_json(SARIF_SCHEMA)},"version":"2.1.0","runs":[{{"results":['
 
-    def add(self, finding: Finding, place: str) -> str:
+    def add(self, finding: Finding, file: str) -> str:
         if finding.code not in self._rules:
             self._indices[finding.code] = len(self._rules)
             self._rules[finding.code] = self._rule(finding)
         joint, self._joint = self._joint, ",\n"
-        return joint + _json(_result(finding, place, self._indices[finding.code]))
+        return joint + _json(_result(finding, file, self._indices[finding.code]))
 
     def end(self, transactions: int) -> str:
         driver = {
@@ -103,7 +104,7 @@ class SarifDocument:
         }
 
 
-def _result(finding: Finding, place: str, index: int) -> dict[str, Any]:
+def _result(finding: Finding, file: str, index: int) -> dict[str, Any]:
     return {
         "ruleId": finding.code,
         "ruleIndex": index,
@@ -111,7 +112,7 @@ def _result(finding: Finding, place: str, index: int) -> dict[str, Any]:
         "message": {"text": finding.message},
         "locations": [
             {
-                "physicalLocation": {"artifactLocation": {"uri": _uri(place)}},
+                "physicalLocation": {"artifactLocation": {"uri": _uri(file)}},
                 "logicalLocations": [_logical(finding)],
             }
         ],
@@ -121,7 +122,7 @@ def _result(finding: Finding, place: str, index: int) -> dict[str, Any]:
 
 
 def _logical(finding: Finding) -> dict[str, str]:
-    """The innermost of link, unit and what was addressed."""
+    """Link, unit and reference as far as there are; the name is the last one."""
     parts = [finding.link]
     if finding.unit is not None:
         parts.append(f"unit {finding.unit}")
@@ -131,7 +132,7 @@ def _logical(finding: Finding) -> dict[str, str]:
 
 
 def _fields(finding: Finding) -> dict[str, Any]:
-    """Everything a finding says, absent where it does not apply."""
+    """The fields of a finding, without those that are None."""
     fields = {
         "code": finding.code,
         "severity": finding.severity.value,
@@ -150,13 +151,13 @@ def _fields(finding: Finding) -> dict[str, Any]:
     return {key: value for key, value in fields.items() if value is not None}
 
 
-def _told(code: str) -> dict[str, str]:
+def _rule_texts(code: str) -> dict[str, str]:
     rule = rule_of(code)
     return {} if rule is None else {"meaning": rule.meaning, "source": rule.source}
 
 
 def _time(ts_ns: int) -> str | None:
-    """In UTC to the microsecond; None for a time that no calendar has."""
+    """In UTC, in microseconds; None outside the years 1 to 9999."""
     seconds, ns = divmod(ts_ns, 1_000_000_000)
     try:
         time = datetime.fromtimestamp(seconds, UTC).replace(microsecond=ns // 1000)
@@ -165,9 +166,9 @@ def _time(ts_ns: int) -> str | None:
     return time.isoformat().replace("+00:00", "Z")
 
 
-def _uri(place: str) -> str:
+def _uri(file: str) -> str:
     """A path as a relative or absolute URI reference."""
-    return quote(place.replace("\\", "/").encode(errors="surrogateescape"))
+    return quote(file.replace("\\", "/").encode(errors="surrogateescape"))
 
 
 def _json(value: Any) -> str:
@@ -175,7 +176,7 @@ def _json(value: Any) -> str:
 
 
 def _clean(value: Any) -> Any:
-    """As Unicode can say it: a file name may hold bytes that are no text."""
+    """Replace lone surrogates, which UTF-8 cannot encode and some file names have."""
     if isinstance(value, str):
         return value.encode(errors="replace").decode()
     if isinstance(value, dict):

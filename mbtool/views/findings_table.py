@@ -1,12 +1,12 @@
-"""Shows findings: what there is of each code, or each finding."""
+"""Shows findings: a summary of each code, or every finding."""
 
-# A master that does the same wrong thing in each poll breaks one rule, however often. So there is
-# one entry for each code, with how often and when first, and the first finding of it in words:
+# A master that repeats a mistake in every poll breaks the same rule many times. So the summary has
+# one entry for each code: the number of cases, the time of the first one, and its message.
 #
 #     FT1A-Q16  error  812 times  2026-11-21 09:14:03.300  rs485 unit 1
 #         write registers HR400001..400110: quantity 110, limit is 100
 #
-# Holds one finding for each code.
+# Memory: one finding for each code.
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cy
 
 @dataclass(slots=True)
 class CodeSummary:
-    """All findings of one code."""
+    """The first finding of one code, and the number of cases."""
 
     first: Finding
     number: int = 0
@@ -48,7 +48,7 @@ class CodeSummary:
 
 
 class Summaries:
-    """Gathers findings by their code."""
+    """Collects findings by code."""
 
     def __init__(self) -> None:
         self._by_code: dict[str, CodeSummary] = {}
@@ -60,7 +60,7 @@ class Summaries:
         return bool(self._by_code)
 
     def __iter__(self) -> Iterator[CodeSummary]:
-        """The gravest first, then by code."""
+        """Sorted by severity, errors first, then by code."""
         return iter(
             sorted(
                 self._by_code.values(),
@@ -70,7 +70,9 @@ class Summaries:
 
 
 def print_summaries(console: Console, summaries: Summaries) -> None:
-    """Show two lines for each code: how often and where, and what was found first."""
+    """Print two lines for each code: the number of cases with the first time and place, and the
+    message of the first finding.
+    """
     rows = [
         (
             one.first.code,
@@ -90,7 +92,7 @@ def print_summaries(console: Console, summaries: Summaries) -> None:
 
 
 def _print_message(console: Console, message: str) -> None:
-    """A message below its line; only on a terminal is it broken into lines."""
+    """Print a message below its line. It is only wrapped on a terminal."""
     text = printable(message)
     lines = [text]
     if console.is_terminal:
@@ -109,7 +111,7 @@ def finding_line(finding: Finding) -> Text:
 
 
 def where(finding: Finding) -> str:
-    """The link, and the unit where one is meant."""
+    """The link, and the unit if the finding has one."""
     text = finding.link
     if finding.unit is not None:
         text += f" unit {finding.unit}"

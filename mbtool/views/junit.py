@@ -1,7 +1,8 @@
-"""Results as JUnit XML, which CI servers show."""
+"""Writes results as JUnit XML, which CI servers show."""
 
-# There is no standard of it; what Jenkins, GitLab and GitHub's actions all read is a testsuite of
-# testcases, each with a failure where it failed. Characters that XML cannot have are replaced.
+# The format has no standard. Jenkins, GitLab and GitHub actions all read a `testsuite` of
+# `testcase` elements, in which failed ones have a `failure`. Characters that XML does not allow are
+# replaced.
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One thing that was tested."""
+    """One result: a test that passed, or failed with messages."""
 
     group: str
     name: str

@@ -1,10 +1,10 @@
-"""Shows what there is to open here: serial ports, interfaces, and what is in their way."""
+"""Shows the serial ports and network interfaces of this machine, with obstacles to using them."""
 
-# A table of each kind, and below the ports' each port's LINK and troubles. What is there to be
-# copied, a LINK or a command, is never broken into lines: a terminal that is too narrow wraps it,
-# and still copies it whole.
+# Below the table of ports, each port has its LINK and its problems. Users copy a LINK or a command,
+# so it gets no line breaks: a narrow terminal wraps it, and still copies it as a whole.
 #
-# Names come out of adapters, so nothing in them is obeyed: no markup, no control characters.
+# Names come from adapters, so markup and control characters in them must have no effect (see
+# tables.py).
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NARROWEST = 20
 
 
 def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
-    """A table of the ports, then how to call each and what is wrong with it."""
+    """Print a table of the ports, then the LINK and the problems of each."""
     table = plain_table("port", "what it is", "driver", "timing", "low latency", "held by")
     for port in ports:
         table.add_row(
@@ -47,7 +47,7 @@ def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
 
 
 def print_interfaces(console: Console, interfaces: Sequence[LocalInterface]) -> None:
-    """A table of the interfaces, then what keeps captures from starting, each once."""
+    """Print a table of the interfaces, then each obstacle to captures once."""
     table = plain_table("interface", "what it is", "state", "capture")
     for one in interfaces:
         table.add_row(

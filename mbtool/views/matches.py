@@ -1,7 +1,6 @@
-"""Shows which profiles explain a slave's traffic."""
+"""Shows the profiles that explain the traffic of each slave."""
 
-# For each slave a sentence, and below it the profiles that explain it best, with what speaks for
-# each and what against it.
+# For each slave: a sentence, and a table of the best profiles with the reasons for and against.
 
 from __future__ import annotations
 
@@ -17,44 +16,40 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from mbtool.devices.matching import MatchResult, ProfileMatch
+    from mbtool.devices.profile_match import MatchResult, ProfileMatch
 
-SHOWN = 3
+MIN_SHOWN = 3
 
 
-def print_verdicts(console: Console, verdicts: Sequence[MatchResult]) -> None:
-    """Every slave with its best profiles."""
-    for index, verdict in enumerate(verdicts):
+def print_match_results(console: Console, results: Sequence[MatchResult]) -> None:
+    """Print every slave with its best profiles."""
+    for index, result in enumerate(results):
         if index:
             console.print()
-        console.print(plain(f"{slave_text(verdict)}: {verdict.sentence}", "bold"))
-        if verdict.seen.answered:
-            console.print(_table(shown_matches(verdict)))
+        slave = result.slave
+        where = f"unit {slave.unit} at {slave.destination or slave.link}"
+        console.print(plain(f"{where}: {result.sentence}", "bold"))
+        if slave.has_responded:
+            console.print(_table(shown_matches(result)))
 
 
-def slave_text(verdict: MatchResult) -> str:
-    """The slave, as a person would say where it is."""
-    seen = verdict.seen
-    return f"unit {seen.unit} at {seen.destination or seen.link}"
+def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
+    """The best profiles: all that are a tie, at least MIN_SHOWN, but none with score 0."""
+    scored = [one for one in result.matches if one.score > 0]
+    return scored[: max(MIN_SHOWN, len(result.best))]
 
 
-def shown_matches(verdict: MatchResult) -> Sequence[ProfileMatch]:
-    """The best and all that tie with it, else SHOWN; none that explains nothing."""
-    worth = [one for one in verdict.matches if one.score > 0]
-    return worth[: max(SHOWN, len(verdict.best))]
-
-
-def verdict_record(verdict: MatchResult) -> dict[str, Any]:
-    """The same for a program."""
-    seen = verdict.seen
-    record: dict[str, Any] = {"link": seen.link, "destination": seen.destination}
+def match_record(result: MatchResult) -> dict[str, Any]:
+    """A result as JSON data, with all profiles."""
+    slave = result.slave
+    where: dict[str, Any] = {"link": slave.link, "destination": slave.destination}
     return {
-        **{key: value for key, value in record.items() if value},
-        "unit": seen.unit,
-        "transactions": seen.transactions,
-        "identity": seen.identity,
-        "best": [one.profile for one in verdict.best],
-        "verdict": verdict.sentence,
+        **{key: value for key, value in where.items() if value},
+        "unit": slave.unit,
+        "transactions": slave.transactions,
+        "identity": slave.identity,
+        "best": [one.profile for one in result.best],
+        "verdict": result.sentence,
         "profiles": [
             {
                 "profile": one.profile,
@@ -66,7 +61,7 @@ def verdict_record(verdict: MatchResult) -> dict[str, Any]:
                 "for": one.reasons,
                 "against": one.against,
             }
-            for one in verdict.matches
+            for one in result.matches
         ],
     }
 

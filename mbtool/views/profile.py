@@ -1,6 +1,7 @@
 """Shows device profiles."""
 
-# A profile may be of anyone, so nothing in it is obeyed: no markup, no control characters.
+# Anyone can write a profile, so markup and control characters in it must have no effect (see
+# tables.py).
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ _ACCESS = {Access.READ: "read", Access.READ_WRITE: "read, write", Access.WRITE: 
 
 
 def profile_list(profiles: Sequence[Profile]) -> RenderableType:
-    """All profiles, a line each."""
+    """A table with a row for each profile."""
     table = plain_table("name", "device", "transports", "areas", "points")
     for profile in profiles:
         cells = (
@@ -40,7 +41,7 @@ def profile_list(profiles: Sequence[Profile]) -> RenderableType:
 
 
 def profile_page(profile: Profile) -> RenderableType:
-    """Everything a profile says."""
+    """The full contents of a profile."""
     parts: list[RenderableType] = [
         plain(profile.title, "bold"),
         plain(f"{profile.name}, by {profile.vendor}; {', '.join(profile.transports)}"),
@@ -58,9 +59,9 @@ def profile_page(profile: Profile) -> RenderableType:
         ("t3.5 {}", timing.t3_5),
         ("at least {} before each request", timing.request_interval),
     ]
-    said = ", ".join(text.format(silence) for text, silence in silences if silence)
-    if said:
-        parts.append(plain(f"timing: {said}"))
+    timing_text = ", ".join(text.format(silence) for text, silence in silences if silence)
+    if timing_text:
+        parts.append(plain(f"timing: {timing_text}"))
     if profile.last_unit is not None:
         parts.append(plain(f"units: 1 to {profile.last_unit}"))
     if profile.any_unit:
@@ -133,7 +134,7 @@ def _points(profile: Profile) -> Table:
 
 
 def _reference(profile: Profile, point: Point) -> str:
-    """Where a point stands, or the first and the last of its series."""
+    """The reference of a point, or of the first and the last point of a series."""
     writing = not point.allows(writing=False)
     first, last = (
         write_reference(profile, point.table, address, point.words, writing=writing)
@@ -175,7 +176,7 @@ def _values(profile: Profile, point: Point) -> str:
 
 
 def _scale(point: Point) -> list[str]:
-    """`number x 0.1 - 50`, `2 decimals`: how the value comes from the register."""
+    """The formula from register to value, and the decimals: `number x 0.1 - 50`, `2 decimals`."""
     formula = "" if point.scale == 1 else f" x {point.scale:g}"
     if point.offset:
         formula += f" {'+' if point.offset > 0 else '-'} {abs(point.offset):g}"
@@ -199,7 +200,7 @@ def _range(point: Point) -> list[str]:
 
 
 def _point_notes(profile: Profile) -> list[str]:
-    """Each note once, behind all the references that it is about."""
+    """Each different note once, after the references of all its points."""
     about: dict[str, list[str]] = {}
     for point in profile.points:
         if point.note is not None:

@@ -1,18 +1,20 @@
 """Shows transactions as a table that grows line by line, on a terminal or into a pipe."""
 
-# Widths must be known before the first line is shown and a capture may be endless, so the columns
-# take their widths from the first lines, at most SAMPLE of them; what and result share what is left
-# of the terminal, and on a narrow one the function's name makes room for them. Where one of these
-# two is too long it is cut with an ellipsis, and stands in full below its line; any other column
-# grows when it must. In a pipe or a file nothing is cut and each transaction is one line: a column
-# grows for what is longer, up to its cap; a cell beyond that moves the rest of its line to the
-# right.
+# A capture may be endless, so the columns get their widths from the first SAMPLE rows or fewer.
 #
-# A live table has a line to show before the next is known. What it begins with says little of what
-# comes, so its columns are as wide from the start as most lines need, and what and result share
-# what is left in a fixed proportion.
+# On a terminal, the columns "what" and "result" share the width that the others leave; if it is too
+# little, the column "function" becomes narrower. A cell of "what" or "result" that is too long is
+# cut with an ellipsis, and repeated in full below its line. Any other column grows for a longer
+# cell.
 #
-# Text that came off a wire is never read as markup, nor are control characters in it sent on.
+# In a pipe or a file, nothing is cut, and each transaction is one line. A column grows for a longer
+# cell up to its cap; a cell beyond the cap moves the rest of its line to the right.
+#
+# A live table must show its first row before the next one is known, and the first rows say little
+# about later ones. So its columns begin with the widths that most rows need, and "what" and
+# "result" share the rest in a fixed proportion.
+#
+# Text from a wire is never markup, and control characters in it are replaced.
 
 from __future__ import annotations
 
@@ -33,52 +35,53 @@ SAMPLE = 100
 _GAP = "  "
 _FUNCTION, _WHAT, _RESULT = 4, 5, 6
 _LEFTOVER = (_WHAT, _RESULT)
-"""The columns that share what is left."""
-_CODE = 6
-"""What is left of the function on a narrow terminal: its code, and that there is a name."""
+"""The columns that share the rest of the width."""
+_MIN_FUNCTION = 6
+"""The narrowest column "function": the code and the beginning of the name."""
 _CAPS = (7, 12, 24, 4, 22, 60, 60, 10)
 _MINIMA = (2, 12, 5, 4, 18, 12, 8, 8)
 _LIVE_MINIMA = (4, 12, 5, 4, 18, 40, 33, 9)
-"""HR400001..400004 := 4660, 22136, ...; exception 02 illegal data address; 9999.9 ms."""
+"""For "what", HR400001..400004 := 4660, 22136, ...; for "result", exception 02 illegal data
+address; for "latency", 9999.9 ms."""
 
 
 class TransactionTable:
-    """Takes rows, prints lines. Call pause where nothing comes for a while, flush at the end."""
+    """Prints rows as lines. Call `pause` when no row comes for a while, and `flush` at the end."""
 
     def __init__(self, console: Console, *, sample: int = SAMPLE) -> None:
         self._console = console
         self._sample = sample
-        self._waiting: list[tuple[str, TransactionRow]] = []
+        self._pending: list[tuple[str, TransactionRow]] = []
         self._widths: tuple[int, ...] | None = None
         self._is_live = False
         self._styles: dict[str, tuple[str, str]] = {}
         self._day = ""
 
     def add(self, row: TransactionRow, day: str) -> None:
-        """Show a row; a day that differs from the last one gets a line of its own."""
+        """Show a row, after a line with the day if the day is a new one."""
         if self._widths is not None:
             self._print(row, day)
             return
-        self._waiting.append((day, row))
-        if len(self._waiting) >= self._sample:
+        self._pending.append((day, row))
+        if len(self._pending) >= self._sample:
             self.flush()
 
     def pause(self) -> None:
-        """Show what there is, while more may come."""
-        if self._widths is None and self._waiting:
+        """Show the pending rows, although more may come: the table is live."""
+        if self._widths is None and self._pending:
             self._is_live = True
         self.flush()
 
     def flush(self) -> None:
-        """Show what waits for the widths to be settled."""
-        if self._widths is None and self._waiting:
-            self._settle([row for _, row in self._waiting])
+        """Show the pending rows, which determine the widths."""
+        if self._widths is None and self._pending:
+            self._set_widths([row for _, row in self._pending])
             self._print_line(HEADINGS, "bold")
-        waiting, self._waiting = self._waiting, []
-        for day, row in waiting:
+        pending, self._pending = self._pending, []
+        for day, row in pending:
             self._print(row, day)
 
-    def _settle(self, rows: Sequence[TransactionRow]) -> None:
+    def _set_widths(self, rows: Sequence[TransactionRow]) -> None:
         minima = self._widths or (_LIVE_MINIMA if self._is_live else _MINIMA)
         if self._console.is_terminal:
             self._widths = _widths_within(self._console.width, rows, minima, live=self._is_live)
@@ -87,17 +90,17 @@ class TransactionTable:
 
     def _print(self, row: TransactionRow, day: str) -> None:
         if _outgrows(row, self._widths or (), whole=not self._console.is_terminal):
-            self._settle([row])
+            self._set_widths([row])
         if day != self._day:
             self._day = day
             self._print_text(f"{' ' * self._indent}{day} UTC", "dim")
         style = ("red" if row.number else "yellow") if row.trouble else ""
         self._print_line(row.cells(), style)
         if self._console.is_terminal:
-            self._print_long(row, style)
+            self._print_cut_cells(row, style)
 
-    def _print_long(self, row: TransactionRow, style: str) -> None:
-        """Show in full below its line what is cut in it."""
+    def _print_cut_cells(self, row: TransactionRow, style: str) -> None:
+        """Repeat cells that are cut, in full, below their line."""
         widths = self._widths or ()
         for index in _LEFTOVER:
             cell = row.cells()[index]
@@ -120,7 +123,7 @@ class TransactionTable:
         self._console.file.write(f"{before}{line}{after}\n")
 
     def _codes(self, style: str) -> tuple[str, str]:
-        """What switches a style on and off; known once, as Console.print takes its time."""
+        """The escape codes before and after a style; cached, because Console.print is slow."""
         codes = self._styles.get(style)
         if codes is None:
             with self._console.capture() as capture:
@@ -131,7 +134,7 @@ class TransactionTable:
 
     @property
     def _indent(self) -> int:
-        """Where the second column begins."""
+        """The beginning of the second column."""
         return (self._widths or (0,))[0] + len(_GAP)
 
 
@@ -143,7 +146,7 @@ def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:
 
 
 def _outgrows(row: TransactionRow, widths: Sequence[int], *, whole: bool) -> bool:
-    """Whether a column is too narrow for a row; those that are cut to fit never are."""
+    """True if a column must grow for a row. Columns whose cells are cut never grow."""
     fixed = () if whole else (_FUNCTION, *_LEFTOVER)
     return any(
         width < len(cell) and width < cap
@@ -153,7 +156,7 @@ def _outgrows(row: TransactionRow, widths: Sequence[int], *, whole: bool) -> boo
 
 
 def _widths(rows: Sequence[TransactionRow], minima: Sequence[int]) -> tuple[int, ...]:
-    """Each column's width, as wide as its rows up to its cap."""
+    """The width of each column: as wide as its cells, up to its cap."""
     columns = zip(HEADINGS, *(row.cells() for row in rows), strict=True)
     return tuple(
         max(min(max(map(len, column)), cap), minimum)
@@ -164,16 +167,16 @@ def _widths(rows: Sequence[TransactionRow], minima: Sequence[int]) -> tuple[int,
 def _widths_within(
     total: int, rows: Sequence[TransactionRow], minima: Sequence[int], *, live: bool
 ) -> tuple[int, ...]:
-    """Each column's width, where what and result fill the total."""
+    """The width of each column, such that the columns fill the total."""
     widths = list(_widths(rows, minima))
     least = _MINIMA[_WHAT] + _MINIMA[_RESULT]
     taken = sum(width for index, width in enumerate(widths) if index not in _LEFTOVER)
     left = total - len(_GAP) * (len(widths) - 1) - taken
     if left < least:
-        narrower = max(widths[_FUNCTION] - (least - left), _CODE)
+        narrower = max(widths[_FUNCTION] - (least - left), _MIN_FUNCTION)
         left = max(left + widths[_FUNCTION] - narrower, least)
         widths[_FUNCTION] = narrower
-    # What is addressed matters more than the end of a long list of values.
+    # "what" gets more than "result": the reference is more important than the last of many values.
     if live:
         widths[_WHAT] = max(left * 3 // 5, _MINIMA[_WHAT])
     elif widths[_WHAT] + widths[_RESULT] > left:

@@ -18,7 +18,7 @@ from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import RULES
-from mbtool.devices.findings import finding_prefix
+from mbtool.devices.profile_checks import finding_prefix
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.reading import Reading
 

@@ -40,7 +40,7 @@ def test_reads_who(text: str, who: Who) -> None:
     ["256", "-1", "plc", "192.168.3.256", "192.168.3.250:", "192.168.3.250:65536", "192.168.3.250/",
      "192.168.3.250/256", "[::1", "1.2.3.4:5:6", "ALL", "²", "9" * 5000, ""],
 )  # fmt: skip
-def test_who_that_is_nobody_is_refused_with_examples(text: str) -> None:
+def test_invalid_who_is_refused_with_examples(text: str) -> None:
     with pytest.raises(UsageError, match=r"WHO is 5, 192\.168\.3\.250"):
         parse_who(text)
 
@@ -72,7 +72,7 @@ def _profile_name(assignments: Assignments, destination: str | None, unit: int) 
     return profile.name if profile is not None else None
 
 
-def test_most_specific_wins_whatever_the_order() -> None:
+def test_the_most_specific_assignment_applies_in_any_order() -> None:
     texts = [
         "all=fa3-th1m16xc",
         "5=idec-ft1a-touch",
@@ -91,12 +91,12 @@ def test_most_specific_wins_whatever_the_order() -> None:
         assert _profile_name(assignments, "10.0.0.9:1502", 5) == "fa3-at1m8y"
 
 
-def test_ipv6_is_found_however_it_was_written() -> None:
+def test_ipv6_addresses_match_in_any_spelling() -> None:
     assignments = _assignments("[2001:DB8:0::1]=fa3-at1m8x")
     assert _profile_name(assignments, "[2001:db8::1]:502", 1) == "fa3-at1m8x"
 
 
-def test_nobody_named_is_no_profile() -> None:
+def test_a_slave_without_an_assignment_has_no_profile() -> None:
     assert _profile_name(_assignments("5=fa3-at1m8x"), None, 6) is None
     assert _profile_name(Assignments(), "10.0.0.9:502", 6) is None
 
@@ -113,9 +113,9 @@ def test_profiles_in_use_are_listed_once() -> None:
 
 def test_memory_is_bounded() -> None:
     assignments = _assignments("all=fa3-at1m8x")
-    for port in range(3 * module._MAX_REMEMBERED):
+    for port in range(3 * module._MAX_CACHED):
         assert _profile_name(assignments, f"10.0.0.9:{port}", 1) == "fa3-at1m8x"
-    assert len(assignments._remembered) <= module._MAX_REMEMBERED
+    assert len(assignments._cache) <= module._MAX_CACHED
 
 
 def test_on_an_ascii_line_a_profile_has_the_limits_of_that_mode() -> None:

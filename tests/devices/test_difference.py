@@ -14,7 +14,7 @@ VALUE = Difference(
 )
 
 
-def test_what_does_not_apply_is_absent_in_json() -> None:
+def test_absent_fields_are_not_in_the_json() -> None:
     assert msgspec.json.decode(msgspec.json.encode(VALUE)) == {
         "kind": "value",
         "unit": 5,
@@ -25,5 +25,5 @@ def test_what_does_not_apply_is_absent_in_json() -> None:
     }
 
 
-def test_json_gives_it_back() -> None:
+def test_a_difference_survives_json() -> None:
     assert msgspec.json.decode(msgspec.json.encode(VALUE), type=Difference) == VALUE

@@ -120,7 +120,7 @@ def test_profile_is_written_as_a_reader_would_write_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", builtin_profiles())
-def test_built_in_profile_comes_back_whole(name: str, tmp_path: Path) -> None:
+def test_a_dumped_built_in_profile_loads_as_an_equal_one(name: str, tmp_path: Path) -> None:
     profile = load_profile(name)
     text = dump_profile(profile)
     assert _load(tmp_path, text) == profile
@@ -156,7 +156,7 @@ def test_addresses_are_hexadecimal_where_the_manuals_are() -> None:
 
 @given(profile=profiles())
 @settings(max_examples=40)
-def test_any_profile_comes_back_whole(
+def test_any_dumped_profile_loads_as_an_equal_one(
     profile: Profile, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     text = dump_profile(profile)
@@ -165,7 +165,7 @@ def test_any_profile_comes_back_whole(
     assert Draft7Validator(profile_schema()).is_valid(tomllib.loads(text))
 
 
-def test_comments_stand_before_their_parts_and_cannot_end_early() -> None:
+def test_comments_are_before_their_parts_and_cannot_be_escaped() -> None:
     profile = load_profile("idec-ft1a-touch")
     area = profile.areas[0].name
     text = dump_profile(

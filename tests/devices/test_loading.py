@@ -46,14 +46,14 @@ def test_built_in_profile_is_read_once() -> None:
     assert load_profile("fa3-at1m8x") is load_profile("fa3-at1m8x")
 
 
-def test_unknown_name_brings_the_nearest_and_the_list() -> None:
+def test_an_unknown_name_is_refused_with_similar_and_all_names() -> None:
     with pytest.raises(UsageError, match=r"did you mean fa3-at1m8. or fa3-at1m8.\?") as caught:
         load_profile("FA3-AT1M8")
     for name in builtin_profiles():
         assert name in str(caught.value)
 
 
-def test_part_of_a_family_is_no_profile() -> None:
+def test_the_common_part_of_a_family_is_no_profile() -> None:
     with pytest.raises(UsageError, match="built-in ones are"):
         load_profile("_fa3")
 
@@ -149,13 +149,13 @@ def test_point_that_stands_twice_in_an_extending_file_is_refused(tmp_path: Path)
     assert key == 'points "Speed".name'
 
 
-def test_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+def test_a_byte_order_mark_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "pump.toml").write_text("\ufeff" + PUMP, encoding="utf-8")
     assert load_profile(str(tmp_path / "pump.toml")).name == "pump"
 
 
 @pytest.mark.parametrize("name", builtin_profiles())
-def test_profile_comes_back_whole_from_json(name: str) -> None:
+def test_a_profile_survives_json(name: str) -> None:
     profile = load_profile(name)
     assert profile_from_json(profile_to_json(profile), "log") == profile
 
@@ -248,7 +248,9 @@ def _words(form: str, value: float | bytes) -> list[int]:
         ("type = 'int16'", 1),
     ],
 )
-def test_several_points_stand_one_behind_the_other(keys: str, stride: int, tmp_path: Path) -> None:
+def test_points_of_a_series_are_side_by_side_by_default(
+    keys: str, stride: int, tmp_path: Path
+) -> None:
     path = tmp_path / "pump.toml"
     path.write_text(
         PUMP.replace("last = 9", "last = 99").replace('"Speed"', '"CH{n}"') + f"count = 4\n{keys}\n"

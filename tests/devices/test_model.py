@@ -61,7 +61,7 @@ def test_every_number_is_read_back(radix: Radix, number: int) -> None:
     assert radix.read(radix.write(number)) == number
 
 
-def test_of_two_areas_at_one_address_the_one_that_is_meant_is_found() -> None:
+def test_the_access_chooses_between_two_areas_at_one_address() -> None:
     profile = msgspec.structs.replace(
         load_profile("idec-ft1a-touch"),
         areas=[
@@ -96,7 +96,7 @@ def test_exception_has_the_makers_text_or_the_standards() -> None:
     assert profile.exception_name(2) == "illegal data address"
 
 
-def test_area_holds_a_range_only_when_it_holds_all_of_it() -> None:
+def test_an_area_holds_only_ranges_that_are_completely_inside() -> None:
     area = _area(first=10, last=19)
     assert area.holds(Table.HOLDING_REGISTERS, 10, 10)
     assert not area.holds(Table.HOLDING_REGISTERS, 10, 11)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import FunctionRule, Point
-from mbtool.devices.naming import _MAX_REMEMBERED, Namer
+from mbtool.devices.naming import _MAX_CACHED, Namer
 from mbtool.devices.wording import describe, describe_points
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.adu_bytes import mbap_adu
@@ -18,7 +18,7 @@ from mbtool.modbus.transaction import Outcome, Transaction
 from tests.devices.transactions import transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 def _namer(device: str) -> Namer:
@@ -59,7 +59,7 @@ def test_read_without_an_answer_has_no_points() -> None:
     assert named.points == []
 
 
-def test_refused_write_still_says_what_was_asked_for() -> None:
+def test_a_refused_write_has_the_points_of_its_request() -> None:
     named = AT1M8X.name(
         transaction(
             6, 0x102, quantity=1, request_values=[0xFE], outcome=Outcome.EXCEPTION, exception=3
@@ -69,17 +69,17 @@ def test_refused_write_still_says_what_was_asked_for() -> None:
     assert not named.took_effect
 
 
-def test_what_has_no_name_beside_what_has_goes_by_its_reference() -> None:
+def test_registers_without_a_name_beside_named_ones_are_named_by_reference() -> None:
     named = AT1M8X.name(transaction(3, 0xF4, quantity=4, response_values=[3, 30, 7, 8]))
     assert _texts(named) == {"00F4H": "3 times", "00F5H": "30 s", "00F6H": "7", "00F7H": "8"}
     assert describe(named).endswith("; 00F6H 7, 00F7H 8")
 
 
-def test_where_nothing_has_a_name_there_are_no_points() -> None:
+def test_a_range_without_any_names_has_no_points() -> None:
     assert AT1M8X.name(transaction(3, 0xF6, quantity=2, response_values=[7, 8])).points == []
 
 
-def test_short_response_brings_what_it_has() -> None:
+def test_a_short_response_has_the_points_that_it_contains() -> None:
     named = AT1M8X.name(transaction(4, 2, quantity=8, response_values=[7, 8]))
     assert list(_texts(named)) == ["RWr2", "RWr3"]
 
@@ -110,7 +110,7 @@ def test_function_17h_names_what_it_reads_and_what_it_writes() -> None:
     assert named.findings == ["FA3-F23"]
 
 
-def test_what_17h_reads_is_not_said_to_be_written() -> None:
+def test_points_read_by_17h_are_not_marked_as_written() -> None:
     named = _namer("wago-750").name(
         transaction(
             0x17,
@@ -129,7 +129,7 @@ def test_what_17h_reads_is_not_said_to_be_written() -> None:
     assert (named.written_points, named.read_points) == ([], named.points)
 
 
-def test_other_functions_need_not_tell_read_from_written() -> None:
+def test_points_of_other_functions_are_never_marked_as_written() -> None:
     wrote = AT1M8X.name(transaction(6, 0x102, quantity=1, request_values=[0xFE]))
     read = AT1M8X.name(transaction(3, 0x102, quantity=1, response_values=[0xFE]))
     assert (wrote.written_points, wrote.read_points) == (wrote.points, [])
@@ -137,7 +137,7 @@ def test_other_functions_need_not_tell_read_from_written() -> None:
     assert not wrote.points[0].written
 
 
-def test_value_that_17h_reads_is_not_held_against_the_range_of_one_written() -> None:
+def test_ranges_are_checked_only_for_values_that_17h_writes() -> None:
     profile = load_profile("idec-ft1a-touch")
     level = Point(name="Level", table=Table.HOLDING_REGISTERS, address=0, maximum=9)
     wide = msgspec.structs.replace(
@@ -161,7 +161,7 @@ def test_value_that_17h_reads_is_not_held_against_the_range_of_one_written() -> 
     assert findings(0, [], 99) == ["MB-104"]
 
 
-def test_block_is_named_where_a_read_begins_with_it_and_hides_what_lies_in_it() -> None:
+def test_a_read_from_the_beginning_of_a_block_names_only_the_block() -> None:
     wago = _namer("wago-750")
 
     def names(address: int, quantity: int) -> list[str]:
@@ -184,7 +184,7 @@ def test_block_is_named_where_a_read_begins_with_it_and_hides_what_lies_in_it() 
     assert names(0x2030, 65) == [f"{n}. module" for n in range(65)]
 
 
-def test_masks_are_no_value() -> None:
+def test_masks_are_not_values() -> None:
     named = AT1M8X.name(transaction(0x16, 0x102, request_values=[0xF2, 0x25]))
     assert named.reference == "0102H"
     assert named.points == []
@@ -202,13 +202,13 @@ def test_function_of_the_makers_own_has_his_name() -> None:
     assert [(point.name, point.text) for point in named.points] == [("Model code", "FA3-AT1M8Y")]
 
 
-def test_answer_of_another_length_is_not_put_into_words() -> None:
+def test_a_response_of_another_length_has_no_point() -> None:
     for raw in (b"", bytes.fromhex("0000 0000 0005 00 42 001700")):
         named = AT1M8X.name(transaction(0x42, transport=Transport.TCP, response_raw=raw))
         assert named.points == []
 
 
-def test_what_a_device_says_of_itself_is_told_without_a_profile() -> None:
+def test_a_reported_identity_needs_no_profile() -> None:
     raw = mbap_adu(1, 1, bytes.fromhex("2B 0E 01 01 00 00 02 00 04") + b"Acme" + b"\x01\x02P7")
     named = Namer().name(transaction(0x2B, transport=Transport.TCP, response_raw=raw))
     assert [(point.name, point.text) for point in named.points] == [
@@ -299,7 +299,7 @@ _POLLS = st.builds(
     device="fa3-at1m8x",
     polls=[transaction(1, 0, write_address=256, request_values=words) for words in (None, [0])],
 )
-def test_what_was_named_before_changes_nothing(device: str, polls: list[Transaction]) -> None:
+def test_earlier_transactions_do_not_change_a_name(device: str, polls: list[Transaction]) -> None:
     namer = _namer(device)
     for poll in polls:
         assert namer.name(poll) == _namer(device).name(poll)
@@ -312,7 +312,7 @@ def test_a_transaction_that_is_named_is_named_anew(poll: Transaction) -> None:
     assert Namer().name(AT1M8X.name(logged)).points == logged.points
 
 
-def test_what_nobody_assigned_keeps_its_names() -> None:
+def test_renaming_without_an_assignment_changes_nothing() -> None:
     logged = AT1M8X.name(transaction(4, 1, quantity=1, response_values=[7]))
     assert Namer().rename(logged) is logged
     assert Namer().name(logged).device is None
@@ -320,13 +320,13 @@ def test_what_nobody_assigned_keeps_its_names() -> None:
 
 def test_memory_is_bounded() -> None:
     namer = _namer("fa3-at1m8x")
-    for address in range(_MAX_REMEMBERED + 10):
+    for address in range(_MAX_CACHED + 10):
         namer.name(transaction(3, address, quantity=1))
     for vocabulary in namer._vocabularies.values():
-        assert len(vocabulary._remembered) <= _MAX_REMEMBERED
+        assert len(vocabulary._cache) <= _MAX_CACHED
 
 
-def test_an_exception_is_said_in_the_words_of_the_device() -> None:
+def test_an_exception_has_the_devices_name_for_it() -> None:
     refused = transaction(6, 205, quantity=1, exception=0x11, exception_name="exception 11H")
     assert _namer("chino-lt830").name(refused).exception_name == "value out of setting range"
     assert _namer("fa3-at1m8x").name(refused).exception_name != "value out of setting range"

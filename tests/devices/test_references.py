@@ -51,7 +51,7 @@ def test_range_is_written_as_the_manual_does(
     assert write_reference(load_profile(device), table, address, quantity) == reference
 
 
-def test_outside_its_area_the_only_notation_of_a_table_stays() -> None:
+def test_outside_the_only_area_of_a_table_its_notation_continues() -> None:
     profile = load_profile("idec-ft1a-touch")
     assert write_reference(profile, Table.HOLDING_REGISTERS, 4095, 2) == "HR404096..404097"
 
@@ -78,7 +78,7 @@ def test_range_from_one_notation_into_another_has_each_end_in_its_own() -> None:
         ("fa3-at1m8x", Table.HOLDING_REGISTERS, 0x5000, 2, "5000H..5001H"),
     ],
 )
-def test_outside_the_areas_the_notation_of_the_one_below_goes_on(
+def test_outside_the_areas_the_notation_of_the_area_below_continues(
     device: str, table: Table, address: int, quantity: int, reference: str
 ) -> None:
     assert write_reference(load_profile(device), table, address, quantity) == reference
@@ -89,7 +89,7 @@ def test_below_all_areas_the_notation_of_the_one_above_begins_earlier() -> None:
     assert write_reference(profile, Table.COILS, 999, 2) == "M999..1000"
 
 
-def test_reference_outside_the_areas_never_is_one_that_stands_elsewhere() -> None:
+def test_a_reference_outside_the_areas_never_means_another_address() -> None:
     profile = _profile(
         _area("M", 0, 9), _area("M", 100, 109, base=-90), _area("Q", 200, 209, base=-200)
     )
@@ -100,7 +100,7 @@ def test_reference_outside_the_areas_never_is_one_that_stands_elsewhere() -> Non
     assert write_reference(load_profile("chino-lt830"), Table.COILS, 10_000) == "coil 10000"
 
 
-def test_of_two_areas_that_end_alike_the_one_for_what_is_asked_goes_on() -> None:
+def test_the_access_chooses_between_two_areas_with_one_end() -> None:
     profile = load_profile("wago-750")
     assert write_reference(profile, Table.HOLDING_REGISTERS, 0x6300) == "%IW1280"
     assert write_reference(profile, Table.HOLDING_REGISTERS, 0x6300, writing=True) == "%QW1280"
@@ -158,7 +158,7 @@ def test_address_below_the_numbers_of_the_only_notation_is_written_as_on_the_wir
     assert write_reference(profile, Table.COILS, 2001) == "M1000"
 
 
-def test_what_is_read_and_what_is_written_at_one_address_have_their_own_notation() -> None:
+def test_reads_and_writes_at_one_address_have_separate_notations() -> None:
     profile = _profile(
         _area("I", 0, 99, access=Access.READ), _area("Q", 0, 49, access=Access.WRITE)
     )

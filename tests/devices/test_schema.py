@@ -53,7 +53,7 @@ def _tables(node: Any) -> Iterator[dict[str, Any]]:
             yield from _tables(value)
 
 
-def test_schema_is_one() -> None:
+def test_the_schema_is_valid() -> None:
     Draft7Validator.check_schema(SCHEMA)
     assert json.loads(json.dumps(SCHEMA)) == SCHEMA
     assert "$ref" not in json.dumps(SCHEMA)

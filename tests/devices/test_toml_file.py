@@ -30,7 +30,7 @@ def test_keys_come_in_their_order(tmp_path: Path) -> None:
     assert list(_read(path).items()) == [("b", 1), ("a", 2)]
 
 
-def test_a_mark_that_editors_set_at_the_beginning_is_passed_over(tmp_path: Path) -> None:
+def test_a_byte_order_mark_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(b"\xef\xbb\xbfa = 1")
     assert _read(path) == {"a": 1}
@@ -45,7 +45,7 @@ def test_a_mark_that_editors_set_at_the_beginning_is_passed_over(tmp_path: Path)
         (b"a = 1 # long", "size", "more than 10 bytes are no list"),
     ],
 )
-def test_what_is_no_toml_is_told_with_file_and_place(
+def test_invalid_toml_is_reported_with_file_and_line(
     tmp_path: Path, data: bytes, place: str, problem: str
 ) -> None:
     path = tmp_path / "a.toml"
@@ -56,20 +56,20 @@ def test_what_is_no_toml_is_told_with_file_and_place(
     assert isinstance(told, InputError)
 
 
-def test_what_is_nested_too_deep_is_told(tmp_path: Path) -> None:
+def test_too_deep_nesting_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(b"a = " + b"[" * 100_000)
     with pytest.raises(TomlError, match=r"a\.toml: TOML: nested too deep$"):
         read_toml(path, 1 << 20, "list")
 
 
-def test_a_hint_ends_what_the_parser_says(tmp_path: Path) -> None:
+def test_a_hint_follows_the_parsers_message(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     assert str(_told(path, b"a 1", "write a = 1")).endswith("; write a = 1")
     assert str(_told(path, b"a 1")).endswith(" around a key with spaces")
 
 
-def test_a_file_of_just_the_bound_is_read(tmp_path: Path) -> None:
+def test_a_file_of_exactly_the_maximum_size_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(b"a = 1".ljust(MAX_BYTES))
     assert _read(path) == {"a": 1}
@@ -78,7 +78,7 @@ def test_a_file_of_just_the_bound_is_read(tmp_path: Path) -> None:
         _read(path)
 
 
-def test_what_cannot_be_read_has_no_place(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_has_no_line(tmp_path: Path) -> None:
     for path, reason in ((tmp_path, "Is a directory"), (tmp_path / "no.toml", "No such file")):
         with pytest.raises(TomlError, match=f"{path}: cannot be read: {reason}") as caught:
             _read(path)

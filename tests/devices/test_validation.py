@@ -291,7 +291,7 @@ def test_two_points_of_one_name_are_refused() -> None:
     )
 
 
-def test_a_silence_that_is_none_is_told() -> None:
+def test_an_invalid_silence_is_reported() -> None:
     assert _problem(_profile(timing=Timing(t3_5="28 bit times"))) == (
         "timing.t3_5",
         "silence '28 bit times': write a number and bits, chars, ms or us, for example 28bits or "

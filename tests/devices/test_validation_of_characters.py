@@ -32,7 +32,7 @@ def test_control_character_is_refused_wherever_it_stands(bad: str) -> None:
 
 
 @given(st.text())
-def test_what_is_told_of_it_can_be_printed(name: str) -> None:
+def test_messages_about_control_characters_are_printable(name: str) -> None:
     area = msgspec.structs.replace(TOUCH.areas[0], name=name, prefix="\x00")
     with pytest.raises(ProfileError) as caught:
         validate_characters(msgspec.structs.replace(TOUCH, areas=[area]), "pump.toml")

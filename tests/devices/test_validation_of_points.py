@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.core.errors import ProfileError
 from mbtool.devices.model import ByteOrder, Point, PointType, WordOrder
-from mbtool.devices.validation_of_points import Accused, validate_point
+from mbtool.devices.validation_of_points import PartErrors, validate_point
 from mbtool.modbus.tables import Table
 
 HOLDING = Table.HOLDING_REGISTERS
@@ -36,7 +36,7 @@ def _flags(*bits: int, **fields: Any) -> Point:
     ],
 )
 def test_sound_point_passes(point: Point) -> None:
-    validate_point(point, Accused("pump.toml", "points"))
+    validate_point(point, PartErrors("pump.toml", "points"))
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_sound_point_passes(point: Point) -> None:
 )  # fmt: skip
 def test_point_that_cannot_be_is_refused(point: Point, key: str, problem: str) -> None:
     with pytest.raises(ProfileError) as caught:
-        validate_point(point, Accused("pump.toml", f'points "{point.name}"'))
+        validate_point(point, PartErrors("pump.toml", f'points "{point.name}"'))
     assert caught.value.file == "pump.toml"
     assert caught.value.key == f'points "{point.name}".{key}'
     assert problem in caught.value.problem

@@ -12,11 +12,17 @@ from hypothesis import strategies as st
 from mbtool.core import UsageError
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, ByteOrder, Point, PointType, WordOrder
-from mbtool.devices.values import _MAX_REMEMBERED, PointInstance, places_of, registers_of, values_of
+from mbtool.devices.values import (
+    _MAX_CACHED,
+    PointInstance,
+    point_instances,
+    point_values,
+    registers_of,
+)
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import PointValue
+    from mbtool.devices.named_transaction import PointValue
 
 WORDS = st.integers(0, 0xFFFF)
 
@@ -231,7 +237,7 @@ def test_every_text_is_read_back(text: str, byte_order: ByteOrder) -> None:
     assert _value(PointType.STRING, *raw, **fields).text == text
 
 
-def test_places_of_a_table_are_those_that_one_can_read_or_write() -> None:
+def test_point_instances_of_a_table_are_those_that_can_be_read_or_written() -> None:
     def point(name: str, address: int, access: Access | None) -> Point:
         return Point(
             name=name,
@@ -252,7 +258,7 @@ def test_places_of_a_table_are_those_that_one_can_read_or_write() -> None:
     )
 
     def names(*, writing: bool) -> list[tuple[str, str]]:
-        places = places_of(profile, Table.HOLDING_REGISTERS, writing=writing)
+        places = point_instances(profile, Table.HOLDING_REGISTERS, writing=writing)
         return [(place.reference, place.name) for place in places]
 
     rest = [("HR400003..400004", "serial"), ("HR400005..400006", "speed")]
@@ -292,7 +298,7 @@ def test_nibble_field_names_the_channels_by_what_they_are(
     assert _value(PointType.NIBBLE_FIELD, word, **fields).text == text
 
 
-def test_place_among_several_has_its_own_name() -> None:
+def test_each_point_of_a_series_has_its_own_name() -> None:
     several = Point(
         name="CH{n} at {reference}", table=Table.HOLDING_REGISTERS, address=8, count=4, stride=2
     )
@@ -314,14 +320,12 @@ def test_any_registers_have_a_text(
     assert _value(type_, *raw[:size], **fields).text
 
 
-@pytest.mark.parametrize(
-    ("scale", "most"), [(1.0, 0), (0.1, _MAX_REMEMBERED)], ids=["plain", "scaled"]
-)
+@pytest.mark.parametrize(("scale", "most"), [(1.0, 0), (0.1, _MAX_CACHED)], ids=["plain", "scaled"])
 def test_memory_is_bounded(scale: float, most: int) -> None:
     place = PointInstance(_point(PointType.UINT16, scale=scale), 0, "R0")
-    for word in range(3 * _MAX_REMEMBERED):
+    for word in range(3 * _MAX_CACHED):
         assert place.value([word]).value == pytest.approx(word * scale)
-    assert len(place._remembered) <= most
+    assert len(place._cache) <= most
 
 
 @given(
@@ -329,7 +333,7 @@ def test_memory_is_bounded(scale: float, most: int) -> None:
     st.lists(st.lists(st.integers(-1, 3) | WORDS, min_size=4, max_size=4), max_size=12),
     st.sampled_from([0.1, 1.0]),
 )
-def test_what_was_said_before_changes_nothing(
+def test_earlier_values_do_not_change_a_value(
     type_: PointType, readings: list[list[int]], scale: float
 ) -> None:
     size = type_.words or 4
@@ -345,7 +349,7 @@ def test_what_was_said_before_changes_nothing(
     st.sampled_from([0.0, -40.0, 0.5, 1e-3]),
     WORDS,
 )
-def test_the_short_way_for_plain_numbers_says_the_same(
+def test_the_fast_path_for_plain_numbers_gives_the_same(
     type_: PointType, scale: float, offset: float, word: int
 ) -> None:
     plain = _point(type_, scale=scale, offset=offset, unit="V")
@@ -357,12 +361,12 @@ def test_the_short_way_for_plain_numbers_says_the_same(
 
 
 @given(st.lists(WORDS, max_size=5), st.integers(0, 3), st.integers(0, 3))
-def test_each_place_among_others_says_its_own_value_if_it_is_all_there(
+def test_each_complete_point_of_a_range_has_its_own_value(
     words: list[int], first: int, second: int
 ) -> None:
     long = PointInstance(_point(PointType.UINT32), 0, "R0")
     short = PointInstance(_point(PointType.INT16), 0, "R1")
-    said = values_of([(first, long), (second, short)], words)
+    said = point_values([(first, long), (second, short)], words)
     assert said == [
         *([long.value(words[first : first + 2])] if first + 2 <= len(words) else []),
         *([short.value([words[second]])] if second < len(words) else []),

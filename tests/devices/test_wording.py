@@ -4,7 +4,7 @@ import pytest
 
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import load_profile
-from mbtool.devices.named import PointValue
+from mbtool.devices.named_transaction import PointValue
 from mbtool.devices.naming import Namer
 from mbtool.devices.wording import describe, describe_points
 from tests.devices.transactions import transaction
@@ -52,26 +52,26 @@ def _bit(reference: str, value: int) -> PointValue:
         ),
     ],
 )  # fmt: skip
-def test_series_of_points_are_said_together(points: list[PointValue], phrases: list[str]) -> None:
+def test_points_of_a_series_share_a_phrase(points: list[PointValue], phrases: list[str]) -> None:
     assert describe_points(points) == phrases
 
 
-def test_bits_without_a_name_are_said_behind_those_that_have_one() -> None:
+def test_bits_without_a_name_come_last() -> None:
     device = Assignments([Assignment(Who(), load_profile("fa3-at1m8x"))])
     values = [0] * 9 + [1] + [0] * 6
     read = Namer(device).name(transaction(1, 0, quantity=16, response_values=values))
     assert describe(read) == "Y0..YF Initial data setting request flag: on; others off"
 
 
-def test_reference_stands_alone_where_the_manual_names_no_more() -> None:
+def test_without_names_there_is_only_the_reference() -> None:
     assert describe(Namer().name(transaction(3, 0, quantity=2))) == "holding 0..1"
 
 
-def test_nothing_is_said_where_nothing_is_addressed() -> None:
+def test_a_function_without_addresses_has_no_description() -> None:
     assert describe(Namer().name(transaction(7))) == ""
 
 
-def test_name_that_begins_with_its_reference_is_said_once() -> None:
+def test_a_reference_at_the_beginning_of_a_name_is_not_repeated() -> None:
     device = Assignments([Assignment(Who(), load_profile("idec-ft1a-smartaxis"))])
     one = Namer(device).name(transaction(4, 5, quantity=1, response_values=[100]))
     several = Namer(device).name(transaction(4, 5, quantity=2, response_values=[100, 7]))

@@ -96,18 +96,18 @@ WRONG = [
     ("address = 3", "address = 3\nwordorder = 'low-first'",
      "points \"Speed\".wordorder: unknown key; did you mean 'word_order'?"),
     ("[[points]]", "[[point]]", "point: unknown key; did you mean 'points'?"),
-    ('title = "A pump"\n', "", "title: this key is missing: what it is, for readers"),
-    ("last = 9\n", "", 'areas "data".last: this key is missing: its last address, included'),
+    ('title = "A pump"\n', "", "title: this key is missing: the device's full name, for readers"),
+    ("last = 9\n", "",
+     'areas "data".last: this key is missing: last address on the wire, inclusive'),
     ('access = "rw"\n', "",
-     'areas "data".access: this key is missing: what a master may do with it: r, w or rw'),
+     'areas "data".access: this key is missing: what a master may do: read r, write w, both rw'),
     ("[functions]\n03 = { limit = 16 }\n", "",
-     "functions: this key is missing: the functions that it has, by their code in two hexadecimal"
-     " digits"),
+     "functions: this key is missing: its functions, by code in two hexadecimal digits"),
     ('name = "Speed"\n', "",
-     "points[0].name: this key is missing: its name; {n} stands for the number, {reference} for "
-     "the reference, of one of several"),
+     "points[0].name: this key is missing: the name; in a series, {n} is the number and "
+     "{reference} the reference"),
     ("limit = 16", "answer = { texts = {} }",
-     "functions.03.answer.name: this key is missing: what the word is called"),
+     "functions.03.answer.name: this key is missing: the name of the word"),
     ("address = 3", "address = 3\ntexts = { 1 = 'on', 0x1 = 'off' }",
      'points "Speed".texts.0x1: 1 has its text already'),
     ("03 =", "0a = {}\n0A =", "functions.0A: the function has its key already"),
@@ -321,7 +321,7 @@ def _told(text: str | bytes, folder: Path, monkeypatch: pytest.MonkeyPatch) -> s
     return str(caught.value)
 
 
-def test_the_profile_that_is_made_wrong_is_right(tmp_path: Path) -> None:
+def test_the_profile_that_these_tests_change_is_valid(tmp_path: Path) -> None:
     (tmp_path / "pump.toml").write_text(PUMP, encoding="utf-8")
     assert load_profile(str(tmp_path / "pump.toml")).name == "pump"
 
@@ -334,7 +334,7 @@ def test_wrong_profile_is_told_in_one_line(
     assert _told(PUMP.replace(old, new), tmp_path, monkeypatch) == f"pump.toml: {told}"
 
 
-def test_no_two_mistakes_are_told_alike() -> None:
+def test_each_mistake_has_its_own_message() -> None:
     told = [message for _, _, message in WRONG]
     assert len(set(told)) == len(told) > 40
     assert not any("\n" in message or "Error" in message for message in told)
@@ -343,7 +343,7 @@ def test_no_two_mistakes_are_told_alike() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("", "name: this key is missing: what --device and the log call it: letters, digits, "
+        ("", "name: this key is missing: the name for --device and the log: letters, digits, "
          "'-', '_' and '.'"),
         (b"name = \xff", "byte 7: not UTF-8, so not TOML; save it as UTF-8"),
         (PUMP.encode("utf-16"), "byte 0: not UTF-8, so not TOML; save it as UTF-8"),

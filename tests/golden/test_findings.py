@@ -20,8 +20,8 @@ from mbtool.devices.assignment import Assignment, Who
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import RULES, DeviceCode, Rule, rule_of
-from mbtool.devices.findings import finding_prefix
 from mbtool.devices.naming import Namer
+from mbtool.devices.profile_checks import finding_prefix
 from mbtool.modbus import Adu, Transaction
 from mbtool.workflows.check import Checking
 from mbtool.workflows.shared.reading import ReadingOptions

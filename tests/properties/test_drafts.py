@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import MbtoolError, WireEvent
 from mbtool.devices import Assignment, Assignments, Namer, Who, builtin_profiles, load_profile
 from mbtool.devices.drafting.draft import draft_profile
-from mbtool.devices.matching import match
+from mbtool.devices.profile_match import match_profiles
 from mbtool.modbus import Outcome
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -70,7 +70,7 @@ def test_every_slave_can_be_matched_and_scores_are_in_order(captures: list[Path]
         survey = ObservedSlaves()
         survey.add(records(path))
         for seen in survey.slaves[:MAX_SLAVES]:
-            verdict = match(seen, profiles)
+            verdict = match_profiles(seen, profiles)
             assert len(verdict.matches) == len(profiles)
             assert all(0 <= one.score <= 100 for one in verdict.matches), path
             assert verdict.sentence

@@ -116,7 +116,7 @@ def written(document: Document, *findings: Finding, place: str = "plant.pcap") -
     return json.loads(text + document.end(42))
 
 
-def test_json_is_one_object_with_all_that_a_finding_says() -> None:
+def test_json_is_one_object_with_all_fields_of_the_findings() -> None:
     document = written(JsonDocument("1.2"), FULL, BARE, BARE)
     assert (document["version"], document["transactions"]) == ("1.2", 42)
     full, bare, _ = document["findings"]
@@ -192,18 +192,18 @@ def test_a_rule_of_another_edition_has_its_code_only() -> None:
 
 
 @pytest.mark.parametrize("document", [JsonDocument, SarifDocument])
-def test_a_document_without_findings_is_whole(document: type[Document]) -> None:
+def test_a_document_without_findings_is_complete(document: type[Document]) -> None:
     empty = written(document("1"))  # type: ignore[call-arg]
     assert empty.get("findings", empty.get("runs", [{}])[0].get("results")) == []
 
 
-def test_names_that_no_uri_and_no_text_can_have_are_written_all_the_same() -> None:
+def test_file_names_with_undecodable_bytes_are_written() -> None:
     for place in ("a b/#1.pcap", "C:\\x.pcap", "bad\udce9.pcap", "-"):
         jsonschema.validate(written(SarifDocument("1"), BARE, place=place), SARIF)
         written(JsonDocument("1"), BARE, place=place)
 
 
-def test_a_time_that_no_calendar_has_is_left_out() -> None:
+def test_a_time_beyond_the_calendar_is_left_out() -> None:
     odd = Finding(code="MB-401", message="x", ts_ns=10**30, link="x")
     (finding,) = written(JsonDocument("1"), odd)["findings"]
     assert "time" not in finding

@@ -42,7 +42,7 @@ def test_each_code_is_shown_once_with_its_number_and_its_first_finding() -> None
     )
 
 
-def test_the_gravest_comes_first() -> None:
+def test_errors_come_first() -> None:
     text = shown(finding("MB-404"), finding("RTU-201"), finding("MB-402"), finding("FT1A-F1"))
     codes = [line.split()[0] for line in text.splitlines()[::2]]
     assert codes == ["FT1A-F1", "MB-402", "RTU-201", "MB-404"]
@@ -56,7 +56,7 @@ def test_a_hundred_thousand_findings_are_one_entry() -> None:
     assert [summary.number for summary in summaries] == [100_000]
 
 
-def test_nothing_found_is_nothing_shown() -> None:
+def test_without_findings_nothing_is_shown() -> None:
     assert not Summaries()
     assert shown() == ""
 

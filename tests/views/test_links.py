@@ -75,7 +75,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 80, 100])
-def test_what_is_to_be_copied_is_whole_on_any_terminal(width: int) -> None:
+def test_links_and_commands_are_never_broken(width: int) -> None:
     wordy = Trouble("a long story of what is wrong " * 5, "sudo " + "very " * 30 + "long")
     lines = ports(ADAPTER, LocalSerialPort(device="/dev/ttyS1", troubles=(wordy,)), width=width)
     copied = [f"rtu:{STABLE}@19200-8E1", f"    {TEE}", f"    {wordy.remedy}"]
@@ -113,6 +113,6 @@ def test_what_all_interfaces_lack_is_said_once_and_what_one_lacks_with_its_name(
     assert all(line.split()[-1] == "no" for line in lines[1:3])
 
 
-def test_an_adapters_words_are_neither_markup_nor_orders_to_the_terminal() -> None:
+def test_markup_and_control_characters_from_adapters_have_no_effect() -> None:
     adapter = LocalSerialPort(device="/dev/ttyUSB0", description="[red]a\x1b[2Jb[/red]")
     assert "[red]a?[2Jb[/red]" in ports(adapter)[1]

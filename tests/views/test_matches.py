@@ -7,10 +7,10 @@ import io
 from rich.console import Console
 
 from mbtool.devices import load_profile
-from mbtool.devices.matching import MatchResult, match
 from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.profile_match import MatchResult, match_profiles
 from mbtool.modbus.transaction import Outcome, Transaction
-from mbtool.views.matches import SHOWN, print_verdicts, shown_matches, verdict_record
+from mbtool.views.matches import MIN_SHOWN, match_record, print_match_results, shown_matches
 from tests.devices.transactions import transaction
 
 NAMES = ("fa3-at1m8x", "fa3-at1m8y", "fa3-th1m16y", "idec-ft1a-touch")
@@ -20,12 +20,12 @@ def verdict(*transactions: Transaction, link: str = "rs485") -> MatchResult:
     seen = ObservedSlave(link, None, 5)
     for one in transactions:
         seen.note(one)
-    return match(seen, [load_profile(name) for name in NAMES])
+    return match_profiles(seen, [load_profile(name) for name in NAMES])
 
 
 def printed(*verdicts: MatchResult) -> str:
     out = io.StringIO()
-    print_verdicts(Console(file=out, width=100), verdicts)
+    print_match_results(Console(file=out, width=100), verdicts)
     return out.getvalue()
 
 
@@ -50,7 +50,7 @@ def test_a_slave_that_never_answered_has_its_sentence_only() -> None:
 
 
 def test_only_the_best_are_shown() -> None:
-    assert len(shown_matches(verdict(READ))) == SHOWN
+    assert len(shown_matches(verdict(READ))) == MIN_SHOWN
 
 
 def test_nothing_of_a_name_is_obeyed() -> None:
@@ -59,7 +59,7 @@ def test_nothing_of_a_name_is_obeyed() -> None:
 
 
 def test_a_program_gets_all_of_it() -> None:
-    record = verdict_record(verdict(READ))
+    record = match_record(verdict(READ))
     assert record["unit"] == 5
     assert record["link"] == "rs485"
     assert "destination" not in record

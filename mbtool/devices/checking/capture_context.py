@@ -1,4 +1,4 @@
-"""What the rules ask of what is around a record: the devices' profiles, and the lines' settings."""
+"""What the rules need to know about a capture: device profiles, line settings, ports."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """What is known of a capture beside its records."""
+    """The options of the user and the settings of the lines that the rules need."""
 
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line
-    """The settings of a serial link; None where the times of its bytes are not known."""
+    """The settings of a serial link; None if the times of its bytes are unknown."""
     ports: frozenset[int] | None = None
-    """The TCP ports at which Modbus is expected; None for all."""
+    """TCP ports that should carry Modbus; None for all ports."""

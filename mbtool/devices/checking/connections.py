@@ -1,19 +1,19 @@
-"""Connections of Modbus/TCP: transaction ids, and what in them is not Modbus."""
+"""The rules for Modbus/TCP connections: transaction ids, and bytes that are not Modbus."""
 
-# TCP-101  two requests are open at once with one id: each was sent before the other was answered
-# TCP-102  an answer has another id than its request
-# TCP-103  a message with another protocol id (an FA3 module does not answer one: FA3-X1 instead)
-# TCP-201  a connection to a Modbus port is another protocol's
-# TCP-202  bytes that are no ADU
-# TCP-203  a retransmission that differs from the first copy
-# RTU-201  a wrong CRC, where RTU goes over TCP
+# TCP-101  two requests with one transaction id are pending at the same time
+# TCP-102  the transaction id of a response differs from its request's
+# TCP-103  a message has another protocol id than 0 (at an FA3 module: FA3-X1 instead)
+# TCP-201  a connection to a Modbus port carries another protocol
+# TCP-202  bytes are no ADU
+# TCP-203  a retransmission differs from the first copy
+# RTU-201  RTU over TCP: a wrong CRC
 #
-# A capture may begin and end inside an ADU, and lack bytes in between: bytes before the first ADU
-# of a connection that was open before, bytes around those that are missing, and bytes within
-# EDGE_NS of the capture's end are no finding.
+# A capture may begin and end inside an ADU, and bytes may be missing in between. So bytes are no
+# finding if they come before the first ADU of a connection that was open before the capture, beside
+# missing bytes, or within EDGE_NS of the end of the capture.
 #
-# Holds for each connection the ids and times of the last MAX_RECENT transactions (kept.py), and at
-# most MAX_WAITING events whose place in the capture is not known yet.
+# Memory: ids and times of the last MAX_RECENT transactions of each connection (lru_dict.py), and
+# at most MAX_PENDING events that may still turn out to be beside missing bytes or at the end.
 
 from __future__ import annotations
 
@@ -22,115 +22,116 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
+from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.transactions import asked_for
+from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.adu import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_RECENT = 32
-MAX_WAITING = 256
+MAX_PENDING = 256
 EDGE_NS = 1_000_000_000
 
-_MBAP = 6
-"""Bytes of a header up to its length."""
+_LENGTH_END = 6
+"""Bytes of an MBAP header up to and including its length field."""
 
 
 @dataclass(slots=True)
 class _Connection:
     recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """Transaction id, and when it was asked and answered."""
+    """Transaction id, time of the request, time of the response."""
     is_cut: bool = False
-    """Bytes are missing in the capture, and no request with its answer came since then."""
+    """True if bytes are missing in the capture since the last request with a response."""
 
 
 class ConnectionRules:
-    """Records of a network in; findings out."""
+    """Checks records of a network."""
 
     def __init__(self, ports: frozenset[int] | None) -> None:
-        """`ports` are those at which Modbus is expected; None for all."""
+        """`ports` should carry Modbus; None for all ports."""
         self._ports = ports
         self._connections: LruDict[tuple[str, str | None], _Connection] = LruDict(_Connection)
-        self._waiting: deque[WireEvent] = deque()
+        self._pending: deque[WireEvent] = deque()
+        """Events with bytes that are no ADU."""
         self._last_ns = 0
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Take the next transaction."""
-        yield from self._pass(transaction.response_ns or transaction.start_ns)
+        """Check the next transaction."""
+        yield from self._advance(transaction.response_ns or transaction.start_ns)
         connection = self._connections[transaction.link, transaction.source]
         if transaction.request_raw is not None and transaction.response_raw is not None:
             connection.is_cut = False
         if Verdict.OTHER_TRANSACTION_ID in transaction.verdicts:
-            yield found("TCP-102", transaction, _other_id_text(transaction))
-        asked_ns, answered_ns = transaction.request_ns, transaction.response_ns
-        number = transaction.transaction_id
-        if number is None or asked_ns is None or answered_ns is None:
+            yield transaction_finding("TCP-102", transaction, _other_id_text(transaction))
+        request_ns, response_ns = transaction.request_ns, transaction.response_ns
+        id_ = transaction.transaction_id
+        if id_ is None or request_ns is None or response_ns is None:
             return
         if any(
-            number == other and began_ns < answered_ns and asked_ns < ended_ns
-            for other, began_ns, ended_ns in connection.recent
+            id_ == other_id and other_request_ns < response_ns and request_ns < other_response_ns
+            for other_id, other_request_ns, other_response_ns in connection.recent
         ):
-            yield found(
+            yield transaction_finding(
                 "TCP-101",
                 transaction,
-                f"{asked_for(transaction)}: transaction id {number:04X}H is also another open "
+                f"{request_text(transaction)}: transaction id {id_:04X}H is also another open "
                 "request's",
             )
-        connection.recent.append((number, asked_ns, answered_ns))
+        connection.recent.append((id_, request_ns, response_ns))
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Take the next event of a network."""
-        yield from self._pass(event.ts_ns)
+        """Check the next event of a network."""
+        yield from self._advance(event.ts_ns)
         match event.kind:
             case EventKind.FOREIGN:
                 if is_foreign_message(event.raw):
-                    yield found_in("TCP-103", event, foreign_text(event))
+                    yield event_finding("TCP-103", event, foreign_text(event))
                 elif self._is_expected(event.destination):
-                    yield found_in("TCP-201", event)
+                    yield event_finding("TCP-201", event)
             case EventKind.OVERLAP:
-                yield found_in("TCP-203", event)
+                yield event_finding("TCP-203", event)
             case EventKind.BAD_CHECK:
-                yield found_in("RTU-201", event)
+                yield event_finding("RTU-201", event)
             case EventKind.OPENED if not is_joined(event):
                 self._connections.pop((event.link, event.source))
                 self._connections[event.link, event.source].is_cut = False
             case EventKind.GAP | EventKind.CUT | EventKind.DISCARDED:
                 self._note_loss(event)
-            case EventKind.SKIPPED if self._is_in_step(event):
-                self._waiting.append(event)
-                if len(self._waiting) > MAX_WAITING:
-                    yield found_in("TCP-202", self._waiting.popleft())
+            case EventKind.SKIPPED if self._is_complete(event):
+                self._pending.append(event)
+                if len(self._pending) > MAX_PENDING:
+                    yield event_finding("TCP-202", self._pending.popleft())
 
     def close(self) -> Iterator[Finding]:
-        """The capture ends; what waits came right before that."""
-        yield from self._pass(self._last_ns)
-        self._waiting.clear()
+        """Drop the pending events: they are within EDGE_NS of the end of the capture."""
+        yield from self._advance(self._last_ns)
+        self._pending.clear()
 
-    def _pass(self, now_ns: int) -> Iterator[Finding]:
+    def _advance(self, now_ns: int) -> Iterator[Finding]:
         self._last_ns = max(self._last_ns, now_ns)
-        while self._waiting and self._last_ns - self._waiting[0].ts_ns > EDGE_NS:
-            yield found_in("TCP-202", self._waiting.popleft())
+        while self._pending and self._last_ns - self._pending[0].ts_ns > EDGE_NS:
+            yield event_finding("TCP-202", self._pending.popleft())
 
-    def _is_in_step(self, event: WireEvent) -> bool:
-        """Whether an ADU was to be expected where bytes are none."""
+    def _is_complete(self, event: WireEvent) -> bool:
+        """True if a connection is known and no bytes are missing, so that an ADU should follow."""
         return any(
             key in self._connections and not self._connections[key].is_cut for key in _keys(event)
         )
 
     def _note_loss(self, event: WireEvent) -> None:
-        """Bytes are missing; what was told right before is the ADU that they belong to."""
+        """Note missing bytes. Unreadable bytes right before belong to the same, incomplete ADU."""
         for key in _keys(event):
             if key in self._connections:
                 self._connections[key].is_cut = True
         ends = {event.source, event.destination}
-        cut = [one for one in self._waiting if one.ts_ns >= event.ts_ns - EDGE_NS]
-        for one in cut:
+        recent = [one for one in self._pending if one.ts_ns >= event.ts_ns - EDGE_NS]
+        for one in recent:
             if one.link == event.link and {one.source, one.destination} == ends:
-                self._waiting.remove(one)
+                self._pending.remove(one)
 
     def _is_expected(self, destination: str) -> bool:
         port = destination.rpartition(":")[2]
@@ -138,24 +139,24 @@ class ConnectionRules:
 
 
 def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
-    """The connection of an event, whose source may be either end."""
+    """Both keys that a connection may have: the source of an event can be either end."""
     return (event.link, event.source), (event.link, event.destination)
 
 
 def is_foreign_message(raw: bytes) -> bool:
-    """Whether bytes are one message that looks like Modbus/TCP, but for its protocol id."""
-    if len(raw) < _MBAP + 2 or raw[2:4] == b"\x00\x00":
+    """True if bytes look like one Modbus/TCP message, except that its protocol id is not 0."""
+    if len(raw) < _LENGTH_END + 2 or raw[2:4] == b"\x00\x00":
         return False
-    return len(raw) == _MBAP + int.from_bytes(raw[4:6])
+    return len(raw) == _LENGTH_END + int.from_bytes(raw[4:6])
 
 
 def foreign_text(event: WireEvent) -> str:
-    """What protocol id a foreign message has."""
+    """A message with another protocol id, in words."""
     return f"protocol id {event.raw[2:4].hex().upper()}H in a message of {len(event.raw)} bytes"
 
 
 def _other_id_text(transaction: NamedTransaction) -> str:
-    number = transaction.transaction_id
+    id_ = transaction.transaction_id
     raw = transaction.response_raw or b""
-    asked = "" if number is None else f" to a request with id {number:04X}H"
-    return f"{asked_for(transaction)}: answer with id {raw[:2].hex().upper()}H{asked}"
+    request = "" if id_ is None else f" to a request with id {id_:04X}H"
+    return f"{request_text(transaction)}: answer with id {raw[:2].hex().upper()}H{request}"

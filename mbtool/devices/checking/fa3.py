@@ -1,18 +1,19 @@
-"""What only the Mitsubishi FA3 modules do: connections, remote reset, initial data setting."""
+"""The rules for Mitsubishi FA3 modules: connections, remote reset, initial data setting."""
 
 # Manual of the FA3 network interface modules, chapter 10:
 #
-#     10.2  two connections; a third drops the one that was silent longest       FA3-X2
-#     10.4  no answer where the protocol id is not 0                             FA3-X1
-#           41H, remote reset: no answer, the connection drops                   FA3-X3
-#           and none is taken for 2 s after that                                 FA3-X4
-#     10.5  settings take effect by Y9 on, wait for X9 on, Y9 off                FA3-X5
+#     10.2  two connections; a third one closes the one that was silent longest  FA3-X2
+#     10.4  no response if the protocol id is not 0                              FA3-X1
+#           41H, remote reset: no response, the module closes the connection     FA3-X3
+#           and accepts no connection for the next 2 s                           FA3-X4
+#     10.5  to apply settings: set Y9, wait until X9 is 1, clear Y9              FA3-X5
 #
-# The names of the two flags are those of the profiles. On the digital modules Y9 is an output, and
+# The names of the two flags are those in the profiles. On the digital modules, Y9 is an output, and
 # there is no such handshake.
 #
-# Holds for each module the connections it would hold, and the last MAX_RECENT attempts to speak to
-# it, since a reset that nobody answers may be known only later (kept.py).
+# Memory: for each module, its connections and the last MAX_RECENT requests and connection attempts
+# (see lru_dict.py). They are kept because the transaction of a reset, which has no response, can be
+# decoded after later ones.
 
 from __future__ import annotations
 
@@ -22,11 +23,11 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.connections import foreign_text, is_foreign_message
-from mbtool.devices.checking.finding import Finding, found, found_in, is_joined
+from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.findings import has_other_data
+from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.model import BehaviourName
+from mbtool.devices.profile_checks import has_other_data
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -35,11 +36,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.model import Profile
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
-DEAF_NS = 2_000_000_000
+RESET_NS = 2_000_000_000
+"""How long a module accepts no connection after a remote reset."""
 
 _REMOTE_RESET = 0x41
 _REQUEST_FLAG = "Initial data setting request flag"
@@ -49,58 +51,62 @@ _COMPLETION_FLAG = "Initial data setting completion flag"
 @dataclass(slots=True)
 class _Module:
     connections: dict[str, int] = field(default_factory=dict)
-    """The masters' ends of open connections, by when they last spoke: MAX_CONNECTIONS of them."""
+    """The master's end of each open connection, with the time of its last request; at most
+    MAX_CONNECTIONS."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """Attempts to speak to it, each as the finding that it is in the time after a reset."""
+    """Requests and connection attempts: time, and the finding to give if that is after a reset."""
     reset_by: str | None = None
-    deaf_from_ns: int | None = None
-    told: set[str | None] = field(default_factory=set)
-    """The masters' ends that spoke too soon after the last reset: a finding each."""
+    """The master's end that asked for a reset, until its connection closes."""
+    reset_ns: int | None = None
+    reported: set[str | None] = field(default_factory=set)
+    """The masters' ends with a finding after the last reset; each gets one."""
     is_requested: bool = False
-    """Y9 was seen to be set, and not to be cleared."""
+    """True from the write that sets Y9 to the write that clears it."""
     is_completed: bool = False
-    """X9 was seen to be 1 since then."""
+    """True if X9 was read as 1 since Y9 was set."""
 
 
 class Fa3Rules:
-    """Records about modules with this behaviour in; findings out."""
+    """Finds FA3-X1 to FA3-X5 in the records of FA3 modules."""
 
     def __init__(self) -> None:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
-        """Take the next transaction of a module."""
+        """Check the next transaction of a module."""
         module = self._modules[transaction.destination or transaction.link]
         source, at_ns = transaction.source or "", transaction.start_ns
         if source in module.connections:
             module.connections[source] = max(at_ns, module.connections[source])
         if _is_reset(transaction, profile) and transaction.outcome is Outcome.NO_ANSWER:
-            yield found("FA3-X3", transaction, "a remote reset is asked for")
+            yield transaction_finding("FA3-X3", transaction, "a remote reset is asked for")
             yield from self._reset(module, source, at_ns)
         elif transaction.request_ns is not None and source != module.reset_by:
-            text = f"{asked_for(transaction)} {{after}} after the remote reset"
-            yield from self._attempt(module, at_ns, found("FA3-X4", transaction, text))
-        yield from _handshake(module, transaction, profile)
+            text = f"{request_text(transaction)} {{after}} after the remote reset"
+            yield from self._attempt(
+                module, at_ns, transaction_finding("FA3-X4", transaction, text)
+            )
+        yield from _handshake(module, transaction)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Take the next event of a module."""
+        """Check the next event of a module."""
         module = self._modules[event.destination or event.link]
         match event.kind:
             case EventKind.FOREIGN if is_foreign_message(event.raw):
-                yield found_in("FA3-X1", event, foreign_text(event))
+                yield event_finding("FA3-X1", event, foreign_text(event))
             case EventKind.OPENED:
                 yield from self._opened(module, event)
             case EventKind.CLOSED:
                 module.connections.pop(event.source, None)
                 if event.source == module.reset_by:
-                    module.deaf_from_ns, module.reset_by = event.ts_ns, None
+                    module.reset_ns, module.reset_by = event.ts_ns, None
 
     def _opened(self, module: _Module, event: WireEvent) -> Iterator[Finding]:
         module.connections[event.source] = event.ts_ns
         if len(module.connections) > MAX_CONNECTIONS:
             silent = min(module.connections, key=lambda source: module.connections[source])
             others = [source for source in module.connections if source != event.source]
-            yield found_in(
+            yield event_finding(
                 "FA3-X2",
                 event,
                 f"{event.source} connects beside {' and '.join(others)}; the module drops {silent}",
@@ -108,11 +114,11 @@ class Fa3Rules:
             del module.connections[silent]
         if not is_joined(event):
             text = f"{event.source} connects {{after}} after the remote reset"
-            yield from self._attempt(module, event.ts_ns, found_in("FA3-X4", event, text))
+            yield from self._attempt(module, event.ts_ns, event_finding("FA3-X4", event, text))
 
     def _reset(self, module: _Module, source: str, at_ns: int) -> Iterator[Finding]:
-        module.reset_by, module.deaf_from_ns = source, at_ns
-        module.told.clear()
+        module.reset_by, module.reset_ns = source, at_ns
+        module.reported.clear()
         module.is_requested = False
         earlier, module.recent = module.recent, deque(maxlen=MAX_RECENT)
         for attempt_ns, finding in earlier:
@@ -120,18 +126,18 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Someone speaks to a module: a finding if it was reset less than 2 s ago."""
-        since_ns = module.deaf_from_ns
-        if since_ns is not None and since_ns < at_ns < since_ns + DEAF_NS:
-            if finding.source not in module.told and len(module.told) < MAX_RECENT:
-                module.told.add(finding.source)
+        """Give the finding if the module was reset less than RESET_NS before; else remember it."""
+        since_ns = module.reset_ns
+        if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:
+            if finding.source not in module.reported and len(module.reported) < MAX_RECENT:
+                module.reported.add(finding.source)
                 yield _with_time(finding, at_ns - since_ns)
         else:
             module.recent.append((at_ns, finding))
 
 
 def _is_reset(transaction: NamedTransaction, profile: Profile) -> bool:
-    """With other data than the manual's it is an error of its own, and resets nothing."""
+    """True for a remote reset with the data in the manual; with other data, nothing is reset."""
     rule = profile.rule(_REMOTE_RESET)
     if transaction.function != _REMOTE_RESET:
         return False
@@ -143,9 +149,8 @@ def _with_time(finding: Finding, after_ns: int) -> Finding:
     return replace(finding, message=finding.message.replace("{after}", f"{after_ns / 1e9:.1f} s"))
 
 
-def _handshake(
-    module: _Module, transaction: NamedTransaction, profile: Profile
-) -> Iterator[Finding]:
+def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Finding]:
+    """Follow the initial data setting: FA3-X5 if Y9 is cleared before X9 was read as 1."""
     if transaction.outcome is not Outcome.OK:
         return
     known = FUNCTIONS.get(transaction.function)
@@ -160,10 +165,12 @@ def _handshake(
             module.is_requested, module.is_completed = True, False
     elif requested == 0:
         if module.is_requested and not module.is_completed:
-            yield found("FA3-X5", transaction, "Y9 is cleared before X9 was seen to be on")
+            yield transaction_finding(
+                "FA3-X5", transaction, "Y9 is cleared before X9 was seen to be on"
+            )
         module.is_requested = False
 
 
 def is_fa3(profile: Profile) -> bool:
-    """Whether a profile is of this family, or of a user's that builds on it."""
+    """True if a profile belongs to the family, or extends one that does."""
     return profile.behaviour is BehaviourName.FA3

@@ -1,4 +1,4 @@
-"""A broken rule: what was found, where and when."""
+"""A finding: which rule is broken, where and when."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from mbtool.devices.checking.rules import Severity, severity_of
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One breaking of a rule, or what many of one kind come to."""
+    """One case of a broken rule, or a summary of many cases of one kind."""
 
     code: str
     message: str
-    """What happened, with its figures; one line, without the code."""
+    """What happened, with figures, in one line. Does not contain the code."""
     ts_ns: int
-    """When it was first to be seen."""
+    """The time of the (first) case."""
     link: str
     source: str | None = None
     destination: str | None = None
     unit: int | None = None
     function: int | None = None
     reference: str | None = None
-    """What was addressed, in the vendor's notation."""
+    """The addresses, in the vendor's notation."""
     device: str | None = None
     """The profile's name."""
     count: int = 1
-    """How often it happened, where one finding tells of many."""
+    """The number of cases."""
 
     @property
     def severity(self) -> Severity:
         return severity_of(self.code)
 
 
-def found(
+def transaction_finding(
     code: str, transaction: NamedTransaction, message: str, *, ts_ns: int | None = None
 ) -> Finding:
     """A finding about a transaction."""
@@ -57,8 +57,8 @@ def found(
     )
 
 
-def found_in(code: str, event: WireEvent, message: str | None = None) -> Finding:
-    """A finding about a wire event, in its own words where no others are given."""
+def event_finding(code: str, event: WireEvent, message: str | None = None) -> Finding:
+    """A finding about a wire event. Without a message, it has the event's."""
     return Finding(
         code=code,
         message=event.message if message is None else message,
@@ -70,5 +70,5 @@ def found_in(code: str, event: WireEvent, message: str | None = None) -> Finding
 
 
 def is_joined(event: WireEvent) -> bool:
-    """Whether a connection that is seen for the first time was open before."""
+    """True if a connection was already open when the capture began."""
     return event.message == CONNECTION_JOINED

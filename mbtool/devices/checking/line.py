@@ -1,24 +1,25 @@
-"""A serial line: its silences, damage on it, its pace, and broadcasts."""
+"""The rules for serial lines: silences, damage, the master's pace, and broadcasts."""
 
-# MB-301, MB-302    broadcasts: no slave answers, and none can read by one
-# RTU-101..103      silences, one finding of each kind for a unit, with how many there are
-# RTU-104           one finding for a line, in place of those
-# RTU-201..203      damage, one finding each
-# RTU-301, RTU-302  the master's pace, one finding for a unit or a line, with figures
+# MB-301, MB-302    broadcasts: a slave responds to one; the master reads with one
+# RTU-101..103      silences: one finding for each unit and kind, with a count
+# RTU-104           in place of these and of RTU-301 and RTU-302: one finding for a line
+# RTU-201..203      damage: one finding for each case
+# RTU-301, RTU-302  the master's pace: one finding for each unit or line, with figures
 #
-# The times of a capture can be those of an adapter, which collects bytes and delivers them in
-# blocks: frames without a silence between them, or silences inside them, in many transactions of
-# a line. What seems to be the line is then its adapter, so RTU-104 says so once, in place of all
-# that goes by silences. Below ENOUGH transactions it cannot be told.
+# A serial adapter may collect bytes and deliver them in blocks. Then many transactions of a line
+# seem to have no silence between frames, or silences inside them, and the times say nothing about
+# the line. RTU-104 reports that once in place of all findings about silences. It takes at least
+# MIN_TRANSACTIONS transactions.
 #
-# A computer that is busy reads late now and then, which looks the same: on healthy lines up to 16 %
-# of the transactions were measured to have such a silence. What is the line's is in many of one
-# unit's, so it takes SEVERAL, and SHARE of that unit's transactions; fewer are a remark.
+# A busy computer sometimes reads late, which looks the same: on healthy lines, up to 16 % of the
+# transactions had such a silence (measured). A fault of the line affects many transactions of one
+# unit. So a finding takes MIN_SILENCES transactions with a silence, and MIN_SILENCES_SHARE of the
+# unit's transactions; fewer are only a remark.
 #
-# A capture may begin and end inside a frame: bytes before the first frame of a line, and after its
-# last one, are no finding.
+# A capture may begin and end inside a frame, so bytes before the first frame of a line and after
+# its last one are no finding.
 #
-# Holds some numbers for each line and each of its units (kept.py).
+# Memory: some numbers for each line and each of its units (see lru_dict.py).
 
 from __future__ import annotations
 
@@ -28,10 +29,10 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, Silence, WireEvent
 from mbtool.core.wording import counted, milliseconds
-from mbtool.devices.checking.finding import Finding, found, found_in
+from mbtool.devices.checking.finding import Finding, event_finding, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.checking.transactions import request_text
+from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS, WRITE_ONE
 from mbtool.modbus.pdu import whole_pdu
@@ -44,15 +45,15 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 TURNAROUND_NS = 100_000_000
-"""The least of what the standard calls usual, 100 to 200 ms."""
-ANSWERS_WITHIN_NS = 1_000_000_000
-"""How soon after a broadcast an answer is one to it."""
-ENOUGH = 8
-BLOCKS = 0.25
-"""From this share of transactions on, silences are the adapter's."""
-SEVERAL = 3
-SHARE = 0.2
-"""From this share of a unit's transactions on, silences are the line's, and no late reads."""
+"""The lower end of the turnaround delay that the standard calls usual: 100 to 200 ms."""
+RESPONSE_TO_BROADCAST_NS = 1_000_000_000
+"""A response this soon after a broadcast is a response to the broadcast."""
+MIN_TRANSACTIONS = 8
+ADAPTER_SHARE = 0.25
+"""If this share of a line's transactions is glued or split, the adapter delivers in blocks."""
+MIN_SILENCES = 3
+MIN_SILENCES_SHARE = 0.2
+"""Share of a unit's transactions; above the 16 % that late reads were measured to cause."""
 
 _SILENCES = {
     Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),
@@ -64,100 +65,102 @@ _DIAGNOSTICS = 0x08
 
 
 @dataclass(slots=True)
-class _Occurrences:
-    """How often something happened, and the first time."""
+class _Cases:
+    """The first and the number of cases of one kind."""
 
     first: NamedTransaction
     number: int = 0
     least_ns: int = 0
-    wanted: str = ""
-    """How long a silence there should be."""
+    """The shortest silence before a request."""
+    required: str = ""
+    """The silence that should have been."""
 
 
 @dataclass(slots=True)
 class _Line:
-    """What is known of a line."""
-
     transactions: int = 0
     in_blocks: int = 0
+    """Transactions that are glued or split."""
     of_unit: Counter[int] = field(default_factory=Counter)
     """Transactions, by unit."""
-    silences: dict[tuple[Verdict, int], _Occurrences] = field(default_factory=dict)
+    silences: dict[tuple[Verdict, int], _Cases] = field(default_factory=dict)
     """By kind and unit: at most 256 units."""
-    pace: dict[tuple[str, int], _Occurrences] = field(default_factory=dict)
+    pace: dict[tuple[str, int], _Cases] = field(default_factory=dict)
     """By code and unit: at most 256 units."""
     stray: WireEvent | None = None
     """Bytes that are a finding if a frame follows."""
     end_ns: int | None = None
-    """When the last frame ended."""
+    """The end of the last frame."""
     broadcast: NamedTransaction | None = None
-    """The last frame, if it was one."""
+    """The last frame, if it was a broadcast."""
 
 
 class LineRules:
-    """Records of serial lines in; findings out, those with figures at the end."""
+    """Checks records of serial lines. Findings with counts come at the end of the capture."""
 
     def __init__(self) -> None:
         self._lines: LruDict[str, _Line] = LruDict(_Line)
         self.remarks: list[str] = []
-        """Silences that are too few for a finding, once the capture has ended."""
+        """Silences that are too few for a finding; complete after `close`."""
 
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None, format_: SerialFormat | None
     ) -> Iterator[Finding]:
-        """Take the next transaction. Without a format the times of the line are not known."""
+        """Check the next transaction. Without a format, the times of its bytes are unknown."""
         line = self._lines[transaction.link]
         line.transactions += 1
         line.of_unit[transaction.unit] += 1
-        is_doubtful = Verdict.AMBIGUOUS in transaction.verdicts
+        is_ambiguous = Verdict.AMBIGUOUS in transaction.verdicts
         if line.stray is not None:
-            yield found_in("RTU-202", line.stray)
+            yield event_finding("RTU-202", line.stray)
             line.stray = None
         self._note_silences(line, transaction)
-        answered = line.broadcast is not None and _answers(line.broadcast, transaction)
-        if answered and line.broadcast is not None and not is_doubtful:
-            yield found(
+        broadcast = line.broadcast
+        if broadcast is not None and not is_ambiguous and _responds_to(broadcast, transaction):
+            yield transaction_finding(
                 "MB-301",
                 transaction,
-                f"unit {transaction.unit} answers the broadcast {asked_for(line.broadcast)}",
+                f"unit {transaction.unit} answers the broadcast {request_text(broadcast)}",
             )
         elif format_ is not None and transaction.request_raw is not None:
             self._note_pace(line, transaction, profile, format_)
         is_broadcast = transaction.outcome is Outcome.BROADCAST
-        if is_broadcast and not is_doubtful and _only_reads(transaction.function):
-            yield found("MB-302", transaction, f"{asked_for(transaction)} to all units")
+        if is_broadcast and not is_ambiguous and _only_reads(transaction.function):
+            yield transaction_finding(
+                "MB-302", transaction, f"{request_text(transaction)} to all units"
+            )
         line.end_ns = transaction.response_ns or transaction.request_ns
         line.broadcast = transaction if is_broadcast else None
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Take the next event of a line."""
+        """Check the next event of a line."""
         line = self._lines[event.link]
         match event.kind:
             case EventKind.BAD_CHECK:
-                yield found_in("RTU-201", event, f"{event.message}: {_bytes(event.raw)}")
+                yield event_finding("RTU-201", event, f"{event.message}: {_bytes(event.raw)}")
             case EventKind.LINE_ERROR:
-                yield found_in("RTU-203", event)
+                yield event_finding("RTU-203", event)
             case EventKind.SKIPPED if line.transactions:
                 if line.stray is not None:
-                    yield found_in("RTU-202", line.stray)
+                    yield event_finding("RTU-202", line.stray)
                 line.stray = event
 
-    def is_answer_to_broadcast(self, transaction: NamedTransaction) -> bool:
-        """Whether a record that has not been taken yet answers a broadcast."""
+    def is_response_to_broadcast(self, transaction: NamedTransaction) -> bool:
+        """True if the next transaction, not yet checked, is the response to a broadcast."""
         if not transaction.transport.is_serial or transaction.link not in self._lines:
             return False
         broadcast = self._lines[transaction.link].broadcast
-        return broadcast is not None and _answers(broadcast, transaction)
+        return broadcast is not None and _responds_to(broadcast, transaction)
 
     def close(self) -> Iterator[Finding]:
-        """The capture ends."""
+        """Give the findings with counts, at the end of the capture."""
         for link, line in self._lines.items():
             share = line.in_blocks / max(line.transactions, 1)
-            if share >= BLOCKS and line.transactions >= ENOUGH:
+            if share >= ADAPTER_SHARE and line.transactions >= MIN_TRANSACTIONS:
                 first = next(
                     one.first for (sign, _), one in line.silences.items() if sign in _BLOCK_SIGNS
                 )
-                yield found(
+                yield transaction_finding(
                     "RTU-104",
                     first,
                     f"in {line.in_blocks} of {line.transactions} transactions frames are glued or "
@@ -165,21 +168,21 @@ class LineRules:
                 )
                 continue
             yield from self._silences(link, line)
-            for (code, _), count in line.pace.items():
-                yield _of_many(code, count, _pace_text(code, count))
+            for (code, _), cases in line.pace.items():
+                yield _summary(code, cases, _pace_text(code, cases))
 
     def _silences(self, link: str, line: _Line) -> Iterator[Finding]:
         few: Counter[str] = Counter()
-        for (sign, unit), count in line.silences.items():
+        for (sign, unit), cases in line.silences.items():
             code, text = _SILENCES[sign]
-            asked = line.of_unit[unit]
-            if count.number >= SEVERAL and count.number >= SHARE * asked:
-                yield _of_many(code, count, f"{text} in {count.number} of {asked} transactions")
+            total = line.of_unit[unit]
+            if cases.number >= MIN_SILENCES and cases.number >= MIN_SILENCES_SHARE * total:
+                yield _summary(code, cases, f"{text} in {cases.number} of {total} transactions")
             else:
-                few[text] += count.number
+                few[text] += cases.number
         self.remarks += [
             f"{link}: {text} in {number} of {line.transactions} transactions; "
-            "so few are late reads more likely than the line's"
+            "so few are probably late reads, and no fault of the line"
             for text, number in few.items()
         ]
 
@@ -189,7 +192,7 @@ class LineRules:
         for sign in _SILENCES:
             if sign in transaction.verdicts:
                 key = (sign, transaction.unit)
-                line.silences.setdefault(key, _Occurrences(transaction)).number += 1
+                line.silences.setdefault(key, _Cases(transaction)).number += 1
         line.in_blocks += not _BLOCK_SIGNS.isdisjoint(transaction.verdicts)
 
     def _note_pace(
@@ -199,63 +202,55 @@ class LineRules:
         profile: Profile | None,
         format_: SerialFormat,
     ) -> None:
-        end_ns, asked_ns = line.end_ns, transaction.request_ns
-        if end_ns is None or asked_ns is None or transaction.request_raw is None:
+        end_ns, request_ns = line.end_ns, transaction.request_ns
+        if end_ns is None or request_ns is None or transaction.request_raw is None:
             return
-        silence_ns = asked_ns - len(transaction.request_raw) * format_.character_ns - end_ns
-        if silence_ns < 0 and asked_ns < end_ns:  # The clock was set back.
+        silence_ns = request_ns - len(transaction.request_raw) * format_.character_ns - end_ns
+        if silence_ns < 0 and request_ns < end_ns:  # The clock was set back.
             return
         silence_ns = max(silence_ns, 0)
-        if line.broadcast is not None:
-            _note_least(line, "RTU-302", transaction, silence_ns, TURNAROUND_NS, "100 ms")
-        wanted = profile.timing.request_interval if profile is not None else None
-        if wanted is not None:
-            wanted_ns = Silence.parse(wanted).ns(format_.baud, format_.character_bits)
-            # A time stamp is never better than the character it is taken at.
-            least_ns = wanted_ns - format_.character_ns
-            _note_least(line, "RTU-301", transaction, silence_ns, least_ns, wanted)
+        if line.broadcast is not None and silence_ns < TURNAROUND_NS:
+            _add_pace(line, "RTU-302", transaction, silence_ns, "100 ms")
+        required = profile.timing.request_interval if profile is not None else None
+        if required is not None:
+            required_ns = Silence.parse(required).ns(format_.baud, format_.character_bits)
+            # Time stamps are only exact to one character.
+            if silence_ns < required_ns - format_.character_ns:
+                _add_pace(line, "RTU-301", transaction, silence_ns, required)
 
 
-def _note_least(
-    line: _Line,
-    code: str,
-    transaction: NamedTransaction,
-    silence_ns: int,
-    least_ns: int,
-    wanted: str,
+def _add_pace(
+    line: _Line, code: str, transaction: NamedTransaction, silence_ns: int, required: str
 ) -> None:
-    if silence_ns >= least_ns:
-        return
-    count = line.pace.setdefault(
-        (code, transaction.unit), _Occurrences(transaction, 0, silence_ns, wanted)
-    )
-    count.number += 1
-    count.least_ns = min(count.least_ns, silence_ns)
+    key = (code, transaction.unit)
+    cases = line.pace.setdefault(key, _Cases(transaction, 0, silence_ns, required))
+    cases.number += 1
+    cases.least_ns = min(cases.least_ns, silence_ns)
 
 
-def _pace_text(code: str, count: _Occurrences) -> str:
-    behind = "a broadcast" if code == "RTU-302" else "the frame before"
+def _pace_text(code: str, cases: _Cases) -> str:
+    before = "a broadcast" if code == "RTU-302" else "the frame before"
     return (
-        f"{counted(count.number, 'request')} sooner than {count.wanted} after {behind}; "
-        f"the soonest after {milliseconds(count.least_ns)}"
+        f"{counted(cases.number, 'request')} sooner than {cases.required} "
+        f"after {before}; the soonest after {milliseconds(cases.least_ns)}"
     )
 
 
-def _of_many(code: str, count: _Occurrences, text: str) -> Finding:
-    one = found(code, count.first, text)
+def _summary(code: str, cases: _Cases, text: str) -> Finding:
+    one = transaction_finding(code, cases.first, text)
     unit = None if code == "RTU-302" else one.unit
-    return replace(one, unit=unit, function=None, reference=None, count=count.number)
+    return replace(one, unit=unit, function=None, reference=None, count=cases.number)
 
 
-def _answers(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool:
-    """Whether a frame answers the broadcast right before it.
+def _responds_to(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool:
+    """True if a frame is the response to the broadcast right before it.
 
-    The answer to a write of one value repeats it, so it has the form of a request that nobody then
-    answers.
+    The response to a write of one value repeats the request, so it may be decoded as a request
+    without a response.
     """
     if broadcast.request_ns is None or transaction.function != broadcast.function:
         return False
-    if transaction.start_ns - broadcast.request_ns > ANSWERS_WITHIN_NS:
+    if transaction.start_ns - broadcast.request_ns > RESPONSE_TO_BROADCAST_NS:
         return False
     if transaction.outcome is Outcome.UNSOLICITED:
         return True

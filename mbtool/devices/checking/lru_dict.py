@@ -1,4 +1,4 @@
-"""State for each of many things, of which only so many are kept."""
+"""A dictionary of bounded size, for the state of many connections, units or requests."""
 
 from __future__ import annotations
 
@@ -11,45 +11,45 @@ if TYPE_CHECKING:
 K = TypeVar("K", bound="Hashable")
 V = TypeVar("V")
 
-MAX_KEPT = 4096
+MAX_ENTRIES = 4096
 
 
 class LruDict(Generic[K, V]):
-    """A dictionary that makes what it lacks. Holds MAX_KEPT; the one used longest ago gives way."""
+    """Makes missing entries, and removes the least recently used one when it is full."""
 
-    def __init__(self, make: Callable[[], V], limit: int = MAX_KEPT) -> None:
+    def __init__(self, make: Callable[[], V], limit: int = MAX_ENTRIES) -> None:
         self._make = make
         self._limit = limit
-        self._held: OrderedDict[K, V] = OrderedDict()
+        self._entries: OrderedDict[K, V] = OrderedDict()
 
     def __getitem__(self, key: K) -> V:
-        value = self._held.get(key)
+        value = self._entries.get(key)
         if value is None:
-            if len(self._held) >= self._limit:
-                self._held.popitem(last=False)
-            value = self._held[key] = self._make()
+            if len(self._entries) >= self._limit:
+                self._entries.popitem(last=False)
+            value = self._entries[key] = self._make()
         else:
-            self._held.move_to_end(key)
+            self._entries.move_to_end(key)
         return value
 
     def get(self, key: K) -> V | None:
-        """What there is of a key; nothing is made."""
-        return self._held.get(key)
+        """The entry, if there is one. Makes none, and does not count as a use."""
+        return self._entries.get(key)
 
     def __contains__(self, key: K) -> bool:
-        return key in self._held
+        return key in self._entries
 
     def __len__(self) -> int:
-        return len(self._held)
+        return len(self._entries)
 
     def pop(self, key: K) -> V | None:
-        return self._held.pop(key, None)
+        return self._entries.pop(key, None)
 
     def items(self) -> Iterator[tuple[K, V]]:
-        yield from self._held.items()
+        yield from self._entries.items()
 
     def values(self) -> Iterator[V]:
-        yield from self._held.values()
+        yield from self._entries.values()
 
     def clear(self) -> None:
-        self._held.clear()
+        self._entries.clear()

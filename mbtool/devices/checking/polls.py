@@ -1,15 +1,16 @@
-"""Requests that come at regular times, and do not always (MB-404)."""
+"""The rule about polls that are usually regular, but sometimes early or late (MB-404)."""
 
-# A poll is the same request to the same unit, again and again. Its periods are regular where the
-# middle half of them lie within EVEN of one another, measured by their median. Of a regular poll
-# those are told that are off by more than half the median: one finding for each poll, with figures.
-# Polls faster than FAST_NS follow the answers, not a clock, and have no period to keep.
+# A poll is a series of equal requests to one unit. Its periods are regular if their interquartile
+# range is at most MAX_SPREAD of their median. A period of a regular poll is irregular if it differs
+# from the median by more than half. There is one finding for each poll, with figures. Polls with a
+# median below MIN_PERIOD_NS have none: such a master waits for responses, not for a clock.
 #
-# Holds MAX_POLLS polls with less than MAX_PERIODS periods each. Of more, a sample is kept that
-# covers the whole capture, however long: each period draws a lot from its number, which scatters
-# numbers evenly (Knuth, The Art of Computer Programming, 6.4: a multiplier near the golden
-# section), and when there are too many, those with the higher lots go. So no rhythm of the master's
-# can hide in it, and it is the same in each run. The longest and the shortest are kept apart.
+# Memory: MAX_POLLS polls with fewer than MAX_PERIODS periods each, plus the shortest and the
+# longest. If there are more periods, a pseudo-random sample is kept that is spread over the whole
+# capture: a period's number is hashed (Knuth, The Art of Computer Programming, 6.4: a multiplier
+# near the golden section), and when the sample is full, the periods with the higher hashes are
+# dropped. A fixed interval between sampled periods could hide a rhythm of the master; this sample
+# cannot, and it is the same in each run.
 
 from __future__ import annotations
 
@@ -18,10 +19,10 @@ from statistics import median, quantiles
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import milliseconds
-from mbtool.devices.checking.finding import Finding, found
+from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.transactions import asked_for
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.checking.transactions import request_text
+from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
 
 MAX_POLLS = 4096
 MAX_PERIODS = 256
-ENOUGH = 20
-"""Periods that it takes to see what is usual."""
-SEVERAL = 5
-RARE = 0.03
-"""Fewer than these are pauses, of which every capture has some."""
-EVEN = 0.2
-FAST_NS = 20_000_000
+MIN_PERIODS = 20
+"""With fewer periods, their median says too little."""
+MIN_IRREGULAR = 5
+MIN_IRREGULAR_SHARE = 0.03
+"""Fewer irregular periods are occasional pauses, which every capture has."""
+MAX_SPREAD = 0.2
+MIN_PERIOD_NS = 20_000_000
 
-_LOTS = 1 << 32
-_SPREAD = 2_654_435_761
+_HASHES = 1 << 32
+_MULTIPLIER = 2_654_435_761
 
 
 @dataclass(slots=True)
@@ -46,10 +47,10 @@ class _Poll:
     first: NamedTransaction | None = None
     last_ns: int = 0
     sample: list[tuple[int, int]] = field(default_factory=list)
-    """Lots and periods."""
+    """Hashes and periods (ns)."""
     count: int = 0
-    below: int = _LOTS
-    """Lots from this on are not taken."""
+    hash_limit: int = _HASHES
+    """The sample has the periods with hashes below this."""
     shortest: int = 0
     longest: int = 0
 
@@ -60,23 +61,23 @@ class _Poll:
             return
         self.longest = max(self.longest, period)
         self.shortest = min(self.shortest, period) if self.count else period
-        lot = self.count * _SPREAD % _LOTS
-        if lot < self.below:
-            self.sample.append((lot, period))
+        hashed = self.count * _MULTIPLIER % _HASHES
+        if hashed < self.hash_limit:
+            self.sample.append((hashed, period))
         while len(self.sample) >= MAX_PERIODS:
-            self.below //= 2
-            self.sample = [one for one in self.sample if one[0] < self.below]
+            self.hash_limit //= 2
+            self.sample = [one for one in self.sample if one[0] < self.hash_limit]
         self.count += 1
 
 
 class PollRules:
-    """Transactions in; what is to be said of their times out at the end."""
+    """Finds MB-404. All findings come at the end of the capture."""
 
     def __init__(self) -> None:
         self._polls: LruDict[tuple[object, ...], _Poll] = LruDict(_Poll, MAX_POLLS)
 
     def transaction(self, transaction: NamedTransaction) -> None:
-        """Take the next transaction whose times are known."""
+        """Note the next transaction whose times are known."""
         at_ns = transaction.request_ns
         if at_ns is None:
             return
@@ -93,23 +94,25 @@ class PollRules:
             poll.note(at_ns)
 
     def close(self) -> Iterator[Finding]:
-        """The capture ends."""
+        """Report the irregular polls at the end of the capture."""
         for poll in self._polls.values():
             text = _text(poll)
             if text is not None and poll.first is not None:
-                yield found("MB-404", poll.first, f"{asked_for(poll.first)}: {text}")
+                yield transaction_finding(
+                    "MB-404", poll.first, f"{request_text(poll.first)}: {text}"
+                )
 
 
 def _text(poll: _Poll) -> str | None:
     periods = [period for _, period in poll.sample]
-    if len(periods) < ENOUGH:
+    if len(periods) < MIN_PERIODS:
         return None
     usual = median(periods)
-    first, _, third = quantiles(periods, n=4)
-    if usual < FAST_NS or third - first > EVEN * usual:
+    first_quartile, _, third_quartile = quantiles(periods, n=4)
+    if usual < MIN_PERIOD_NS or third_quartile - first_quartile > MAX_SPREAD * usual:
         return None
     off = sum(abs(period - usual) > usual / 2 for period in periods)
-    if off < SEVERAL or off < RARE * len(periods):
+    if off < MIN_IRREGULAR or off < MIN_IRREGULAR_SHARE * len(periods):
         return None
     sample = f" looked at, of {poll.count}," if len(periods) < poll.count else ""
     return (

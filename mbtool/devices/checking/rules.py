@@ -1,13 +1,12 @@
-"""The rules whose breaking is a finding: how grave each is, what it says, and who says it."""
+"""The table of all rules: code, severity, meaning and source."""
 
-# The one table of codes. docs/findings.md has a section for each row, with an example, and a test
-# compares the two.
+# docs/findings.md has a section for each row, with an example; a test compares the two.
 #
-# A code is a family and a number. What is asked of everyone has numbers of its own (MB-101); what
-# one device's manual asks has the profile's prefix, a letter and a number (FT1A-Q16), where the
-# number is the function code in decimal, for E the exception code. The prefix tells whose manual is
-# broken, the letter stays when a limit changes, and the number makes each of them something to
-# select. A code never changes its meaning.
+# A rule of the standard has a code like MB-101: a family and a number. A rule of a device's manual
+# has a code like FT1A-Q16: the profile's prefix, a letter for the kind of rule, and the function
+# code in decimal (for E, the exception code). The letter does not depend on the limit in the
+# manual, and the number lets users select a rule for one function. A code never changes its
+# meaning.
 #
 # Sources, each with its section: MODBUS Application Protocol Specification V1.1b3, MODBUS over
 # Serial Line V1.02, MODBUS Messaging on TCP/IP Implementation Guide V1.0b; the devices' manuals.
@@ -20,30 +19,30 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """How grave a finding is; the words of SARIF."""
+    """How serious a finding is; the words of SARIF."""
 
     ERROR = "error"
-    """Somebody says what nobody can answer rightly, or answers wrongly."""
+    """A request that cannot have a correct response, or an incorrect response."""
     WARNING = "warning"
     """It may work, and it may fail."""
     NOTE = "note"
-    """Worth knowing; nothing has to be wrong."""
+    """Worth knowing; not necessarily wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A rule, or for a letter the rules of all devices that are of its kind."""
+    """A rule of the standard, or one kind of rule in all devices' manuals."""
 
     code: str
-    """A code, or a letter."""
+    """The code, or the letter of the kind."""
     severity: Severity
     meaning: str
-    """What is the matter where it is broken, in one sentence."""
+    """A sentence about a record that breaks the rule."""
     source: str
 
     @property
     def is_of_devices(self) -> bool:
-        """Whether its codes have a profile's prefix and a number."""
+        """True for a kind of rule: its codes have a profile's prefix and a number."""
         return len(self.code) == 1
 
 
@@ -52,203 +51,91 @@ _MANUAL = "manual of the device, as its profile has it"
 _FA3 = "manual of the FA3 modules"
 
 _ROWS = (
-    # What a device's manual says of a request and its answer.
+    # Manuals of devices.
     ("F", _E, "The device's manual does not list the function.", _MANUAL),
-    (
-        "Q",
-        _E,
-        "The quantity is 0 or more than the device's manual allows for the function.",
-        _MANUAL,
-    ),
+    ("Q", _E, "The quantity is 0 or more than the device's manual allows for the function.",
+     _MANUAL),
     ("A", _E, "The function addresses what the device's manual does not have.", _MANUAL),
     ("W", _E, "The function writes where the device's manual lets a master only read.", _MANUAL),
-    (
-        "D",
-        _E,
-        "The request has other data than the device's manual fixes for the function.",
-        _MANUAL,
-    ),
+    ("D", _E, "The request has other data than the device's manual fixes for the function.",
+     _MANUAL),
     ("V", _W, "A value is written that is outside the range in the device's manual.", _MANUAL),
     ("E", _W, "The device gave an exception code that its manual does not list.", _MANUAL),
     # Requests.
-    (
-        "MB-101",
-        _E,
-        "A request's byte count does not agree with its quantity, or with its bytes.",
-        "Application Protocol 6.11, 6.12, 6.17",
-    ),
+    ("MB-101", _E, "A request's byte count does not agree with its quantity, or with its bytes.",
+     "Application Protocol 6.11, 6.12, 6.17"),
     ("MB-102", _E, "A request does not have the form of its function.", "Application Protocol 6"),
-    (
-        "MB-103",
-        _E,
-        "Function 05 writes a value other than 0000H and FF00H.",
-        "Application Protocol 6.5",
-    ),
-    (
-        "MB-104",
-        _E,
-        "The quantity is 0 or more than the standard allows for the function.",
-        "Application Protocol 6.1 to 6.4, 6.11, 6.12, 6.17",
-    ),
-    (
-        "MB-105",
-        _W,
-        "In a write of coils the bits behind the last coil are not 0.",
-        "Application Protocol 6.11",
-    ),
-    (
-        "MB-106",
-        _E,
-        "A range goes on behind address FFFFH, the last there is.",
-        "Application Protocol 4.4, 7",
-    ),
-    (
-        "MB-107",
-        _E,
-        "A request has function code 00H, or one from 80H on, which mark exceptions.",
-        "Application Protocol 4.1",
-    ),
-    # Answers.
-    (
-        "MB-201",
-        _E,
-        "A write's answer does not repeat its request.",
-        "Application Protocol 6.5, 6.6, 6.11, 6.12, 6.16",
-    ),
-    (
-        "MB-202",
-        _E,
-        "An answer's byte count does not agree with the request, or with its bytes.",
-        "Application Protocol 6.1 to 6.4, 6.17",
-    ),
+    ("MB-103", _E, "Function 05 writes a value other than 0000H and FF00H.",
+     "Application Protocol 6.5"),
+    ("MB-104", _E, "The quantity is 0 or more than the standard allows for the function.",
+     "Application Protocol 6.1 to 6.4, 6.11, 6.12, 6.17"),
+    ("MB-105", _W, "In a write of coils the bits behind the last coil are not 0.",
+     "Application Protocol 6.11"),
+    ("MB-106", _E, "A range goes on behind address FFFFH, the last there is.",
+     "Application Protocol 4.4, 7"),
+    ("MB-107", _E, "A request has function code 00H, or one from 80H on, which mark exceptions.",
+     "Application Protocol 4.1"),
+    # Responses.
+    ("MB-201", _E, "A write's answer does not repeat its request.",
+     "Application Protocol 6.5, 6.6, 6.11, 6.12, 6.16"),
+    ("MB-202", _E, "An answer's byte count does not agree with the request, or with its bytes.",
+     "Application Protocol 6.1 to 6.4, 6.17"),
     ("MB-203", _E, "An answer does not have the form of its function.", "Application Protocol 6"),
-    (
-        "MB-204",
-        _W,
-        "In an answer the bits behind the last one asked for are not 0.",
-        "Application Protocol 6.1, 6.2",
-    ),
+    ("MB-204", _W, "In an answer the bits behind the last one asked for are not 0.",
+     "Application Protocol 6.1, 6.2"),
     # Broadcasts.
     ("MB-301", _E, "A broadcast is answered.", "Serial Line 2.1"),
     ("MB-302", _W, "A broadcast reads, where it can only write.", "Serial Line 2.1"),
-    # Question and answer.
+    # Requests without responses, and responses without requests.
     ("MB-401", _W, "A request has no answer.", "Serial Line 2.4.1; TCP/IP guide 4.4.1"),
     ("MB-402", _W, "A request had to be repeated before it was answered.", "Serial Line 2.4.1"),
-    (
-        "MB-403",
-        _W,
-        "A slave says what no request asked for.",
-        "Serial Line 2.1; TCP/IP guide 4.4.2",
-    ),
-    (
-        "MB-404",
-        _N,
-        "A request that comes at regular times comes early or late.",
-        "measured; no document asks for it",
-    ),
+    ("MB-403", _W, "A slave says what no request asked for.",
+     "Serial Line 2.1; TCP/IP guide 4.4.2"),
+    ("MB-404", _N, "A request that comes at regular times comes early or late.",
+     "measured; no document asks for it"),
     # Silences and bytes of a serial line.
-    (
-        "RTU-101",
-        _W,
-        "Inside a frame the line is silent for longer than t1.5.",
-        "Serial Line 2.5.1.1",
-    ),
-    (
-        "RTU-102",
-        _W,
-        "Inside a frame the line is silent for t3.5 or longer, which ends it.",
-        "Serial Line 2.5.1.1",
-    ),
-    (
-        "RTU-103",
-        _W,
-        "Between two frames the line is silent for less than t3.5.",
-        "Serial Line 2.5.1.1",
-    ),
-    (
-        "RTU-104",
-        _N,
-        "Frames are glued or torn so often that silences tell nothing; adapters do so.",
-        "measured; docs/links.md",
-    ),
+    ("RTU-101", _W, "Inside a frame the line is silent for longer than t1.5.",
+     "Serial Line 2.5.1.1"),
+    ("RTU-102", _W, "Inside a frame the line is silent for t3.5 or longer, which ends it.",
+     "Serial Line 2.5.1.1"),
+    ("RTU-103", _W, "Between two frames the line is silent for less than t3.5.",
+     "Serial Line 2.5.1.1"),
+    ("RTU-104", _N, "Frames are glued or torn so often that silences tell nothing; adapters do so.",
+     "measured; docs/links.md"),
     ("RTU-201", _W, "The CRC or LRC of a frame is wrong.", "Serial Line 2.5.1.2, 2.5.2.2"),
     ("RTU-202", _W, "Bytes on the line are no frame.", "Serial Line 2.5.1.1"),
     ("RTU-203", _W, "The port's driver heard damaged characters.", "Serial Line 2.5.1, 2.5.2"),
-    (
-        "RTU-301",
-        _W,
-        "A request follows sooner than the device's manual has a master wait.",
-        _MANUAL,
-    ),
-    (
-        "RTU-302",
-        _N,
-        "After a broadcast the master waits less than 100 ms.",
-        "Serial Line 2.4.1, turnaround delay",
-    ),
+    ("RTU-301", _W, "A request follows sooner than the device's manual has a master wait.",
+     _MANUAL),
+    ("RTU-302", _N, "After a broadcast the master waits less than 100 ms.",
+     "Serial Line 2.4.1, turnaround delay"),
     # Modbus/TCP connections.
-    (
-        "TCP-101",
-        _W,
-        "Two requests of a connection are open at once with one transaction id.",
-        "TCP/IP guide 3.1.3, 4.4.1",
-    ),
-    (
-        "TCP-102",
-        _W,
-        "An answer does not repeat its request's transaction id.",
-        "TCP/IP guide 3.1.3",
-    ),
-    (
-        "TCP-103",
-        _W,
-        "The protocol id is not 0, so the message is none of Modbus.",
-        "TCP/IP guide 3.1.3",
-    ),
+    ("TCP-101", _W, "Two requests of a connection are open at once with one transaction id.",
+     "TCP/IP guide 3.1.3, 4.4.1"),
+    ("TCP-102", _W, "An answer does not repeat its request's transaction id.",
+     "TCP/IP guide 3.1.3"),
+    ("TCP-103", _W, "The protocol id is not 0, so the message is none of Modbus.",
+     "TCP/IP guide 3.1.3"),
     ("TCP-201", _W, "A connection to a Modbus port carries another protocol.", "TCP/IP guide 4.2"),
     ("TCP-202", _W, "Bytes in a Modbus/TCP connection are no ADU.", "TCP/IP guide 3.1.3"),
     ("TCP-203", _W, "A TCP retransmission has other bytes than the first copy.", "RFC 9293, 3.8.1"),
-    # What only one family of devices does.
-    (
-        "FA3-X1",
-        _E,
-        "The protocol id is not 0, and an FA3 module gives no answer at all.",
-        f"{_FA3}, 10.4, message format",
-    ),
-    (
-        "FA3-X2",
-        _W,
-        "A third connection makes the module drop the one that was silent longest.",
-        f"{_FA3}, 10.2",
-    ),
-    (
-        "FA3-X3",
-        _N,
-        "A remote reset: no answer, the connection drops, none is taken for 2 s.",
-        f"{_FA3}, 10.4, function 41H",
-    ),
-    (
-        "FA3-X4",
-        _W,
-        "The module is spoken to within the 2 s after its remote reset.",
-        f"{_FA3}, 10.4, function 41H",
-    ),
-    (
-        "FA3-X5",
-        _W,
-        "The initial data setting is out of order: Y9 on, then X9 seen on, then Y9 off.",
-        f"{_FA3}, 10.5",
-    ),
-    (
-        "WAGO-X1",
-        _W,
-        "One exception 04 after another: the coupler's watchdog has run out.",
-        "manual of the WAGO 750, watchdog",
-    ),
-)
+    # Single families of devices.
+    ("FA3-X1", _E, "The protocol id is not 0, and an FA3 module gives no answer at all.",
+     f"{_FA3}, 10.4, message format"),
+    ("FA3-X2", _W, "A third connection makes the module drop the one that was silent longest.",
+     f"{_FA3}, 10.2"),
+    ("FA3-X3", _N, "A remote reset: no answer, the connection drops, none is taken for 2 s.",
+     f"{_FA3}, 10.4, function 41H"),
+    ("FA3-X4", _W, "The module is spoken to within the 2 s after its remote reset.",
+     f"{_FA3}, 10.4, function 41H"),
+    ("FA3-X5", _W, "The initial data setting is out of order: Y9 on, then X9 seen on, then Y9 off.",
+     f"{_FA3}, 10.5"),
+    ("WAGO-X1", _W, "One exception 04 after another: the coupler's watchdog has run out.",
+     "manual of the WAGO 750, watchdog"),
+)  # fmt: skip
 
 RULES = {row[0]: Rule(*row) for row in _ROWS}
-"""Every rule by its code, those of devices by their letter."""
+"""Rules of the standard by code, rules of manuals by letter."""
 
 _OF_A_DEVICE = re.compile(r"(?P<prefix>.+)-(?P<letter>[A-Z])(?P<number>\d{1,3})", re.ASCII)
 
@@ -271,7 +158,7 @@ class DeviceCode:
 
 
 def rule_of(code: str) -> Rule | None:
-    """The rule that a code belongs to; None for a code of another program or edition."""
+    """The rule of a code; None if this edition does not know the code."""
     rule = RULES.get(code)
     if rule is not None:
         return rule
@@ -280,6 +167,6 @@ def rule_of(code: str) -> Rule | None:
 
 
 def severity_of(code: str) -> Severity:
-    """How grave a finding is; of a code that is not known, a warning."""
+    """The severity of a finding; a warning if the code is unknown."""
     rule = rule_of(code)
     return rule.severity if rule is not None else Severity.WARNING

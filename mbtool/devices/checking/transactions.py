@@ -1,36 +1,37 @@
-"""Findings that one transaction shows by itself, with its figures."""
+"""Findings about single transactions, with figures."""
 
-# The codes are those that naming puts into a transaction. They are worked out anew, so that a log
-# that an older edition wrote, or that has no profile for a slave, is held against today's rules.
+# The codes are those that naming.py puts into a transaction. `mbtool check` names every transaction
+# again, so that today's rules also apply to the log of an older edition, or to a log without the
+# slave's profile.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.devices.checking.finding import Finding, found
+from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.rules import DeviceCode
-from mbtool.devices.findings import finding_text, request_data, value_ranges, values_outside
-from mbtool.devices.form import answer_form, padding_of, request_form
+from mbtool.devices.profile_checks import finding_text, request_data, value_ranges, values_outside
 from mbtool.devices.references import is_neutral
+from mbtool.devices.standard_checks import padding_of, request_form, response_form
 from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS, WRITE_LIMIT_17H, short_name
 from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.devices.findings import Ranges
     from mbtool.devices.model import Profile
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.devices.profile_checks import Ranges
 
-_FORMS_OF_REQUESTS = frozenset(("MB-101", "MB-102", "MB-103"))
-_FORMS_OF_ANSWERS = frozenset(("MB-201", "MB-202", "MB-203"))
-_PLAIN = TABLE_FUNCTIONS - {0x16, 0x17}
-"""Functions that only read or only write values."""
+_REQUEST_FORM = frozenset(("MB-101", "MB-102", "MB-103"))
+_RESPONSE_FORM = frozenset(("MB-201", "MB-202", "MB-203"))
 _PADDING = frozenset(("MB-105", "MB-204"))
+_READS_OR_WRITES = TABLE_FUNCTIONS - {0x16, 0x17}
+"""Functions that only read or only write values."""
 
 
 class TransactionRules:
-    """Puts the codes of transactions into words. Keeps the ranges of each profile it has met."""
+    """Turns the codes of a transaction into findings. Caches the value ranges of each profile."""
 
     def __init__(self) -> None:
         self._ranges: dict[str, Ranges] = {}
@@ -38,49 +39,49 @@ class TransactionRules:
     def check(self, transaction: NamedTransaction, profile: Profile | None) -> Iterator[Finding]:
         """`profile` is the one that the transaction was named by."""
         for code in transaction.findings:
-            yield found(code, transaction, self._message(code, transaction, profile))
+            yield transaction_finding(code, transaction, self._message(code, transaction, profile))
 
     def _message(self, code: str, transaction: NamedTransaction, profile: Profile | None) -> str:
         parsed = DeviceCode.parse(code)
         if parsed is not None:
-            return self._by_manual(
-                parsed.rule.code, finding_text(code, profile), transaction, profile
-            )
-        if code in _FORMS_OF_REQUESTS:
-            return f"{asked_for(transaction)}: {request_form(transaction)[1]}"
-        if code in _FORMS_OF_ANSWERS:
-            broken = answer_form(transaction)
-            return f"answer to {asked_for(transaction)}: {broken[1] if broken else 'its form'}"
+            text = finding_text(code, profile)
+            return self._manual_message(parsed.rule.code, text, transaction, profile)
+        if code in _REQUEST_FORM:
+            return f"{request_text(transaction)}: {request_form(transaction)[1]}"
+        if code in _RESPONSE_FORM:
+            broken = response_form(transaction)
+            return f"answer to {request_text(transaction)}: {broken[1] if broken else 'its form'}"
         if code in _PADDING:
             padding = padding_of(transaction)
             if padding is not None:
                 byte, used = padding
                 bits = "bit counts" if used == 1 else "bits count"
                 last = f"the last byte is {byte:02X}H, of which {used} {bits}"
-                return f"{asked_for(transaction)}: {last}"
+                return f"{request_text(transaction)}: {last}"
         if code == "MB-104":
-            return f"{asked_for(transaction)}: {_wrong_quantity(transaction)}"
+            return f"{request_text(transaction)}: {_wrong_quantity(transaction)}"
         if code == "MB-106":
-            return f"{asked_for(transaction)}: {_beyond(transaction)}"
+            return f"{request_text(transaction)}: {_range_too_long(transaction)}"
         if code == "MB-107":
             return f"a request with function {transaction.function:02X}H"
-        return f"{asked_for(transaction)}: {finding_text(code, profile)}"
+        return f"{request_text(transaction)}: {finding_text(code, profile)}"
 
-    def _by_manual(
+    def _manual_message(
         self, letter: str, text: str, transaction: NamedTransaction, profile: Profile | None
     ) -> str:
+        """The message for a rule of the device's manual."""
         if letter == "F":
             return text
         if letter == "Q":
-            return f"{asked_for(transaction)}: {_quantities(transaction)}, {text}"
+            return f"{request_text(transaction)}: {_quantities(transaction)}, {text}"
         if letter == "D":
             data = (request_data(transaction) or b"").hex(" ").upper() or "none"
-            return f"{asked_for(transaction)}: data {data}, {text}"
+            return f"{request_text(transaction)}: data {data}, {text}"
         if letter == "V" and profile is not None:
-            return f"{asked_for(transaction)}: {self._outside(transaction, profile)}"
-        return f"{asked_for(transaction)}: {text}"
+            return f"{request_text(transaction)}: {self._values_outside(transaction, profile)}"
+        return f"{request_text(transaction)}: {text}"
 
-    def _outside(self, transaction: NamedTransaction, profile: Profile) -> str:
+    def _values_outside(self, transaction: NamedTransaction, profile: Profile) -> str:
         ranges = self._ranges.get(profile.name)
         if ranges is None:
             ranges = self._ranges[profile.name] = value_ranges(profile)
@@ -95,14 +96,14 @@ class TransactionRules:
         return "; ".join(phrases)
 
 
-def asked_for(transaction: NamedTransaction) -> str:
-    """What a transaction asks, in a few words: `write registers HR400001..400110`."""
+def request_text(transaction: NamedTransaction) -> str:
+    """A request in a few words: `write registers HR400001..400110`."""
     function = transaction.function
     name = short_name(function, transaction.function_name)
     if not transaction.reference:
         return name
-    if function in _PLAIN and is_neutral(transaction.reference):
-        name = "write" if FUNCTIONS[function].writes else "read"  # The reference names the table.
+    if function in _READS_OR_WRITES and is_neutral(transaction.reference):
+        name = "write" if FUNCTIONS[function].writes else "read"  # The reference has the table.
     return f"{name} {transaction.reference}"
 
 
@@ -121,7 +122,7 @@ def _wrong_quantity(transaction: NamedTransaction) -> str:
     return f"writes {written} registers, the standard allows 1 to {WRITE_LIMIT_17H}"
 
 
-def _beyond(transaction: NamedTransaction) -> str:
+def _range_too_long(transaction: NamedTransaction) -> str:
     address, quantity = transaction.address or 0, transaction.quantity or 0
     if address + quantity <= ADDRESSES:
         address, quantity = transaction.write_address or 0, len(transaction.request_values or ())

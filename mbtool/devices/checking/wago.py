@@ -1,21 +1,22 @@
-"""What only the WAGO 750 couplers do: after their watchdog ran out they answer nothing else."""
+"""The rule for WAGO 750 couplers: a watchdog that has expired."""
 
-# Manual of the WAGO-I/O-SYSTEM 750, watchdog registers (1000H and following): when the watchdog has
-# run out, every request is answered with exception 04, until it is started again. One exception 04
-# between other answers is a failure of the request; one after another is the watchdog.
+# Manual of the WAGO-I/O-SYSTEM 750, watchdog registers (from 1000H on): once the watchdog has
+# expired, the coupler responds with exception 04 to every request until the watchdog is started
+# again. A single exception 04 between other responses is a failed request; two in a row mean that
+# the watchdog has expired.
 #
-# Holds for each coupler its first exception 04 of a row (kept.py).
+# Memory: for each coupler, the first exception 04 in a row (see lru_dict.py).
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.devices.checking.finding import Finding, found
+from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.transactions import asked_for
+from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.model import BehaviourName
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.functions import ExceptionCode
 
 if TYPE_CHECKING:
@@ -27,33 +28,33 @@ if TYPE_CHECKING:
 @dataclass(slots=True)
 class _Coupler:
     first: NamedTransaction | None = None
-    """The first exception 04 since another answer."""
-    is_told: bool = False
+    """The first exception 04 since any other response."""
+    is_reported: bool = False
 
 
 class WagoRules:
-    """Transactions of couplers in; findings out."""
+    """Finds WAGO-X1 in the transactions of couplers."""
 
     def __init__(self) -> None:
         self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Take the next transaction of a coupler."""
+        """Check the next transaction of a coupler."""
         coupler = self._couplers[transaction.destination or transaction.link]
         if transaction.exception == ExceptionCode.SERVER_DEVICE_FAILURE:
             if coupler.first is None:
                 coupler.first = transaction
-            elif not coupler.is_told:
-                coupler.is_told = True
-                yield found(
+            elif not coupler.is_reported:
+                coupler.is_reported = True
+                yield transaction_finding(
                     "WAGO-X1",
                     coupler.first,
-                    f"exception 04 to {asked_for(coupler.first)}, and to the request after it",
+                    f"exception 04 to {request_text(coupler.first)}, and to the request after it",
                 )
         elif transaction.response_raw is not None:
-            coupler.first, coupler.is_told = None, False
+            coupler.first, coupler.is_reported = None, False
 
 
 def is_wago(profile: Profile) -> bool:
-    """Whether a profile is of this family, or of a user's that builds on it."""
+    """True if a profile belongs to the family, or extends one that does."""
     return profile.behaviour is BehaviourName.WAGO

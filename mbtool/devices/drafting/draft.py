@@ -1,16 +1,18 @@
-"""Makes the draft of a profile from what was seen of a slave."""
+"""Drafts a profile from the observed traffic of a slave."""
 
-# What the slave answered is taken as a fact: the addresses it gave or took, the functions, and the
-# exceptions. What it refused with exception 01 is no function of it, and what it refused with 02 or
-# 03 no address. What it never answered is unknown, and stands in the draft with a comment that says
-# so. How registers belong together is guessed (guesses.py), with the reason as a comment.
+# Functions and addresses that the slave accepted are in the draft, and so are its exception codes.
+# Functions that it refused with exception 01, and addresses that it refused with 02 or 03, are not.
+# Addresses without any response are in the draft, with a comment. guesses.py guesses the types of
+# registers; the reason for each guess is a comment.
 #
-# Limits: MAX_POINTS points; of how many registers there are more is said.
+# Limit: MAX_POINTS points. A comment says how many more registers there are.
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
@@ -51,9 +53,10 @@ _PREFIXES = {
     Table.HOLDING_REGISTERS: "HR",
     Table.INPUT_REGISTERS: "IR",
 }
-"""How a draft writes addresses, as they are on the wire."""
+"""Prefixes in the names of areas and points; the number is the address on the wire."""
 
-_READ, _WRITTEN, _UNKNOWN = 1, 2, 4
+_READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
+"""Flags of an address: a request read or wrote it; no request for it had a response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +68,12 @@ class Draft:
 
 
 def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
-    """Draft a profile of the slave; `file` is where it was seen. Any traffic gives one."""
+    """Draft a profile of the slave. Never fails. `file` is the capture, for comments."""
     file = PurePath(file).name
-    maps = _maps(seen)
+    flags = _address_flags(seen)
     comments: dict[str, list[str]] = {}
-    areas = [area for table in Table for area in _areas(table, maps[table], seen, comments)]
-    functions, said = _functions(seen)
-    comments["functions"] = said
+    areas = [area for table in Table for area in _areas(table, flags[table], seen, comments)]
+    functions, comments["functions"] = _functions(seen)
     profile = Profile(
         name=name,
         title=_title(seen),
@@ -118,43 +120,42 @@ def _head(seen: ObservedSlave, file: str, left_out: int) -> list[str]:
     return head
 
 
-def _maps(seen: ObservedSlave) -> dict[Table, bytearray]:
-    """What is known of each address."""
-    maps = {table: bytearray(1 << 16) for table in Table}
-    for ask, replies in seen.asked.items():
-        if ask.table is None or ask.address is None:
+def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
+    """The flags of each address; 0 for addresses without requests, or only with refused ones."""
+    flags = {table: bytearray(1 << 16) for table in Table}
+    for request, replies in seen.requests.items():
+        if request.table is None or request.address is None:
             continue
         flag = 0
         if replies.ok:
-            flag = _WRITTEN if ask.writes else _READ
+            flag = _WRITTEN if request.writes else _READ
         elif _REFUSALS.isdisjoint(replies.exceptions):
-            flag = _UNKNOWN | (_WRITTEN if ask.writes else _READ)
-        here = maps[ask.table]
-        for address in ask.span if flag else ():
-            here[address] = _joined(here[address], flag)
-    return maps
+            flag = _NO_RESPONSE | (_WRITTEN if request.writes else _READ)
+        of_table = flags[request.table]
+        for address in request.span if flag else ():
+            of_table[address] = _combined(of_table[address], flag)
+    return flags
 
 
-def _joined(known: int, flag: int) -> int:
-    """An answer anywhere says more than a silence."""
-    if not known or (known & _UNKNOWN and not flag & _UNKNOWN):
-        rights = known | flag
-        return rights if flag & _UNKNOWN else rights & ~_UNKNOWN
-    return known | flag & ~_UNKNOWN
+def _combined(known: int, flag: int) -> int:
+    """Combine the flags of two requests: one response clears _NO_RESPONSE."""
+    if not known or known & flag & _NO_RESPONSE:
+        return known | flag
+    return (known | flag) & ~_NO_RESPONSE
 
 
 def _areas(
-    table: Table, known: bytearray, seen: ObservedSlave, comments: dict[str, list[str]]
+    table: Table, flags: bytearray, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> Iterator[Area]:
     refused = [
-        (ask, replies)
-        for ask, replies in seen.asked.items()
-        if ask.table is table and not replies.ok and replies.exceptions
+        (request, replies)
+        for request, replies in seen.requests.items()
+        if request.table is table and not replies.ok and replies.exceptions
     ]
-    for first, last in _runs(known):
-        rights = known[first : last + 1]
-        written = any(flag & _WRITTEN for flag in rights)
-        prefix = _PREFIXES[table]
+    prefix = _PREFIXES[table]
+    for first, last in _runs(flags):
+        of_area = flags[first : last + 1]
+        written = any(flag & _WRITTEN for flag in of_area)
         area = Area(
             name=f"{prefix}{first}..{last}" if last > first else f"{prefix}{first}",
             table=table,
@@ -163,46 +164,44 @@ def _areas(
             access=Access.READ_WRITE if written else Access.READ,
             prefix=prefix,
         )
-        comments[f'areas "{area.name}"'] = list(_about_area(area, rights, refused))
+        comments[f'areas "{area.name}"'] = list(_about_area(area, of_area, refused))
         yield area
 
 
-def _runs(known: bytearray) -> Iterator[tuple[int, int]]:
-    """The ranges of addresses of which something is known; silence apart from answers."""
-    start = None
-    kind = 0
-    for address, flag in enumerate([*known, 0]):
-        now = 0 if not flag else 2 if flag & _UNKNOWN else 1
-        if now != kind:
-            if start is not None:
-                yield start, address - 1
-            start, kind = (address if now else None), now
+def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
+    """First and last address of each range with flags; with and without response are separate."""
+    kinds = ((0 if not flag else 2 if flag & _NO_RESPONSE else 1) for flag in flags)
+    for kind, group in groupby(enumerate(kinds), key=itemgetter(1)):
+        if kind:
+            addresses = [address for address, _ in group]
+            yield addresses[0], addresses[-1]
 
 
 def _about_area(
-    area: Area, rights: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
+    area: Area, flags: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
 ) -> Iterator[str]:
-    if rights[0] & _UNKNOWN:
+    """The comments before an area."""
+    if flags[0] & _NO_RESPONSE:
         yield "Asked for, but never answered: perhaps there is nothing here."
     if area.access is Access.READ and area.table.is_writable:
         yield "Nobody wrote here; if the device allows it, access is rw."
     elif area.access is Access.READ_WRITE:
-        places = _folded([area.first + at for at, flag in enumerate(rights) if flag & _WRITTEN])
-        yield f"Written here: {places}."
-        if not any(flag & _READ for flag in rights):
+        written = [area.first + at for at, flag in enumerate(flags) if flag & _WRITTEN]
+        yield f"Written here: {_ranges_text(written)}."
+        if not any(flag & _READ for flag in flags):
             yield "Never read here."
-    near = [
-        f"{write_reference(None, area.table, ask.address or 0, ask.quantity)} "
+    adjacent = [
+        f"{write_reference(None, area.table, request.address or 0, request.quantity)} "
         f"(exception {next(iter(replies.exceptions)):02X})"
-        for ask, replies in refused
-        if ask.span.start <= area.last + 1 and ask.span.stop >= area.first
+        for request, replies in refused
+        if request.span.start <= area.last + 1 and request.span.stop >= area.first
     ]
-    if near:
-        yield f"Refused beside it: {', '.join(near[:MAX_LISTED])}."
+    if adjacent:
+        yield f"Refused beside it: {', '.join(adjacent[:MAX_LISTED])}."
 
 
-def _folded(addresses: Sequence[int]) -> str:
-    """Ranges with both ends: 1, 3..5, 8."""
+def _ranges_text(addresses: Sequence[int]) -> str:
+    """Addresses as ranges, the last one inclusive: 1, 3..5, 8."""
     runs: list[list[int]] = []
     for address in addresses:
         if runs and address == runs[-1][1] + 1:
@@ -215,21 +214,23 @@ def _folded(addresses: Sequence[int]) -> str:
 
 @dataclass(slots=True)
 class _Function:
-    """What was seen of one function."""
+    """The requests with one function."""
 
     ok: int = 0
     silent: int = 0
     most: int = 0
+    """The largest quantity that was accepted."""
     refused: Counter[int] = field(default_factory=Counter)
+    """By exception code."""
     least_refused: int = 1 << 16
-    """The least quantity that was refused as a wrong value though its addresses are there."""
+    """The smallest quantity that was refused as a wrong value, although its addresses exist."""
 
 
 def _functions(seen: ObservedSlave) -> tuple[dict[str, FunctionRule], list[str]]:
-    """A rule for each function that the slave may have, and a sentence on each that was asked."""
+    """Rules for the functions that the slave may have, and comments on all requested functions."""
     rules: dict[str, FunctionRule] = {}
-    said: list[str] = []
-    for code, one in sorted(_found(seen).items()):
+    comments: list[str] = []
+    for code, one in sorted(_observed_functions(seen).items()):
         phrases = list(_about_function(code, one))
         if not one.ok and _NO_FUNCTION in one.refused:
             phrases.append("so not listed")
@@ -238,27 +239,27 @@ def _functions(seen: ObservedSlave) -> tuple[dict[str, FunctionRule], list[str]]
             if limit is not None:
                 phrases.append(f"{one.least_refused} are refused, so {limit} is taken as its limit")
             rules[f"{code:02X}"] = FunctionRule(limit=limit)
-        said.append(", ".join(phrases))
-    return rules, said
+        comments.append(", ".join(phrases))
+    return rules, comments
 
 
-def _found(seen: ObservedSlave) -> dict[int, _Function]:
-    found: dict[int, _Function] = {}
-    for ask, replies in seen.asked.items():
-        one = found.setdefault(ask.function, _Function())
+def _observed_functions(seen: ObservedSlave) -> dict[int, _Function]:
+    functions: dict[int, _Function] = {}
+    for request, replies in seen.requests.items():
+        one = functions.setdefault(request.function, _Function())
         one.ok += replies.ok
         one.silent += replies.silent
         one.refused += replies.exceptions
         if replies.ok:
-            one.most = max(one.most, ask.quantity)
-    given = seen.given()
-    for ask, replies in seen.asked.items():
-        if ask.table is None or replies.ok or _WRONG_VALUE not in replies.exceptions:
+            one.most = max(one.most, request.quantity)
+    known = seen.known_addresses()
+    for request, replies in seen.requests.items():
+        if request.table is None or replies.ok or _WRONG_VALUE not in replies.exceptions:
             continue
-        if all(given[ask.table][ask.span.start : ask.span.stop]):
-            one = found[ask.function]
-            one.least_refused = min(one.least_refused, ask.quantity)
-    return found
+        if all(known[request.table][request.span.start : request.span.stop]):
+            one = functions[request.function]
+            one.least_refused = min(one.least_refused, request.quantity)
+    return functions
 
 
 def _about_function(code: int, one: _Function) -> Iterator[str]:
@@ -273,7 +274,7 @@ def _about_function(code: int, one: _Function) -> Iterator[str]:
 
 
 def _limit(code: int, one: _Function) -> int | None:
-    """The largest quantity, where one was refused that is only too large."""
+    """The largest accepted quantity, if a larger one was refused; else None."""
     known = FUNCTIONS.get(code)
     if known is None or not 0 < one.most < one.least_refused < known.limit:
         return None
@@ -281,30 +282,33 @@ def _limit(code: int, one: _Function) -> int | None:
 
 
 def _exceptions(seen: ObservedSlave) -> set[int]:
-    return {code for one in seen.asked.values() for code in one.exceptions if 1 <= code <= 0xFF}
+    return {code for one in seen.requests.values() for code in one.exceptions if 1 <= code <= 0xFF}
 
 
 def _points(
     profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> tuple[list[Point], int]:
-    """Points for the registers whose values were seen, and how many registers had no room."""
+    """Points for the registers with sampled values, and the number of registers left out."""
     points: list[Point] = []
     left_out = 0
     for table in (Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS):
         taken: set[int] = set()
-        # The widest requests show best how registers belong together, and reads better than writes.
-        asks = sorted(
-            (ask for ask in seen.samples if ask.table is table),
-            key=lambda ask: (ask.writes, -ask.quantity, ask.address or 0),
+        # Reads before writes and long ranges first: they show best which registers form a value.
+        requests = sorted(
+            (request for request in seen.samples if request.table is table),
+            key=lambda request: (request.writes, -request.quantity, request.address or 0),
         )
-        twos = {ask.address for ask in asks if ask.quantity == 2 and ask.address is not None}
+        pairs = {
+            one.span.start for one in requests if one.quantity == 2 and one.address is not None
+        }
         guesses: list[Guess] = []
-        for ask in asks:
-            times = "writes" if ask.writes else "answers"
-            for guess in guess_registers(ask.span.start, seen.samples[ask], twos, times):
-                places = range(guess.address, guess.address + guess.words)
-                if taken.isdisjoint(places) and profile.area(table, guess.address, guess.words):
-                    taken.update(places)
+        for request in requests:
+            plural = "writes" if request.writes else "answers"
+            samples = seen.samples[request]
+            for guess in guess_registers(request.span.start, samples, pairs, plural):
+                addresses = range(guess.address, guess.address + guess.words)
+                if taken.isdisjoint(addresses) and profile.area(table, guess.address, guess.words):
+                    taken.update(addresses)
                     guesses.append(guess)
         guesses.sort(key=lambda guess: guess.address)
         for guess in guesses:

@@ -1,15 +1,17 @@
-"""Guesses what registers hold from the values that they were seen to have, and says why."""
+"""Guesses the types of registers from sampled values, with a reason for each guess."""
 
-# Each guess comes with its reason, for the reader to judge. In the order in which they are tried:
+# The reader judges by the reason. Types, in the order in which they are tried:
 #
-#   a text        four registers or more whose bytes are letters and digits, and never change
-#   float32       two registers that are as a float all in MAGNITUDES, in one order of the words;
-#                 and numbers of few decimal digits (a random 32 bits are one in 500 times), or with
-#                 a low word that changes much more often than the high one; or asked for as two,
-#                 or beside such a float
-#   32 bits       two registers of which one goes up when the other falls, or asked for as two
-#   int16         goes from near 0 to near FFFF
-#   uint16        all else: what it was is told, nothing is guessed
+#   string        at least _MIN_TEXT_WORDS registers with printable ASCII characters, mostly letters
+#                 and digits, that never change
+#   float32       two registers whose values as floats, in one word order, are all 0 or within
+#                 MAGNITUDES; in addition, the floats have few decimal digits (32 random bits have
+#                 them in 1 of 500 cases), or the low word changes much more often than the high
+#                 one, or the two registers are requested alone, or they follow another float32
+#   32 bits       one register counts up when the other starts again from a lower value; or the two
+#                 registers are requested alone
+#   int16         values near 0 and near FFFFH
+#   uint16        everything else; this is not a guess, and the reason tells the values
 
 from __future__ import annotations
 
@@ -28,23 +30,25 @@ if TYPE_CHECKING:
     from mbtool.devices.observed_slave import Samples
 
 MAGNITUDES = (1e-4, 1e8)
-_DIGITS = 5
-_LEAST_TEXT_WORDS = 4
+"""From the first to below the second: usual absolute values of measurements."""
+_FEW_DIGITS = 5
+_MIN_TEXT_WORDS = 4
 _NEAR_ZERO = 0x1000
 _MAX_LISTED = 6
 _UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
+"""Values that often mean "no value"."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """What may stand at an address."""
+    """The guessed type of the registers from an address on."""
 
     address: int
     type: PointType
     reason: str
     word_order: WordOrder = WordOrder.HIGH_FIRST
     length: int | None = None
-    """Of a text, in registers."""
+    """Registers of a string."""
 
     @property
     def words(self) -> int:
@@ -55,12 +59,12 @@ class Guess:
 
 
 def guess_registers(
-    first: int, samples: Samples, twos: Collection[int], times: str = "answers"
+    first: int, samples: Samples, pairs: Collection[int], plural: str = "answers"
 ) -> list[Guess]:
-    """A guess for each value of a range that begins at `first`.
+    """Guess the types of all registers of a range that begins at address `first`.
 
-    `twos` are addresses from which exactly two registers were asked for; `times` is what the
-    samples are called.
+    `pairs` are addresses from which exactly two registers were requested. `plural` is the word for
+    the samples in reasons.
     """
     columns = list(zip(*samples.rows, strict=False))
     guesses: list[Guess] = []
@@ -69,8 +73,8 @@ def guess_registers(
         before = guesses[-1] if guesses else None
         guess = (
             _text(first, columns, at, samples)
-            or _pair(first, columns, at, samples, twos, before)
-            or _single(first, columns, at, samples, times)
+            or _pair(first, columns, at, pairs, before)
+            or _single(first, columns, at, samples, plural)
         )
         guesses.append(guess)
         at += guess.words
@@ -81,13 +85,13 @@ def _text(first: int, columns: Sequence[Sequence[int]], at: int, samples: Sample
     end = at
     while end < len(columns) and not samples.changes[end] and _is_letters(columns[end][0]):
         end += 1
-    if end - at < _LEAST_TEXT_WORDS:
+    if end - at < _MIN_TEXT_WORDS:
         return None
     data = b"".join(columns[index][0].to_bytes(2) for index in range(at, end))
     letters = sum(chr(byte).isalnum() for byte in data)
     if letters * 10 < len(data) * 6:
         return None
-    # The zeros or spaces behind a text belong to it.
+    # Zeros or spaces behind a text are its padding.
     while end < len(columns) and not samples.changes[end] and columns[end][0] in (0, 0x2020):
         end += 1
     words = min(end - at, READ_LIMIT)
@@ -104,32 +108,31 @@ def _pair(
     first: int,
     columns: Sequence[Sequence[int]],
     at: int,
-    samples: Samples,
-    twos: Collection[int],
+    pairs: Collection[int],
     before: Guess | None,
 ) -> Guess | None:
     if at + 1 >= len(columns):
         return None
-    alone = first + at in twos
-    pairs = list(zip(columns[at], columns[at + 1], strict=True))
-    for order in WordOrder:
-        ordered = [pair if order is WordOrder.HIGH_FIRST else pair[::-1] for pair in pairs]
+    is_alone = first + at in pairs
+    as_read = list(zip(columns[at], columns[at + 1], strict=True))
+    swapped = [(low, high) for high, low in as_read]
+    in_order = {WordOrder.HIGH_FIRST: as_read, WordOrder.LOW_FIRST: swapped}
+    for order, values in in_order.items():
         is_beside = before is not None and before.is_float(order)
-        reason = _float_reason(ordered, is_alone=alone, is_beside=is_beside)
+        reason = _float_reason(values, is_alone=is_alone, is_beside=is_beside)
         if reason is not None:
             return Guess(first + at, PointType.FLOAT32, reason, order)
-    for order in WordOrder:
-        ordered = [pair if order is WordOrder.HIGH_FIRST else pair[::-1] for pair in pairs]
-        if _carries(ordered):
+    for order, values in in_order.items():
+        if _carries(values):
             reason = "one register goes up by one when the other starts again"
             return Guess(first + at, PointType.UINT32, reason, order)
-    return _asked_as_two(first + at, pairs) if alone else None
+    return _requested_alone(first + at, as_read) if is_alone else None
 
 
 def _float_reason(
     pairs: Sequence[tuple[int, int]], *, is_alone: bool, is_beside: bool
 ) -> str | None:
-    """Why pairs of high and low word are floats, or None."""
+    """The reason to take pairs of high and low word for floats; None if there is none."""
     values = [_float(*pair) for pair in pairs]
     low, high = MAGNITUDES
     nonzero = [value for value in values if value != 0]
@@ -155,13 +158,13 @@ def _float(high: int, low: int) -> float:
 
 def _has_few_digits(value: float) -> bool:
     try:
-        return struct.pack(">f", float(f"{value:.{_DIGITS}g}")) == struct.pack(">f", value)
+        return struct.pack(">f", float(f"{value:.{_FEW_DIGITS}g}")) == struct.pack(">f", value)
     except OverflowError:
         return False
 
 
 def _carries(pairs: Sequence[tuple[int, int]]) -> bool:
-    """Whether high and low words count together: the high one up where the low one falls."""
+    """True if the high word goes up by one exactly when the low word goes down, at least once."""
     carries = 0
     for (high, low), (next_high, next_low) in pairwise(pairs):
         if next_high == high:
@@ -174,7 +177,7 @@ def _carries(pairs: Sequence[tuple[int, int]]) -> bool:
     return carries > 0
 
 
-def _asked_as_two(address: int, pairs: Sequence[tuple[int, int]]) -> Guess:
+def _requested_alone(address: int, pairs: Sequence[tuple[int, int]]) -> Guess:
     firsts, seconds = ({pair[index] for pair in pairs} for index in (0, 1))
     if firsts == seconds == {0}:
         return Guess(address, PointType.UINT32, "asked for as two registers, always 0")
@@ -184,15 +187,15 @@ def _asked_as_two(address: int, pairs: Sequence[tuple[int, int]]) -> Guess:
         return Guess(address, type_, f"{reason}, the first of them {_listed(firsts)}")
     if seconds <= {0, 0xFFFF} and firsts - {0}:
         type_ = PointType.INT32 if 0xFFFF in seconds else PointType.UINT32
-        said = f"{reason}, the second of them {_listed(seconds)}"
-        return Guess(address, type_, said, WordOrder.LOW_FIRST)
+        reason += f", the second of them {_listed(seconds)}"
+        return Guess(address, type_, reason, WordOrder.LOW_FIRST)
     high, low = pairs[-1]
-    said = f"last {high << 16 | low}, or low word first {low << 16 | high}"
-    return Guess(address, PointType.UINT32, f"{reason}: {said}")
+    reason += f": last {high << 16 | low}, or low word first {low << 16 | high}"
+    return Guess(address, PointType.UINT32, reason)
 
 
 def _single(
-    first: int, columns: Sequence[Sequence[int]], at: int, samples: Samples, times: str
+    first: int, columns: Sequence[Sequence[int]], at: int, samples: Samples, plural: str
 ) -> Guess:
     column = columns[at]
     values = set(column)
@@ -201,22 +204,22 @@ def _single(
         reason = f"{min(signed)} to {max(signed)}: goes below zero"
         return Guess(first + at, PointType.INT16, reason)
     if not samples.changes[at]:
-        reason = f"{column[0]} in all {samples.count} {times}"
+        reason = f"{column[0]} in all {samples.count} {plural}"
         if samples.count == 1:
-            reason = f"{column[0]} in the only one of the {times}"
+            reason = f"{column[0]} in the only one of the {plural}"
         if column[0] in _UNAVAILABLE:
             reason += f" ({column[0]:04X}H, which often says that there is no value)"
     elif len(values) <= _MAX_LISTED:
-        reason = f"{_listed(values)} in {samples.count} {times}"
+        reason = f"{_listed(values)} in {samples.count} {plural}"
     elif all(one <= two for one, two in pairwise(column)):
-        reason = f"{column[0]} to {column[-1]} in {samples.count} {times}: counts up"
+        reason = f"{column[0]} to {column[-1]} in {samples.count} {plural}: counts up"
     else:
-        reason = f"{min(values)} to {max(values)} in {samples.count} {times}"
+        reason = f"{min(values)} to {max(values)} in {samples.count} {plural}"
     return Guess(first + at, PointType.UINT16, reason)
 
 
 def _crosses_zero(values: Collection[int]) -> bool:
-    """Whether they are small numbers of both signs; FFFF may say that there is no value."""
+    """True for small numbers of both signs. FFFFH alone is none: it may mean "no value"."""
     near, far = _NEAR_ZERO, 0x10000 - _NEAR_ZERO
     return (
         any(value < near for value in values)

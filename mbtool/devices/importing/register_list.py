@@ -34,7 +34,7 @@ from mbtool.devices.importing.rows import Complaints, Item, RowReader
 from mbtool.devices.importing.spellings import TypeSpelling, parse_type
 from mbtool.devices.loading import MAX_FILE_BYTES
 from mbtool.devices.model import PointType, Profile
-from mbtool.devices.starting import name_for
+from mbtool.devices.profile_template import name_for
 from mbtool.devices.validation import validate
 from mbtool.modbus.adu import Transport
 

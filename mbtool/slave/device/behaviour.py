@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices import Access
-from mbtool.devices.blocks import can_be_read
+from mbtool.devices.block_reads import can_be_read
 
 if TYPE_CHECKING:
     from mbtool.devices import Profile

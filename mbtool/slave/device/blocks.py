@@ -2,7 +2,7 @@
 
 # A profile's point says so with `block`. The registers of a block are apart from the table: a read
 # that begins at the block's first address gives the block's registers; a read that begins at one
-# of the addresses behind it gives the table's. devices/blocks.py says which reads are allowed.
+# of the addresses behind it gives the table's. devices/block_reads.py says which reads are allowed.
 #
 # Size: a block ends with its last point, so it has at most 65536 registers.
 

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.devices.findings import holds_read_only_point, value_ranges, values_outside
-from mbtool.devices.values import places_of
+from mbtool.devices.profile_checks import holds_read_only_point, value_ranges, values_outside
+from mbtool.devices.values import point_instances
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.modbus.tables import ADDRESSES, Table
 from mbtool.slave.device.behaviour import Behaviour
@@ -51,7 +51,7 @@ class Lt830(Behaviour):
         self._ranged = {
             table: [
                 place
-                for place in places_of(profile, table, writing=True)
+                for place in point_instances(profile, table, writing=True)
                 if place.name in self._ranges
             ]
             for table in Table

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import WireEvent
 from mbtool.devices import Who, builtin_profiles, load_profile
 from mbtool.devices.identity import answer_word
-from mbtool.devices.matching import model_function, models_of
+from mbtool.devices.profile_match import model_function, models_of
 from mbtool.modbus import FUNCTIONS
 
 if TYPE_CHECKING:

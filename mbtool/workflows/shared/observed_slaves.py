@@ -62,7 +62,7 @@ class ObservedSlaves:
         if len(slaves) == 1:
             return slaves[0]
         # A unit that never answers is no device to speak of beside one that does.
-        answering = [one for one in slaves if one.answered]
+        answering = [one for one in slaves if one.has_responded]
         if len(answering) == 1:
             return answering[0]
         raise UsageError(_which(slaves, answering or slaves, option))

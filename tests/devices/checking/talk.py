@@ -14,7 +14,7 @@ from mbtool.modbus import Transport, mbap_adu, rtu_adu
 from mbtool.modbus.adu import Adu, DirectionBy, Verdict
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -29,7 +29,7 @@ from tests.devices.transactions import transaction as bare
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 FOREIGN_MESSAGE = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
 
@@ -40,7 +40,7 @@ def codes(*records: NamedTransaction | WireEvent, profile: str | None = None) ->
     return [one.code for one in (*found, *checker.close())]
 
 
-def test_all_kinds_of_rules_are_asked() -> None:
+def test_all_kinds_of_rules_are_checked() -> None:
     assert codes(transaction("05 0000 0001", "85 03")) == ["MB-103"]
     assert codes(transaction(), transaction("", "83 02")) == ["MB-403"]
     assert codes(transaction(), event(EventKind.OVERLAP)) == ["TCP-203"]
@@ -51,7 +51,7 @@ def test_all_kinds_of_rules_are_asked() -> None:
     assert codes(*failed, profile="wago-750") == ["WAGO-X1"]
 
 
-def test_a_frame_that_may_be_another_breaks_no_rule_of_content() -> None:
+def test_an_ambiguous_frame_breaks_no_rule_about_content() -> None:
     frames: list[dict[str, Any]] = [
         {"quantity": 0, "outcome": Outcome.NO_ANSWER},
         {"quantity": 1, "exception": 0x55, "outcome": Outcome.EXCEPTION},
@@ -67,7 +67,7 @@ def test_a_frame_that_may_be_another_breaks_no_rule_of_content() -> None:
             assert bool(found) is not bool(verdicts), (fields, found)
 
 
-def test_what_is_too_little_for_a_finding_is_a_remark() -> None:
+def test_too_few_cases_for_a_finding_are_a_remark() -> None:
     checker = Checker(CaptureContext(assigned(None), lambda _: SerialFormat(19200)))
     doubtful = bare(3, 0, quantity=0, link=LINE, verdicts=[Verdict.AMBIGUOUS])
     late = transaction(on_a_line=True, verdicts=(Verdict.T1_5_BROKEN,))
@@ -76,13 +76,13 @@ def test_what_is_too_little_for_a_finding_is_a_remark() -> None:
     assert checker.remarks == []
     assert not [*checker.close()]
     assert checker.remarks == [
-        "1 transaction is ambiguous; what it says was held against no rule",
-        "rs485: a silence longer than t1.5 inside a frame in 1 of 11 transactions; so few are late "
-        "reads more likely than the line's",
+        "1 transaction is ambiguous; its contents were not checked",
+        "rs485: a silence longer than t1.5 inside a frame in 1 of 11 transactions; so few are "
+        "probably late reads, and no fault of the line",
     ]
 
 
-def test_an_answer_to_a_broadcast_is_told_once() -> None:
+def test_a_response_to_a_broadcast_is_one_finding() -> None:
     sent = transaction("10 0000 0001 02 1234", None, unit=0, on_a_line=True)
     answer = transaction("", "10 0000 0001", at_ms=10, on_a_line=True)
     assert codes(transaction(at_ms=-500, on_a_line=True), sent, answer) == ["MB-301"]
@@ -98,7 +98,7 @@ def test_rules_of_a_family_are_for_its_devices() -> None:
     assert codes(*three) == []
 
 
-def test_times_of_a_line_that_are_not_known_tell_nothing() -> None:
+def test_without_times_there_are_no_findings_about_times() -> None:
     polls = [transaction(at_ms=100 * at + 80 * (at % 6 == 5), on_a_line=True) for at in range(60)]
     assert codes(*polls) == ["MB-404"]
     checker = Checker()

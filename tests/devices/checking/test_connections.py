@@ -6,8 +6,8 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.connections import (
+    MAX_PENDING,
     MAX_RECENT,
-    MAX_WAITING,
     ConnectionRules,
     is_foreign_message,
 )
@@ -16,7 +16,7 @@ from tests.devices.checking.talk import MASTER, SLAVE, event, opened, transactio
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 FOREIGN_MESSAGE = bytes.fromhex("0001 0001 0006 01 03 0000 0001")
 
@@ -95,9 +95,7 @@ def test_bytes_at_the_edges_of_a_capture_are_no_finding() -> None:
 
 @pytest.mark.parametrize("kind", [EventKind.GAP, EventKind.CUT, EventKind.DISCARDED])
 @pytest.mark.parametrize("ends", [(MASTER, SLAVE), (SLAVE, MASTER)])
-def test_bytes_around_those_that_the_capture_lacks_are_no_finding(
-    kind: EventKind, ends: tuple[str, str]
-) -> None:
+def test_bytes_beside_missing_bytes_are_no_finding(kind: EventKind, ends: tuple[str, str]) -> None:
     source, destination = ends
     lost = event(kind, at_ms=20, source=source, destination=destination)
     for at_ms in (10, 30):
@@ -123,9 +121,9 @@ def test_memory_is_bounded() -> None:
     rules = ConnectionRules(None)
     assert not [*rules.event(opened())]
     told = 0
-    for number in range(2 * MAX_WAITING):
+    for number in range(2 * MAX_PENDING):
         assert not [*rules.transaction(transaction(number=number, at_ms=number / 1000))]
         told += len([*rules.event(event(EventKind.SKIPPED, at_ms=number / 1000))])
-    assert told == MAX_WAITING
+    assert told == MAX_PENDING
     (connection,) = rules._connections.values()
     assert len(connection.recent) == MAX_RECENT

@@ -6,9 +6,9 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
-from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.devices.loading import load_profile
-from mbtool.devices.named import NamedTransaction
+from mbtool.devices.named_transaction import NamedTransaction
 from tests.devices.checking.talk import MASTER, event, opened, transaction
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def test_another_protocol_id_gets_no_answer() -> None:
     assert codes(event(EventKind.FOREIGN, raw=b"\x16\x03\x01")) == []
 
 
-def test_a_reset_with_other_data_than_the_manuals_is_none() -> None:
+def test_a_reset_with_wrong_data_is_no_reset() -> None:
     assert codes(said("41 00", None)) == ["FA3-X3"]
     assert codes(said("41 01", None)) == []
 
@@ -70,12 +70,12 @@ def test_a_third_connection_drops_the_one_that_was_silent_longest() -> None:
     assert codes(*third, opened(source=B, at_ms=120)) == ["FA3-X2"]
 
 
-def test_a_remote_reset_is_told_and_a_refused_one_is_not() -> None:
+def test_a_remote_reset_is_found_unless_it_is_refused() -> None:
     assert codes(said("41 00", None)) == ["FA3-X3"]
     assert codes(said("41 00", "C1 03")) == []
 
 
-def test_who_connects_within_two_seconds_of_a_reset_is_told() -> None:
+def test_a_connection_within_two_seconds_after_a_reset_is_found() -> None:
     reset: list[Record] = [
         opened(source=A),
         said("41 00", None, source=A, at_ms=10),
@@ -92,14 +92,14 @@ def test_who_connects_within_two_seconds_of_a_reset_is_told() -> None:
     assert codes(*reset, opened(source=B, at_ms=1100, joined=True)) == ["FA3-X3"]
 
 
-def test_another_connection_that_goes_on_is_told() -> None:
+def test_a_request_on_another_connection_after_a_reset_is_found() -> None:
     reset: list[Record] = [said("41 00", None, source=A, at_ms=10), closed(source=A, at_ms=100)]
     assert found(*reset, said(source=B, at_ms=600))[1:] == [
         ("FA3-X4", "read holding RWw0 0.5 s after the remote reset")
     ]
 
 
-def test_a_reset_that_is_known_only_later_is_held_against_what_came_since() -> None:
+def test_a_reset_that_is_decoded_late_applies_to_requests_since_then() -> None:
     since: list[Record] = [opened(source=B, at_ms=500), said(source=B, at_ms=510)]
     reset = said("41 00", None, source=A, at_ms=10)
     assert codes(*since, reset) == ["FA3-X3", "FA3-X4"]
@@ -115,7 +115,7 @@ def test_settings_take_effect_by_y9_then_x9_then_y9() -> None:
     assert codes(x9(1), asked, cleared) == ["FA3-X5"]
 
 
-def test_a_handshake_whose_beginning_was_not_seen_is_no_finding() -> None:
+def test_a_handshake_without_its_beginning_is_no_finding() -> None:
     assert codes(said(Y9_OFF, Y9_OFF)) == []
     refused = said(Y9_ON, "85 02")
     assert codes(refused, said(Y9_OFF, Y9_OFF)) == []
@@ -142,10 +142,10 @@ def test_the_family_is_known_by_its_behaviour() -> None:
 
 def test_memory_is_bounded() -> None:
     rules = Fa3Rules()
-    for number in range(MAX_KEPT + 10):
+    for number in range(MAX_ENTRIES + 10):
         one = event(EventKind.OPENED, destination=f"10.1.{number // 256}.{number % 256}:502")
         assert not [*rules.event(one)]
-    assert len(rules._modules) == MAX_KEPT
+    assert len(rules._modules) == MAX_ENTRIES
     for number in range(500):
         assert len([*rules.event(opened(source=f"10.0.0.1:{number}"))]) == (number > 1)
     module = rules._modules["10.0.0.2:502"]

@@ -7,13 +7,13 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.devices.checking.finding import Finding
-from mbtool.devices.checking.line import ENOUGH, LineRules
-from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.line import MIN_TRANSACTIONS, LineRules
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.modbus.adu import Verdict
 from tests.devices.checking.talk import assigned, line_event, transaction
 
 if TYPE_CHECKING:
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 FORMAT = SerialFormat(19200)
 PATIENT = str(
@@ -73,19 +73,19 @@ def test_a_late_read_now_and_then_is_a_remark(verdict: Verdict) -> None:
     assert not [*rules.close()]
     (remark,) = rules.remarks
     assert remark.startswith("rs485: ")
-    assert " in 5 of 45 transactions; so few are late reads" in remark
+    assert " in 5 of 45 transactions; so few are probably late reads" in remark
 
 
 def test_many_broken_silences_are_the_adapters() -> None:
-    glued = [on_line(at_ms=1000 * at, verdicts=(Verdict.GLUED,)) for at in range(ENOUGH)]
+    glued = [on_line(at_ms=1000 * at, verdicts=(Verdict.GLUED,)) for at in range(MIN_TRANSACTIONS)]
     assert codes(*glued) == ["RTU-104"]
     assert codes(*glued[:-1]) == ["RTU-103"]
-    good = [on_line(at_ms=1000 * at) for at in range(ENOUGH, 4 * ENOUGH)]
+    good = [on_line(at_ms=1000 * at) for at in range(MIN_TRANSACTIONS, 4 * MIN_TRANSACTIONS)]
     assert codes(*glued, *good) == ["RTU-104"]
     assert codes(*glued, *good, on_line(at_ms=100_000)) == ["RTU-103"]
 
 
-def test_a_pause_between_bytes_that_an_adapter_cannot_cause_does_not_make_it_one() -> None:
+def test_silences_longer_than_t1_5_are_not_the_adapters() -> None:
     paused = [on_line(at_ms=1000 * at, verdicts=(Verdict.T1_5_BROKEN,)) for at in range(20)]
     assert codes(*paused) == ["RTU-101"]
 
@@ -117,7 +117,7 @@ def test_an_answer_to_a_broadcast_is_found(pdu: str) -> None:
     assert one.message.startswith("unit 1 answers the broadcast write ")
 
 
-def test_who_speaks_later_or_of_other_things_does_not_answer_the_broadcast() -> None:
+def test_late_or_different_frames_are_no_response_to_a_broadcast() -> None:
     sent = on_line("06 0000 0001", None, unit=0)
     assert codes(sent, on_line("06 0000 0001", "06 0000 0001", at_ms=150)) == []
     assert codes(sent, on_line("06 0000 0002", None, at_ms=150)) == []
@@ -144,7 +144,7 @@ def test_a_master_that_does_not_wait_after_a_broadcast_is_found() -> None:
     assert codes(sent, soon, format_=None) == []
 
 
-def test_a_master_that_asks_sooner_than_the_manual_wants_is_found() -> None:
+def test_a_master_faster_than_the_manual_allows_is_found() -> None:
     first = on_line(unit=8, latency_ms=10)
     soon = [on_line(unit=8, at_ms=10 + gap + EIGHT_BYTES_MS) for gap in (3, 1)]
     (one,) = findings(first, soon[0], first, soon[1], profile=PATIENT)
@@ -159,13 +159,13 @@ def test_a_master_that_asks_sooner_than_the_manual_wants_is_found() -> None:
     assert codes(first, soon[0], profile=PATIENT, format_=None) == []
 
 
-def test_a_clock_that_was_set_back_tells_nothing_of_the_pace() -> None:
+def test_a_clock_that_was_set_back_gives_no_finding() -> None:
     assert codes(on_line(at_ms=1000), on_line(), profile=PATIENT) == []
 
 
 def test_memory_is_bounded() -> None:
     rules = LineRules()
-    for number in range(MAX_KEPT + 10):
+    for number in range(MAX_ENTRIES + 10):
         event = WireEvent(ts_ns=0, link=f"line {number}", kind=EventKind.SKIPPED, message="")
         assert not [*rules.event(event)]
-    assert len(rules._lines) == MAX_KEPT
+    assert len(rules._lines) == MAX_ENTRIES

@@ -3,7 +3,7 @@ from __future__ import annotations
 from mbtool.devices.checking.lru_dict import LruDict
 
 
-def test_what_is_lacking_is_made_once() -> None:
+def test_a_missing_entry_is_made_once() -> None:
     kept: LruDict[str, list[int]] = LruDict(list)
     kept["a"].append(1)
     assert kept["a"] == [1]
@@ -12,7 +12,7 @@ def test_what_is_lacking_is_made_once() -> None:
     assert list(kept.items()) == [("a", [1])]
 
 
-def test_what_was_used_longest_ago_gives_way() -> None:
+def test_the_least_recently_used_entry_is_removed() -> None:
     kept: LruDict[str, list[int]] = LruDict(list, limit=2)
     kept["a"].append(1)
     kept["b"].append(2)
@@ -22,7 +22,7 @@ def test_what_was_used_longest_ago_gives_way() -> None:
     assert len(kept) == 2
 
 
-def test_what_is_taken_out_is_made_anew() -> None:
+def test_a_removed_entry_is_made_again() -> None:
     kept: LruDict[str, list[int]] = LruDict(list)
     kept["a"].append(1)
     assert kept.pop("a") == [1]

@@ -30,7 +30,7 @@ def test_a_poll_that_is_early_is_found_too() -> None:
     assert text([100, 100, 100, 100, 40] * 10) is not None
 
 
-def test_a_poll_that_keeps_its_time_is_no_finding() -> None:
+def test_a_regular_poll_is_no_finding() -> None:
     assert text([100] * 60) is None
     assert text([100, 102, 98, 130, 99] * 12) is None
 
@@ -40,12 +40,12 @@ def test_single_pauses_are_no_finding() -> None:
     assert text([100] * 300 + [180] * 5) is None
 
 
-def test_what_has_no_regular_times_is_no_poll() -> None:
+def test_irregular_requests_are_no_poll() -> None:
     assert text([100, 300, 50, 900, 20, 400] * 10) is None
     assert text([100] * 15 + [180] * 4) is None
 
 
-def test_a_master_that_asks_as_fast_as_it_can_keeps_no_time() -> None:
+def test_polls_as_fast_as_possible_have_no_finding() -> None:
     assert text([10] * 50 + [18] * 10) is None
 
 
@@ -53,13 +53,13 @@ def test_a_clock_that_was_set_back_is_no_period() -> None:
     assert text([100] * 30 + [-5000] + [100] * 30) is None
 
 
-def test_a_long_capture_is_looked_at_evenly() -> None:
+def test_the_sample_is_spread_over_a_long_capture() -> None:
     message = text(([100] * 9 + [180]) * 200)
     assert message is not None
     assert "looked at, of 2000," in message
 
 
-def test_each_poll_is_judged_by_itself() -> None:
+def test_each_poll_is_checked_separately() -> None:
     rules = PollRules()
     for turn in range(60):
         rules.transaction(transaction(at_ms=100 * turn))

@@ -12,13 +12,13 @@ def test_a_code_has_a_family_and_a_number_or_is_the_letter_of_devices() -> None:
         assert re.fullmatch(pattern, code), code
 
 
-def test_a_rule_says_in_one_sentence_what_is_the_matter() -> None:
+def test_the_meaning_of_a_rule_is_one_sentence() -> None:
     for rule in RULES.values():
         assert re.fullmatch(r"[A-Z].*\.", rule.meaning)
         assert rule.source
 
 
-def test_a_devices_code_is_taken_apart() -> None:
+def test_the_code_of_a_device_is_parsed() -> None:
     parsed = DeviceCode.parse("FT1A-Q16")
     assert parsed is not None
     assert (parsed.prefix, parsed.rule.code, parsed.number) == ("FT1A", "Q", 16)
@@ -33,6 +33,6 @@ def test_a_code_has_the_severity_of_its_rule() -> None:
     assert severity_of("FA3-X2") is Severity.WARNING
 
 
-def test_a_code_of_another_edition_is_a_warning_of_no_rule() -> None:
+def test_an_unknown_code_is_a_warning_without_a_rule() -> None:
     assert rule_of("RTU-CRC") is None
     assert severity_of("RTU-CRC") is Severity.WARNING

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from mbtool.devices.checking.transactions import TransactionRules, asked_for
+from mbtool.devices.checking.transactions import TransactionRules, request_text
 from tests.devices.checking.talk import assigned, transaction
 
 
@@ -109,17 +109,17 @@ def test_a_value_within_its_range_is_no_finding() -> None:
     assert messages("03 00F2 0001", "03 02 FFFF", profile="fa3-at1m8x") == []
 
 
-def test_a_request_is_said_in_few_words() -> None:
-    assert asked_for(transaction()) == "read holding 0"
-    assert asked_for(transaction(profile="idec-ft1a-touch")) == "read holding HR400001"
-    assert asked_for(transaction("42 00", "42 0016", profile="fa3-at1m8x")) == "read model name"
-    assert asked_for(transaction("16 0000 00F2 0025", None)) == "mask write holding 0"
+def test_a_request_is_described_in_few_words() -> None:
+    assert request_text(transaction()) == "read holding 0"
+    assert request_text(transaction(profile="idec-ft1a-touch")) == "read holding HR400001"
+    assert request_text(transaction("42 00", "42 0016", profile="fa3-at1m8x")) == "read model name"
+    assert request_text(transaction("16 0000 00F2 0025", None)) == "mask write holding 0"
 
 
 def test_a_table_that_its_reference_names_is_not_named_twice() -> None:
     # Coil 10000 would be 10001, which is a discrete input.
     one = transaction("01 2710 0001", "81 02", profile="chino-lt830")
-    assert asked_for(one) == "read coil 10000"
-    assert asked_for(transaction("07", "87 01")) == "read exc status"
+    assert request_text(one) == "read coil 10000"
+    assert request_text(transaction("07", "87 01")) == "read exc status"
     unasked = transaction("", "01 01 01")
-    assert asked_for(unasked) == "read coils"
+    assert request_text(unasked) == "read coils"

@@ -45,7 +45,7 @@ def refused(function: int, address: int, quantity: int, exception: int) -> Trans
     )
 
 
-def test_areas_are_what_was_answered_joined() -> None:
+def test_accepted_addresses_are_joined_into_areas() -> None:
     profile = draft(read(10, 1, 2, 3), read(13, 4), read(20, 5), transaction(1, 0, quantity=8))
     assert [(area.name, area.first, area.last) for area in profile.areas] == [
         ("C0..7", 0, 7),
@@ -55,20 +55,20 @@ def test_areas_are_what_was_answered_joined() -> None:
     assert {area.access for area in profile.areas} == {Access.READ}
 
 
-def test_what_was_written_can_be_written_and_where_is_said() -> None:
+def test_written_areas_are_writable_with_a_comment() -> None:
     written = transaction(16, 11, quantity=2, request_values=[7, 8])
     assert draft(read(10, 1, 2, 3), written).areas[0].access is Access.READ_WRITE
     assert "# Written here: 11..12.\n" in text(read(10, 1, 2, 3), written)
     assert "# Nobody wrote here; if the device allows it, access is rw.\n" in text(read(10, 1))
 
 
-def test_what_was_refused_is_a_hole_and_said_beside_its_neighbours() -> None:
+def test_refused_addresses_are_gaps_with_a_comment() -> None:
     parts = (read(10, 1, 2), refused(3, 12, 1, 2), read(13, 4))
     assert [(area.first, area.last) for area in draft(*parts).areas] == [(10, 11), (13, 13)]
     assert "# Refused beside it: holding 12 (exception 02).\n" in text(*parts)
 
 
-def test_what_was_never_answered_stands_apart_and_is_said() -> None:
+def test_addresses_without_response_are_areas_of_their_own_with_a_comment() -> None:
     silent = transaction(3, 12, quantity=2, outcome=Outcome.NO_ANSWER)
     assert [(area.first, area.last) for area in draft(read(10, 1, 2), silent).areas] == [
         (10, 11),
@@ -77,7 +77,7 @@ def test_what_was_never_answered_stands_apart_and_is_said() -> None:
     assert "# Asked for, but never answered: perhaps there is nothing here.\n" in text(silent)
 
 
-def test_an_answer_says_more_than_a_silence() -> None:
+def test_a_response_counts_more_than_a_missing_one() -> None:
     silent = transaction(3, 10, quantity=4, outcome=Outcome.NO_ANSWER)
     for parts in ((silent, read(10, 1, 2)), (read(10, 1, 2), silent)):
         assert [(area.first, area.last) for area in draft(*parts).areas] == [(10, 11), (12, 13)]
@@ -92,7 +92,7 @@ def test_a_function_that_was_refused_is_not_one_of_the_device() -> None:
     ) in text(*parts)
 
 
-def test_a_limit_is_one_only_where_more_was_refused() -> None:
+def test_a_limit_is_drafted_only_if_more_was_refused() -> None:
     polled = [read(0, *range(100)), read(0, *range(20))]
     assert draft(*polled).functions["03"].limit is None
     wider = [*polled, read(100, *range(60)), refused(3, 0, 120, 3)]
@@ -126,7 +126,7 @@ def test_a_wide_request_counts_before_a_narrow_one() -> None:
     ]
 
 
-def test_what_it_calls_itself_is_its_title() -> None:
+def test_the_reported_name_is_the_title() -> None:
     found = seen(read(10, 1))
     found.identity |= {"vendor": "Maker", "product": "Pump 7"}
     profile = draft_profile(found, "draft", "x").profile
@@ -138,7 +138,7 @@ def test_the_file_is_named_without_its_folder() -> None:
     assert "site" not in text(read(10, 1))
 
 
-def test_points_are_bounded_and_what_is_left_out_is_said() -> None:
+def test_the_number_of_points_is_bounded_with_a_comment() -> None:
     reads = [read(at, *range(100)) for at in range(0, MAX_POINTS + 100, 100)]
     assert len(draft(*reads).points) == MAX_POINTS
     assert f"# {100} more registers were seen" in text(*reads)

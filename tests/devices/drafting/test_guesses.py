@@ -67,7 +67,7 @@ def test_a_float_beside_another_is_one() -> None:
     assert second.reason == "as a float 0.21123, beside another float"
 
 
-def test_two_that_are_asked_for_together_belong_together() -> None:
+def test_two_registers_that_are_requested_alone_are_one_value() -> None:
     (high,) = guesses([0, 500], [0, 510], twos=[100])
     (low,) = guesses([500, 0], [510, 0], twos=[100])
     (negative,) = guesses([0xFFFF, 0xFFF0], [0, 5], twos=[100])
@@ -103,7 +103,7 @@ def test_a_text_is_known_by_its_letters() -> None:
     assert behind.address == 107
 
 
-def test_what_counts_up_and_what_may_be_no_value_is_said() -> None:
+def test_counters_and_missing_values_are_mentioned() -> None:
     counter = [[value] for value in range(10, 90, 8)]
     assert guesses(*counter)[0].reason == "10 to 82 in 10 answers: counts up"
     assert guesses([0x8000])[0].reason == (

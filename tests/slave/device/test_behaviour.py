@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.devices import Access, Area, FunctionRule, Profile, load_profile
-from mbtool.devices.blocks import can_be_read
+from mbtool.devices.block_reads import can_be_read
 from mbtool.modbus import Table, Transport
 from mbtool.slave.device.behaviour import MAX_ALLOWED, Behaviour
 from mbtool.slave.device.image import RegisterImage

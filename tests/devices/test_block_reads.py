@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices.blocks import can_be_read
-from mbtool.devices.findings import request_findings
+from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.loading import load_profile
+from mbtool.devices.profile_checks import request_findings
 from mbtool.modbus import Table
 from tests.devices.transactions import transaction
 
@@ -44,12 +44,12 @@ def test_blocks_are_read_from_their_beginning(
     assert list(request_findings(WAGO, asked)) == ([] if can else [f"WAGO-A{function}"])
 
 
-def test_a_profile_without_blocks_is_read_as_its_areas_say() -> None:
+def test_without_blocks_only_areas_limit_reads() -> None:
     touch = load_profile("idec-ft1a-touch")
     assert can_be_read(touch, Table.HOLDING_REGISTERS, range(4096))
     assert not can_be_read(touch, Table.HOLDING_REGISTERS, range(4097))
 
 
-def test_what_is_read_by_17h_keeps_to_the_blocks_too() -> None:
+def test_reads_of_17h_respect_blocks() -> None:
     asked = transaction(0x17, 0x2024, quantity=1, write_address=0, request_values=[1])
     assert list(request_findings(WAGO, asked)) == ["WAGO-A23"]

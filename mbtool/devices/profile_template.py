@@ -1,15 +1,14 @@
-"""The start of a profile: a file that loads at once, and shows what a profile can say."""
+"""The profile that `mbtool devices new` writes: an example to edit, with comments."""
 
-# The text stands here as a reader gets it, since its comments are what it is for. Every key is one
-# of docs/devices.md; a test loads it.
+# The text explains itself to users, so it is written here as they see it. A test loads it.
 
 from __future__ import annotations
 
 import re
 
 _TEXT = """\
-# A profile says in the words of a device's manual what its addresses mean. This one describes a
-# pump that does not exist; replace what stands here by what your manual says. Look at it with
+# A profile contains what a device's manual says about the device's addresses. This one describes a
+# pump that does not exist; replace its contents by those of your manual. Look at it with
 #
 #     mbtool devices {file}
 #     mbtool decode capture.mcap --device 5={file}
@@ -18,13 +17,13 @@ _TEXT = """\
 # with which an editor completes and checks them. Numbers may be hexadecimal: 0x0102.
 
 name = {name}  # letters, digits, - _ .
-title = "Feed pump 7"  # what people call it
+title = "Feed pump 7"  # the full name, for readers
 vendor = "Maker"
 transports = ["rtu"]  # of rtu, ascii, tcp, rtu-tcp
 source = "operating instructions, edition 3, chapter 9"
 
-# The functions that it has, by code in two hexadecimal digits. Where the manual gives a largest
-# quantity, say so; else the standard's limit holds.
+# The functions that it has, by code in two hexadecimal digits. "limit" is the largest quantity, if
+# the manual states one; otherwise the standard's limit applies.
 
 [functions]
 03 = {{ limit = 16 }}
@@ -33,7 +32,8 @@ source = "operating instructions, edition 3, chapter 9"
 01 = {{}}
 05 = {{}}
 
-# Which exception code it gives for what, and all that its manual lists. Without this: 1, 2 and 3.
+# The exception codes that it gives: for a function that it lacks, for a wrong address, for a wrong
+# quantity or value; and all codes in its manual. Without this section: 1, 2 and 3.
 
 [exceptions]
 function = 1
@@ -43,8 +43,8 @@ documented = [1, 2, 3, 0x11]
 texts = {{ 0x11 = "pump is running" }}
 
 # Areas: the ranges of addresses that it has. "first" and "last" are addresses on the wire, from 0.
-# "base" is the number that the manual gives to address 0, and "prefix" what it writes before it:
-# with base = 40001 address 10 is written 40011, with prefix = "D" and base = 0 it is D10.
+# "base" is the manual's number for address 0, and "prefix" the text before the number: with
+# base = 40001, address 10 is written 40011; with prefix = "D" and base = 0, it is written D10.
 
 [[areas]]
 name = "data register"
@@ -63,7 +63,7 @@ access = "rw"
 prefix = "C"
 base = 1
 
-# Points: the values that the manual names. A register without a point is shown as its number.
+# Points: the values that the manual names. Registers without a point are shown as numbers.
 
 [[points]]
 name = "Speed"
@@ -73,14 +73,14 @@ scale = 0.1  # the register holds tenths
 unit = "rpm"
 minimum = 0
 maximum = 3000
-access = "r"  # a master only reads it
+access = "r"  # a master may only read it
 
 [[points]]
 name = "Temperature"
 table = "holding_registers"
 address = 11
-type = "int16"  # uint16 where nothing is said
-offset = -40  # the register holds 0 at -40
+type = "int16"  # uint16 without this key
+offset = -40  # the register holds 0 at -40 degC
 unit = "degC"
 
 [[points]]
@@ -117,7 +117,7 @@ name = "Bearing {{n}} temperature"  # a series: 1 to 4
 table = "holding_registers"
 address = 30
 count = 4
-stride = 2  # from one to the next
+stride = 2  # addresses from one to the next
 scale = 0.1
 unit = "degC"
 
@@ -128,24 +128,24 @@ address = 0  # C1
 type = "bit"
 texts = {{ 0 = "off", 1 = "on" }}
 
-# Silences on the line, only where the manual gives others than the standard:
+# Silences on the line, if those in the manual differ from the standard's:
 #
 # [timing]
 # t3_5 = "28bits"
 
-# What the device does that no key can say, and where its manual contradicts itself:
+# Notes for readers, for example on contradictions in the manual:
 #
-# notes = ["..."]  # stands above, beside name and title
+# notes = ["..."]  # at the top, beside name and title
 """
 
 
 def starting_profile(file: str, name: str) -> str:
-    """The text of a profile called `name`, to be written to a file that is called `file`."""
+    """The text of the profile, with its name and the name of its file filled in."""
     return _TEXT.format(file=re.sub(r"[^\x20-\x7e]", "?", file), name=f'"{name}"')
 
 
 def name_for(file: str) -> str:
-    """A name that a profile may have, from that of a file: `Pump 7.toml` is pump-7."""
+    """A valid profile name made from a file name: `Pump 7.toml` becomes pump-7."""
     stem = re.split(r"[/\\]", file)[-1]
     stem = stem.rpartition(".")[0] or stem
     return re.sub(r"[^a-z0-9._-]+", "-", stem.lower()).strip("-._") or "device"

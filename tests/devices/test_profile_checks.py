@@ -4,9 +4,9 @@ import msgspec
 import pytest
 
 from mbtool.devices.checking.rules import RULES
-from mbtool.devices.findings import exception_finding, finding_text, request_findings
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, Area, FunctionRule, Profile
+from mbtool.devices.profile_checks import exception_finding, finding_text, request_findings
 from mbtool.modbus import Table, Transport
 from tests.devices.checking import talk
 from tests.devices.transactions import transaction
@@ -27,7 +27,7 @@ FT1A = load_profile("idec-ft1a-touch")
         (0x03, None, None, []),
     ],
 )
-def test_request_is_held_against_the_manual(
+def test_a_request_is_checked_against_the_manual(
     function: int, address: int | None, quantity: int | None, codes: list[str]
 ) -> None:
     asked = transaction(function, address, quantity=quantity)
@@ -46,7 +46,7 @@ def test_request_is_held_against_the_manual(
         ("chino-lt830", "08 000A 0000", ["LT830-D8"]),
     ],
 )
-def test_data_that_the_manual_fixes_are_held_against_it(
+def test_fixed_data_are_checked_against_the_manual(
     device: str, request_pdu: str, codes: list[str]
 ) -> None:
     asked = talk.transaction(request_pdu, None, profile=device, on_a_line=device == "chino-lt830")
@@ -65,7 +65,7 @@ def test_data_that_the_manual_fixes_are_held_against_it(
         (range(18, 22), range(10, 12), ["X-A23"]),
     ],
 )
-def test_what_17h_reads_and_what_it_writes_are_held_against_the_areas(
+def test_both_ranges_of_17h_are_checked_against_the_areas(
     read: range, write: range, codes: list[str]
 ) -> None:
     areas = [
@@ -103,7 +103,7 @@ def test_what_17h_reads_and_what_it_writes_are_held_against_the_areas(
         (126, 1, ["WAGO-Q23"], "at most 125 are read and 100 written"),
     ],
 )
-def test_what_17h_writes_has_a_limit_of_its_own(
+def test_17h_has_a_separate_limit_for_writing(
     read: int, write: int, codes: list[str], text: str | None
 ) -> None:
     wago = load_profile("wago-750")
@@ -112,7 +112,7 @@ def test_what_17h_writes_has_a_limit_of_its_own(
     assert [finding_text(code, wago) for code in codes] == ([text] if text else [])
 
 
-def test_limit_of_writing_alone_leaves_reading_to_the_standard() -> None:
+def test_with_only_a_write_limit_the_standard_limits_reading() -> None:
     profile = msgspec.structs.replace(FT1A, functions={"17": FunctionRule(write_limit=4)})
     for read, write, codes in ((125, 4, []), (125, 5, ["FT1A-Q23"]), (126, 4, ["MB-104"])):
         asked = transaction(0x17, 0, quantity=read, write_address=0, request_values=[0] * write)
@@ -137,7 +137,7 @@ def test_functions_of_the_makers_own_are_no_finding() -> None:
     assert list(request_findings(fa3, transaction(0x45))) == ["FA3-F69"]
 
 
-def test_exception_is_held_against_the_manual() -> None:
+def test_an_exception_is_checked_against_the_manual() -> None:
     assert exception_finding(FT1A, 2) is None
     assert exception_finding(FT1A, 3) == "FT1A-E3"
 

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import PointType
-from mbtool.devices.starting import name_for, starting_profile
+from mbtool.devices.profile_template import name_for, starting_profile
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_it_loads_at_once(tmp_path: Path) -> None:
+def test_the_template_loads(tmp_path: Path) -> None:
     path = tmp_path / "pump.toml"
     path.write_text(starting_profile("pump.toml", "pump"), encoding="utf-8")
     profile = load_profile(str(path))
@@ -24,7 +24,7 @@ def test_it_loads_at_once(tmp_path: Path) -> None:
     assert {point.name for point in profile.points} >= {"Speed", "State", "Alarms", "Flow"}
 
 
-def test_what_its_comments_say_of_references_is_so(tmp_path: Path) -> None:
+def test_references_in_the_comments_are_correct(tmp_path: Path) -> None:
     path = tmp_path / "pump.toml"
     path.write_text(starting_profile("pump.toml", "pump"), encoding="utf-8")
     profile = load_profile(str(path))
@@ -60,7 +60,7 @@ def test_it_shows_the_keys_that_most_profiles_need() -> None:
     assert all(one in text for one in (PointType.FLOAT32, PointType.FLAGS, PointType.STRING))
 
 
-def test_a_file_cannot_end_its_comment() -> None:
+def test_a_file_name_cannot_end_the_comment() -> None:
     assert "\nx = 1" not in starting_profile("a\nx = 1", "pump")
 
 
@@ -73,7 +73,7 @@ def test_a_file_cannot_end_its_comment() -> None:
         ("ä.toml", "device"),
     ],
 )
-def test_a_name_is_made_of_the_files(file: str, name: str) -> None:
+def test_the_name_is_made_from_the_file_name(file: str, name: str) -> None:
     assert name_for(file) == name
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices.form import form_codes, is_quantity_wrong, padding_of, request_codes
+from mbtool.devices.standard_checks import form_codes, is_quantity_wrong, padding_of, request_codes
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.transaction import Outcome
 from tests.devices.checking.talk import transaction
@@ -30,7 +30,7 @@ from tests.devices.transactions import transaction as bare
         (0x03, None, None, []),
     ],
 )
-def test_a_request_is_held_against_the_standard(
+def test_a_request_is_checked_against_the_standard(
     function: int, address: int | None, quantity: int | None, codes: list[str]
 ) -> None:
     assert list(request_codes(function, address, quantity)) == codes
@@ -72,7 +72,7 @@ def test_what_function_17h_writes_has_a_limit_and_an_end_of_its_own() -> None:
     ],
 )
 @pytest.mark.parametrize("on_a_line", [False, True], ids=["tcp", "rtu"])
-def test_form_is_held_against_the_standard(
+def test_the_form_is_checked_against_the_standard(
     request_: str, answer: str, codes: list[str], on_a_line: bool
 ) -> None:
     one = transaction(request_, answer, on_a_line=on_a_line)
@@ -80,7 +80,7 @@ def test_form_is_held_against_the_standard(
     assert one.findings == codes
 
 
-def test_an_answer_nobody_asked_for_is_held_against_its_own_form() -> None:
+def test_a_response_without_a_request_has_its_form_checked() -> None:
     assert transaction("", "83 02 00").findings == ["MB-203"]
     assert transaction("", "10 0000 0300").findings == []
 

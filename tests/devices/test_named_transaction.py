@@ -5,19 +5,19 @@ import json
 import msgspec
 import pytest
 
-from mbtool.devices.named import NamedTransaction, PointValue
+from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
 from mbtool.modbus.transaction import Outcome
 from tests.devices.transactions import transaction
 
 
-def test_record_has_no_key_for_what_does_not_apply() -> None:
+def test_absent_fields_are_not_in_a_record() -> None:
     named = Namer().name(transaction(7))
     keys = json.loads(msgspec.json.encode(named))
     assert not {"device", "reference", "points", "findings", "address"} & keys.keys()
 
 
-def test_record_comes_back_from_json() -> None:
+def test_a_record_survives_json() -> None:
     named = NamedTransaction(
         **msgspec.structs.asdict(transaction(3, 0, quantity=1, response_values=[5])),
         device="pump",

@@ -7,8 +7,14 @@ from typing import Any
 import pytest
 
 from mbtool.devices.loading import builtin_profiles, load_profile
-from mbtool.devices.matching import MatchResult, ProfileMatch, match, model_function, models_of
 from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.profile_match import (
+    MatchResult,
+    ProfileMatch,
+    match_profiles,
+    model_function,
+    models_of,
+)
 from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -31,7 +37,7 @@ def verdict(*transactions: Transaction) -> MatchResult:
     seen = ObservedSlave("line", transactions[0].destination, transactions[0].unit)
     for one in transactions:
         seen.note(one)
-    return match(seen, PROFILES)
+    return match_profiles(seen, PROFILES)
 
 
 def best(found: MatchResult) -> list[str]:
@@ -66,7 +72,7 @@ def test_models_without_a_code_are_told_apart_by_their_addresses() -> None:
     assert set(best(verdict(buffer, refused))) == digital
 
 
-def test_names_decide_nothing() -> None:
+def test_names_of_points_are_no_evidence() -> None:
     found = verdict(transaction(3, 205, quantity=3, response_values=[30, 120, 20]))
     assert of(found, "chino-lt830").named == 3
     assert of(found, "idec-ft1a-touch").named == 0
@@ -96,7 +102,7 @@ def test_names_decide_nothing() -> None:
         ({"function": 1, "address": 0, "quantity": 2, "response_values": [1, 1]}, None),
     ],
 )
-def test_what_devices_differ_in_tells_them_apart(
+def test_devices_are_distinguished_by_their_differences(
     fields: dict[str, Any], winner: str | None
 ) -> None:
     if "exception" in fields:
@@ -109,7 +115,7 @@ def test_what_devices_differ_in_tells_them_apart(
         assert best(found) == [winner]
 
 
-def test_a_unit_that_a_device_cannot_be_speaks_against_it() -> None:
+def test_a_unit_number_that_is_too_high_counts_against_a_profile() -> None:
     found = verdict(transaction(3, 205, quantity=3, response_values=[1, 2, 3], unit=100))
     assert best(found) == ["idec-ft1a-smartaxis", "idec-ft1a-touch"]
     assert of(found, "chino-lt830").against == ("it can be unit 1 to 99, and this is 100",)
@@ -117,20 +123,20 @@ def test_a_unit_that_a_device_cannot_be_speaks_against_it() -> None:
     assert "chino-lt830" in best(at_99)
 
 
-def test_a_refusal_for_another_reason_speaks_against_it() -> None:
+def test_a_refusal_for_another_reason_counts_against_a_profile() -> None:
     lacking = transaction(15, 0, quantity=1, exception=2, outcome=Outcome.EXCEPTION)
     touch = of(verdict(lacking), "idec-ft1a-touch")
     assert (touch.explained, touch.contradicted) == (0, 1)
     assert touch.against == ("0F C1 refused by 02, though it has no function 0F",)
 
 
-def test_a_value_that_is_refused_says_nothing_of_its_address() -> None:
+def test_a_refused_value_is_no_evidence_about_its_address() -> None:
     refused = on_tcp(6, 0x00F2, quantity=1, exception=3, outcome=Outcome.EXCEPTION)
     model = of(verdict(refused), "fa3-at1m8x")
     assert (model.explained, model.contradicted) == (0, 0)
 
 
-def test_what_17h_refuses_is_not_counted_against_either_half() -> None:
+def test_a_refused_17h_is_no_evidence() -> None:
     fields: dict[str, Any] = {"quantity": 1, "write_address": 3, "outcome": Outcome.EXCEPTION}
     refused = on_tcp(0x17, 0, **fields, request_values=[1] * 101, exception=3)
     wago = of(verdict(refused), "wago-750")
@@ -142,12 +148,12 @@ def test_what_17h_refuses_is_not_counted_against_either_half() -> None:
     )
 
 
-def test_what_is_written_is_called_as_what_is_written() -> None:
+def test_a_write_is_described_in_the_notation_for_writing() -> None:
     bits = on_tcp(15, 0, quantity=257, request_values=[1] * 257)
     assert of(verdict(bits), "wago-750").against[0].startswith("0F DO0..256 answered")
 
 
-def test_what_nothing_confirms_is_told_so() -> None:
+def test_a_match_without_confirmation_says_so() -> None:
     reads = [transaction(1, at, quantity=8, response_values=[1] * 8) for at in range(9)]
     written = transaction(15, 0, quantity=8, request_values=[1] * 8)
     found = verdict(*reads, written)
@@ -158,7 +164,7 @@ def test_what_nothing_confirms_is_told_so() -> None:
     assert "confirms" not in verdict(*reads, written, refused).sentence
 
 
-def test_a_tie_is_told_as_a_tie() -> None:
+def test_equal_matches_are_a_tie() -> None:
     found = verdict(transaction(3, 5, quantity=1, response_values=[1]))
     assert len(found.best) > 1
     assert found.sentence == (
@@ -167,7 +173,7 @@ def test_a_tie_is_told_as_a_tie() -> None:
     )
 
 
-def test_a_refusal_that_the_manual_wants_speaks_for_it() -> None:
+def test_a_predicted_refusal_counts_for_a_profile() -> None:
     found = verdict(
         transaction(3, 0, quantity=4, response_values=[1, 2, 3, 4]),
         transaction(15, 0, quantity=1, exception=1, outcome=Outcome.EXCEPTION),
@@ -176,20 +182,20 @@ def test_a_refusal_that_the_manual_wants_speaks_for_it() -> None:
     assert "0F C1 refused, as it has no function 0F" in of(found, "idec-ft1a-touch").reasons
 
 
-def test_an_answer_that_the_manual_does_not_know_speaks_against_it() -> None:
+def test_an_accepted_request_outside_the_areas_counts_against_a_profile() -> None:
     found = verdict(transaction(3, 60_000, quantity=1, response_values=[1]))
     touch = of(found, "idec-ft1a-touch")
     assert (touch.explained, touch.contradicted) == (0, 1)
     assert touch.against == ("03 HR460001 answered, though it is outside its areas",)
 
 
-def test_an_exception_that_no_manual_has_speaks_against_it() -> None:
+def test_an_undocumented_exception_counts_against_a_profile() -> None:
     busy = transaction(3, 0, quantity=1, exception=0x55, outcome=Outcome.EXCEPTION)
     found = verdict(busy, transaction(3, 1, quantity=1, response_values=[1]))
     assert "exception 55 is none of its manual's" in of(found, "idec-ft1a-touch").against
 
 
-def test_a_device_of_another_line_is_none_and_one_behind_a_gateway_may_be() -> None:
+def test_another_transport_excludes_a_profile_except_behind_a_gateway() -> None:
     on_line = verdict(transaction(3, 0, quantity=1, response_values=[1]))
     assert not of(on_line, "fa3-at1m8x").is_plausible
     reads = [on_tcp(3, at, quantity=1, response_values=[1]) for at in range(4_000, 4_040)]
@@ -198,7 +204,7 @@ def test_a_device_of_another_line_is_none_and_one_behind_a_gateway_may_be() -> N
     assert "only behind a gateway" in behind.against[0]
 
 
-def test_its_own_words_speak_for_a_profile() -> None:
+def test_a_reported_name_counts_for_a_profile() -> None:
     pdu = bytes.fromhex("2b 0e 01 01 00 00 01 00 04") + b"WAGO"
     named = on_tcp(0x2B, response_raw=mbap_adu(1, 0, pdu))
     found = verdict(named, on_tcp(3, 0, quantity=1, response_values=[1]))
@@ -207,13 +213,13 @@ def test_its_own_words_speak_for_a_profile() -> None:
     assert found.matches[0].score == 50  # 45 as one of two requests is explained, 5 for its name.
 
 
-def test_silence_says_nothing() -> None:
+def test_missing_responses_are_no_evidence() -> None:
     found = verdict(transaction(3, 0, quantity=1, outcome=Outcome.NO_ANSWER))
     assert found.sentence == "never answered, so nothing tells what it is"
     assert {one.score for one in found.matches} == {0}
 
 
-def test_what_no_profile_explains_is_told() -> None:
+def test_a_slave_that_no_profile_explains_is_reported() -> None:
     found = verdict(transaction(0x65, response_raw=rtu_adu(1, b"\x65\x00")))
     assert found.sentence == "none of the profiles explains it"
     assert not found.best

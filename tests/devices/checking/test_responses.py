@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.answers import MAX_HELD, AnswerRules
-from mbtool.devices.checking.lru_dict import MAX_KEPT
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
+from mbtool.devices.checking.responses import MAX_PENDING, ResponseRules
 from mbtool.modbus.adu import Transport, Verdict
 from tests.devices.checking.talk import (
     MASTER,
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.named import NamedTransaction
+    from mbtool.devices.named_transaction import NamedTransaction
 
 OTHER = "04 0000 0001"
 OTHER_ANSWER = "04 02 0007"
@@ -31,12 +31,12 @@ OTHER_ANSWER = "04 02 0007"
 def found(
     *records: NamedTransaction | WireEvent, profile: str | None = None
 ) -> list[tuple[str, str]]:
-    rules = AnswerRules()
+    rules = ResponseRules()
     return [(one.code, one.message) for one in _findings(rules, records, profile)]
 
 
 def _findings(
-    rules: AnswerRules, records: Iterable[NamedTransaction | WireEvent], profile: str | None
+    rules: ResponseRules, records: Iterable[NamedTransaction | WireEvent], profile: str | None
 ) -> Iterable[Finding]:
     for record in records:
         if isinstance(record, WireEvent):
@@ -56,7 +56,7 @@ def test_a_request_without_answer_is_found_when_the_capture_goes_on() -> None:
     assert found(unanswered, later) == [("MB-401", "read holding 0: no answer")]
 
 
-def test_an_ambiguous_frame_is_missed_by_nobody_and_may_be_the_answer_before_it() -> None:
+def test_an_ambiguous_frame_needs_no_response_and_may_be_one() -> None:
     def doubtful(one: NamedTransaction) -> NamedTransaction:
         return msgspec.structs.replace(one, verdicts=[Verdict.AMBIGUOUS])
 
@@ -72,14 +72,14 @@ def test_an_ambiguous_frame_is_missed_by_nobody_and_may_be_the_answer_before_it(
     assert codes(later, doubtful(unasked)) == []
 
 
-def test_a_slave_that_is_never_heard_is_said_to_be() -> None:
+def test_a_slave_without_any_response_is_named_in_the_message() -> None:
     silent = transaction(response=None, unit=9)
     assert found(silent, transaction(OTHER, OTHER_ANSWER, at_ms=2000)) == [
         ("MB-401", "read holding 0: no answer; unit 9 says nothing in this capture")
     ]
 
 
-def test_a_request_at_the_end_of_the_capture_may_yet_be_answered() -> None:
+def test_a_request_at_the_end_of_the_capture_is_no_finding() -> None:
     unanswered = transaction(response=None)
     assert codes(unanswered) == []
     assert codes(unanswered, transaction(OTHER, OTHER_ANSWER, at_ms=500)) == []
@@ -92,7 +92,7 @@ def test_on_a_line_the_next_request_ends_the_one_before() -> None:
     assert codes(unanswered) == []
 
 
-def test_a_request_that_is_answered_when_repeated_is_found_once() -> None:
+def test_a_retry_with_a_response_is_one_finding() -> None:
     asked = [transaction(response=None, at_ms=at, on_a_line=True) for at in (0, 300)]
     answered = transaction(at_ms=600, latency_ms=10, on_a_line=True, retries=2)
     assert found(*asked, answered) == [
@@ -100,17 +100,17 @@ def test_a_request_that_is_answered_when_repeated_is_found_once() -> None:
     ]
 
 
-def test_a_request_that_is_repeated_in_vain_is_found_each_time() -> None:
+def test_each_retry_without_a_response_is_a_finding() -> None:
     asked = [transaction(response=None, at_ms=at) for at in (0, 300)]
     assert codes(*asked, transaction(OTHER, OTHER_ANSWER, at_ms=2000)) == ["MB-401", "MB-401"]
 
 
-def test_a_poll_that_is_answered_much_later_is_no_repetition() -> None:
+def test_the_next_poll_long_after_is_no_retry() -> None:
     unanswered = transaction(response=None)
     assert codes(unanswered, transaction(at_ms=6000, retries=1)) == ["MB-401"]
 
 
-def test_on_a_network_a_request_is_given_up_after_its_repetition_was_answered() -> None:
+def test_a_tcp_request_can_time_out_after_the_response_to_its_retry() -> None:
     answered = transaction(at_ms=1000, number=2, retries=2)
     given_up = [transaction(response=None, at_ms=at) for at in (0, 500)]
     assert found(answered, transaction(at_ms=70_000, number=3), *given_up) == [
@@ -118,14 +118,14 @@ def test_on_a_network_a_request_is_given_up_after_its_repetition_was_answered() 
     ]
 
 
-def test_an_answer_that_nobody_asked_for_is_found() -> None:
+def test_a_response_without_a_request_is_found() -> None:
     assert found(opened(), transaction("", "03 02 1234")) == [
         ("MB-403", "answer to read holding registers, which no request in the capture asked for")
     ]
     assert codes(transaction(), transaction("", "83 02", at_ms=5)) == ["MB-403"]
 
 
-def test_an_answer_soon_after_the_beginning_may_have_been_asked_for_before_it() -> None:
+def test_a_response_at_the_beginning_of_the_capture_is_no_finding() -> None:
     early = transaction("", "03 02 1234", at_ms=10)
     assert codes(opened(joined=True), early) == []
     assert codes(early) == []
@@ -133,7 +133,7 @@ def test_an_answer_soon_after_the_beginning_may_have_been_asked_for_before_it() 
     assert codes(early, late) == ["MB-403"]
 
 
-def test_an_answer_behind_damage_or_loss_may_have_been_asked_for() -> None:
+def test_a_response_after_damaged_or_lost_bytes_is_no_finding() -> None:
     asked = transaction(on_a_line=True)
     stray = transaction("", "03 02 1234", at_ms=50, on_a_line=True)
     assert codes(asked, stray) == ["MB-403"]
@@ -142,7 +142,7 @@ def test_an_answer_behind_damage_or_loss_may_have_been_asked_for() -> None:
     assert codes(opened(), transaction(), lost, transaction("", "03 02 1234", at_ms=50)) == []
 
 
-def test_a_request_near_lost_bytes_may_have_been_answered() -> None:
+def test_a_request_before_lost_bytes_is_no_finding() -> None:
     later = transaction(OTHER, OTHER_ANSWER, at_ms=4000)
     unanswered = transaction(response=None)
     for kind in (EventKind.GAP, EventKind.CUT, EventKind.DISCARDED):
@@ -153,13 +153,13 @@ def test_a_request_near_lost_bytes_may_have_been_answered() -> None:
             assert codes(transaction(at_ms=-10), lost, unanswered, later) == []
 
 
-def test_a_hole_in_a_log_ends_all_that_was_open() -> None:
+def test_a_gap_in_a_log_drops_all_pending_requests() -> None:
     hole = WireEvent(ts_ns=0, link="", kind=EventKind.GAP, message="a hole")
     later = transaction(OTHER, OTHER_ANSWER, at_ms=4000)
     assert codes(transaction(response=None), hole, later) == []
 
 
-def test_what_is_carried_out_in_silence_needs_no_answer() -> None:
+def test_functions_carried_out_in_silence_need_no_response() -> None:
     later = transaction(OTHER, OTHER_ANSWER, at_ms=4000)
     assert codes(transaction("08 0004 0000", None), later) == []
     reset = transaction("41 00", None, profile="fa3-at1m8x")
@@ -186,14 +186,14 @@ def test_an_answer_with_another_transaction_id_is_an_answer() -> None:
 
 
 def test_memory_is_bounded() -> None:
-    rules = AnswerRules()
+    rules = ResponseRules()
     found = 0
-    for number in range(MAX_HELD + 500):
+    for number in range(MAX_PENDING + 500):
         source = f"10.0.0.1:{number}"
         for told in (opened(source=source), event(EventKind.CLOSED, source=source)):
             assert not [*rules.event(told)]
         one = transaction(response=None, source=source, at_ms=1)
         found += len([*rules.transaction(one, None)])
     assert found == 500
-    assert rules._number_held == MAX_HELD
-    assert len(rules._states) <= MAX_KEPT
+    assert rules._pending_count == MAX_PENDING
+    assert len(rules._states) <= MAX_ENTRIES

@@ -1,7 +1,7 @@
-"""Rules of a device's manual and of the standard that one transaction can break, as codes."""
+"""Checks one transaction against its device's profile; the results are finding codes."""
 
-# checking/rules.py has the table of all codes, and how a code is made. What takes more than one
-# transaction to see is found in checking/.
+# standard_checks.py checks a transaction against the standard, and checking/ checks several
+# transactions together. checking/rules.py has the table of all rules and explains the codes.
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.devices.blocks import can_be_read
+from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.checking.rules import DeviceCode, rule_of
-from mbtool.devices.form import is_quantity_wrong, request_codes
-from mbtool.devices.values import places_of
+from mbtool.devices.standard_checks import is_quantity_wrong, request_codes
+from mbtool.devices.values import point_instances
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 from mbtool.modbus.pdu import whole_pdu
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.devices.model import FunctionRule, Point, Profile
-    from mbtool.devices.named import PointValue
+    from mbtool.devices.named_transaction import PointValue
     from mbtool.modbus.tables import Table
     from mbtool.modbus.transaction import Transaction
 
 Ranges = dict[str, tuple[float | None, float | None]]
-"""The least and the greatest value of the points that have them, by their names."""
+"""Minimum and maximum by the name of the point; None if there is no such limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
-    """A code in words, with the figures of its profile where that is given: `limit is 100`."""
+    """A code in words. With a profile, it has the figures of the profile: `limit is 100`."""
     parsed = DeviceCode.parse(code)
     if parsed is None:
         rule = rule_of(code)
@@ -54,13 +54,13 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return f"the manual fixes them{data}"
         case _:
             name = exception_name(number) if profile is None else profile.exception_name(number)
-            # A code without a name of its own is called by its number.
+            # The name of an unknown exception is its number, which the text has already.
             named = "" if name.startswith("exception ") else f" ({name})"
             return f"exception {number:02X}{named} is not documented"
 
 
 def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
-    """Codes for what a request asks of its device, by function, addresses and quantities alone."""
+    """Codes for the function, the addresses and the quantities of a request."""
     function = transaction.function
     written = _written_by_17h(transaction)
     standard = request_codes(function, transaction.address, transaction.quantity, written)
@@ -72,35 +72,35 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
     if rule is None:
         yield f"{prefix}-F{function}"
         return
-    if _is_beyond(rule, transaction, written):
+    if _is_quantity_wrong(rule, transaction, written):
         yield f"{prefix}-Q{function}"
     elif rule.limit is None:
-        # Where its areas end the device's manual says, and where all end goes without saying.
+        # Not MB-106, a range beyond FFFFH: such a range is also outside the areas, which is an A.
         yield from (code for code in standard if code != "MB-106")
-    letter = _unreachable(profile, transaction, written)
+    letter = _address_letter(profile, transaction, written)
     if letter is not None:
         yield f"{prefix}-{letter}{function}"
 
 
 def exception_finding(profile: Profile, exception: int) -> str | None:
-    """The code for an exception that the device's manual does not list."""
+    """The code for an exception that is not in the device's manual; None if it is."""
     if exception in profile.exceptions.documented:
         return None
     return f"{finding_prefix(profile)}-E{exception}"
 
 
 def value_ranges(profile: Profile) -> Ranges:
-    """The ranges that a manual gives for what can be written."""
+    """The ranges in the manual of the values that can be written."""
     return {
-        place.name: (point.minimum, point.maximum)
+        instance.name: (point.minimum, point.maximum)
         for point in profile.points
         if point.minimum is not None or point.maximum is not None
-        for place in places_of(_with_only(profile, point), point.table, writing=True)
+        for instance in point_instances(_with_only(profile, point), point.table, writing=True)
     }
 
 
 def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointValue]:
-    """Those of the values to be written that the manual does not allow."""
+    """The values that are outside their range."""
     return [point for point in points if _is_outside(point.value, ranges.get(point.name))]
 
 
@@ -110,7 +110,7 @@ def value_finding(profile: Profile, function: int) -> str:
 
 
 def fixed_data(profile: Profile) -> dict[int, bytes]:
-    """What the manual has requests begin with behind their function code, by the function."""
+    """The bytes that must follow the function code of a request, by function code."""
     return {
         int(code, 16): bytes.fromhex(rule.data)
         for code, rule in profile.functions.items()
@@ -119,19 +119,19 @@ def fixed_data(profile: Profile) -> dict[int, bytes]:
 
 
 def has_other_data(transaction: Transaction, fixed: bytes) -> bool:
-    """Whether a request does not begin with the data that the manual fixes for its function."""
+    """True if the data of a request do not begin with the bytes that the manual fixes."""
     data = request_data(transaction)
     return data is not None and not data.startswith(fixed)
 
 
 def request_data(transaction: Transaction) -> bytes | None:
-    """What stands behind a request's function code; None without a request that can be read."""
+    """The bytes behind the function code of a request; None if there is no readable request."""
     pdu = whole_pdu(transaction.transport, transaction.request_raw)
     return None if pdu is None else pdu[1:]
 
 
 def data_finding(profile: Profile, function: int) -> str:
-    """The code for data that are not the manual's."""
+    """The code for data that differ from the manual's."""
     return f"{finding_prefix(profile)}-D{function}"
 
 
@@ -139,10 +139,10 @@ def finding_prefix(profile: Profile) -> str:
     return profile.finding_prefix or profile.name.upper()
 
 
-def _is_beyond(
+def _is_quantity_wrong(
     rule: FunctionRule, transaction: Transaction, written: tuple[int, int] | None
 ) -> bool:
-    """Whether a quantity is one that the manual does not allow, as far as it says any."""
+    """True if the manual states limits, and a quantity is 0 or above its limit."""
     quantity = transaction.quantity
     if rule.limit is not None and quantity is not None and not 1 <= quantity <= rule.limit:
         return True
@@ -161,10 +161,10 @@ def _limit_text(rule: FunctionRule | None) -> str:
     return f"at most {rule.limit} are read and {rule.write_limit} written"
 
 
-def _unreachable(
+def _address_letter(
     profile: Profile, transaction: Transaction, written: tuple[int, int] | None
 ) -> str | None:
-    """The letter for a range that the device does not have, or lets nobody write."""
+    """A if the device does not have the addresses, W if they can only be read, else None."""
     known = FUNCTIONS.get(transaction.function)
     if known is None or known.table is None or transaction.address is None:
         return None
@@ -182,21 +182,23 @@ def _unreachable(
 
 
 def holds_read_only_point(profile: Profile, table: Table, span: range) -> bool:
-    """Whether a range to be written holds a point that one can only read."""
-    fitting = [point for point in profile.points if point.table is table]
-    barred = [point for point in fitting if not point.allows(writing=True)]
-    if not barred:
-        return False
-    open_ = {address for point in fitting if point.allows(writing=True) for address in _held(point)}
-    return any(at in span and at not in open_ for point in barred for at in _held(point))
-
-
-def _held(point: Point) -> Iterator[int]:
-    for address in point.addresses:
-        yield from range(address, address + point.words)
+    """True if a range contains a point that can only be read."""
+    points = [point for point in profile.points if point.table is table]
+    read_only = {
+        address
+        for point in points
+        if not point.allows(writing=True)
+        for address in point.all_addresses
+        if address in span
+    }
+    for point in points if read_only else ():
+        if point.allows(writing=True):
+            read_only -= point.all_addresses
+    return bool(read_only)
 
 
 def _written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
+    """First address and quantity of the registers that a function 17H writes."""
     if transaction.write_address is None:
         return None
     return transaction.write_address, len(transaction.request_values or ())

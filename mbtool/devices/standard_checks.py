@@ -1,9 +1,9 @@
-"""What the standard itself says of a request and its answer, as codes of broken rules."""
+"""Checks one transaction against the standard; the results are finding codes."""
 
-# Most transactions break none of these rules, and are asked only what is quickly asked: what a
-# request wants depends on function, address and quantity, and is worked out once for each
-# combination (naming.py); what is wrong with the form of a PDU is known by a verdict; and only
-# reads and writes of bits have padding. The bytes are parsed again where a verdict says so.
+# This is fast because most transactions break no rule. `request_codes` depends only on function,
+# address and quantity, and naming.py calls it once for each combination. A malformed PDU has a
+# verdict, so bytes are only parsed again for such a verdict. Only reads and writes of bits have
+# padding to check.
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mbtool.modbus.functions import (
     EXCEPTION_BIT,
     FUNCTIONS,
     READ_BITS,
-    READS,
+    READ_REGISTERS,
     WRITE_LIMIT_17H,
     WRITE_ONE,
     WRITE_SEVERAL,
@@ -32,16 +32,20 @@ if TYPE_CHECKING:
 
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
-_COUNTED_REQUESTS = {0x0F: 6, 0x10: 6, 0x17: 10}
-"""Functions whose requests have a byte count, and how long they are up to it."""
-_ECHOES = WRITE_ONE | WRITE_SEVERAL
+_BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}
+"""Length of a request PDU up to and including its byte count, by function."""
+_RESPONSE_HAS_BYTE_COUNT = READ_BITS | READ_REGISTERS
+_RESPONSE_REPEATS_REQUEST = WRITE_ONE | WRITE_SEVERAL
 _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
 
 
 def request_codes(
     function: int, address: int | None, quantity: int | None, written: tuple[int, int] | None = None
 ) -> Iterator[str]:
-    """Codes for what a request asks for. `written` is what function 17H writes: where, how many."""
+    """Codes for function, addresses and quantities of a request.
+
+    `written` is the first address and the quantity that function 17H writes.
+    """
     if not 0 < function < EXCEPTION_BIT:
         yield "MB-107"
         return
@@ -57,7 +61,7 @@ def request_codes(
 def is_quantity_wrong(
     function: int, quantity: int | None, written: tuple[int, int] | None = None
 ) -> bool:
-    """Whether the standard does not allow a quantity for a function."""
+    """True if the standard does not allow a quantity for a function."""
     known = FUNCTIONS.get(function)
     if known is None or known.table is None:
         return False
@@ -67,7 +71,7 @@ def is_quantity_wrong(
 
 
 def form_codes(transaction: Transaction) -> list[str]:
-    """Codes for the form of both PDUs. Never raises, whatever the bytes."""
+    """Codes for the form of both PDUs. Never raises."""
     if transaction.verdicts and not _MALFORMED.isdisjoint(transaction.verdicts):
         return _malformed_codes(transaction)
     if transaction.function in _HAS_PADDING and padding_of(transaction) is not None:
@@ -80,47 +84,49 @@ def _malformed_codes(transaction: Transaction) -> list[str]:
     if Verdict.MALFORMED_REQUEST in transaction.verdicts:
         codes.append(request_form(transaction)[0])
     if Verdict.MALFORMED_RESPONSE in transaction.verdicts:
-        broken = answer_form(transaction)
+        broken = response_form(transaction)
         if broken is not None:
             codes.append(broken[0])
     return codes
 
 
 def request_form(transaction: Transaction) -> tuple[str, str]:
-    """The code for a request that is known to be malformed, and what is wrong."""
+    """The code and the problem of a request with the verdict MALFORMED_REQUEST."""
     pdu = _pdu(transaction, transaction.request_raw)
     problem = parse_pdu(pdu, Direction.REQUEST).problem or "its form is wrong"
     function = transaction.function
     if function == 0x05 and len(pdu) == 5:
         return "MB-103", problem
-    if function in _COUNTED_REQUESTS and len(pdu) >= _COUNTED_REQUESTS[function]:
+    if function in _BYTE_COUNT_END and len(pdu) >= _BYTE_COUNT_END[function]:
         return "MB-101", problem
     return "MB-102", problem
 
 
-def answer_form(transaction: Transaction) -> tuple[str, str] | None:
-    """The code for an answer that is known to be malformed, and what is wrong.
+def response_form(transaction: Transaction) -> tuple[str, str] | None:
+    """The code and the problem of a response with the verdict MALFORMED_RESPONSE.
 
-    None for the true echo of a request that is malformed itself.
+    None if the response correctly repeats a malformed request.
     """
-    asked_pdu = _pdu(transaction, transaction.request_raw)
+    request_pdu = _pdu(transaction, transaction.request_raw)
     pdu = _pdu(transaction, transaction.response_raw)
-    if pdu == asked_pdu:
+    if pdu == request_pdu:
         return None
-    asked, answered = parse_pdu(asked_pdu, Direction.REQUEST), parse_pdu(pdu, Direction.RESPONSE)
-    problem = answered.problem or mismatch(asked, answered) or "its form is wrong"
+    request = parse_pdu(request_pdu, Direction.REQUEST)
+    response = parse_pdu(pdu, Direction.RESPONSE)
+    problem = response.problem or mismatch(request, response) or "its form is wrong"
     if pdu and pdu[0] & EXCEPTION_BIT:
         problem = f"an exception of {len(pdu)} bytes, where one has 2"
     else:
-        if transaction.function in READS and len(pdu) > 1:
+        if transaction.function in _RESPONSE_HAS_BYTE_COUNT and len(pdu) > 1:
             return "MB-202", problem
-        if transaction.function in _ECHOES and pdu_length(pdu, Direction.RESPONSE) == len(pdu):
+        repeats = transaction.function in _RESPONSE_REPEATS_REQUEST
+        if repeats and pdu_length(pdu, Direction.RESPONSE) == len(pdu):
             return "MB-201", problem
     return "MB-203", problem
 
 
 def padding_of(transaction: Transaction) -> tuple[int, int] | None:
-    """The last byte of bits whose padding is not 0, and how many of its bits count."""
+    """The last byte of the bits and how many of its bits count; None if the other bits are 0."""
     used = (transaction.quantity or 0) % 8
     if not used:
         return None
@@ -134,5 +140,5 @@ def padding_of(transaction: Transaction) -> tuple[int, int] | None:
 
 
 def _pdu(transaction: Transaction, raw: bytes | None) -> bytes:
-    """The PDU of an ADU; empty where there is none, or none that can be read."""
+    """The PDU of an ADU; empty if there is no ADU, or no readable PDU in it."""
     return whole_pdu(transaction.transport, raw) or b""

@@ -1,0 +1,60 @@
+"""The ranges that a master may read from a device with blocks of registers."""
+
+# A block is read from its first address, as a whole or in part. A read that begins elsewhere does
+# not reach the block, and a read must not extend beyond it. The points of a profile say which
+# registers a block has (`block`). If an area of another table has the same notation, the block is
+# in that table, too: WAGO's 0x2020 is the same for functions 03 and 04.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbtool.devices.model import Point, Profile
+    from mbtool.modbus.tables import Table
+
+
+def can_be_read(profile: Profile, table: Table, span: range) -> bool:
+    """True if a master may read a range with one request."""
+    return profile.allows(table, span) and _respects_blocks(profile, table, span)
+
+
+def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
+    in_blocks, readable = _touched_points(profile, table, span)
+    from_start = [point for point in in_blocks if point.block == span.start]
+    if from_start:
+        return span.stop <= 1 + max(max(point.all_addresses) for point in from_start)
+    # The read begins elsewhere, so it only reaches registers that have a point outside the blocks.
+    return _addresses(in_blocks, span) <= _addresses(readable, span)
+
+
+def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[Point], list[Point]]:
+    """The points of blocks that a range touches, and the readable points outside all blocks."""
+    if all(point.block is None for point in profile.points):
+        return [], []
+    touched = [
+        point
+        for point in profile.points
+        if _touches(point, span) and _is_in_table(profile, point, table)
+    ]
+    in_blocks = [point for point in touched if point.block is not None]
+    others = [point for point in touched if point.block is None and point.allows(writing=False)]
+    return in_blocks, others
+
+
+def _addresses(points: list[Point], span: range) -> set[int]:
+    return {at for point in points for at in point.all_addresses if at in span}
+
+
+def _touches(point: Point, span: range) -> bool:
+    """True if a range has an address of the point, or of its block before the point."""
+    last = point.addresses[-1] + point.words - 1
+    first = point.address if point.block is None else point.block
+    return first < span.stop and last >= span.start
+
+
+def _is_in_table(profile: Profile, point: Point, table: Table) -> bool:
+    if point.table is table:
+        return True
+    own, other = profile.area(point.table, point.address), profile.area(table, point.address)
+    return own is not None and other is not None and own.notation == other.notation

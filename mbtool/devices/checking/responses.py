@@ -1,0 +1,245 @@
+"""Rules about missing responses, retries, and responses without a request."""
+
+# MB-401  a request has no response
+# MB-402  a request has a response only after a retry; its earlier copies are then no MB-401
+# MB-403  a response has no request in the capture
+#
+# A request without a response is therefore pending until a retry gets a response, or until
+# PATIENCE_NS have passed. There is no finding if the capture may simply lack the other half:
+#
+#     a request at the end of the capture, whose response may follow later
+#     a response at the beginning of the capture, whose request may have come before
+#     a request or response beside bytes that are lost or unreadable
+#     an ambiguous frame (Verdict.AMBIGUOUS), and the request before it to the same unit, which it
+#     may respond to
+#     a request that the device carries out in silence: function 08 with sub-function 4, a function
+#     that has `answers = false` in its profile, and unit 0 of RTU over TCP
+#
+# Memory: at most MAX_PENDING pending requests (beyond that, the oldest counts as unanswered),
+# MAX_RETRIES responses for each repeated request, and a few numbers for each line or connection
+# (see lru_dict.py).
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices.checking.finding import Finding, is_joined, transaction_finding
+from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.transactions import request_text
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.modbus.adu import Transport, Verdict
+from mbtool.modbus.pdu import whole_pdu
+from mbtool.modbus.transaction import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices.model import Profile
+
+MAX_PENDING = 4096
+MAX_RETRIES = 16
+PATIENCE_NS = 5_000_000_000
+"""How long a request is pending; also how long after the beginning of a capture a response may
+belong to a request before it."""
+EDGE_NS = 1_000_000_000
+"""A request this close to the end of the capture may have a response after the end."""
+
+_DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
+_LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
+_UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
+_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
+
+_Connection = tuple[str, str | None]
+"""A link and the master's end of the connection; None on a serial line."""
+_Request = tuple[_Connection, int, bytes]
+"""Connection, unit and PDU: a retry is equal to the request that it repeats."""
+
+
+@dataclass(slots=True)
+class _ConnectionState:
+    since_ns: int | None = None
+    """The time of the first record."""
+    is_complete: bool = False
+    """True if the connection was opened during the capture, and no bytes were lost since."""
+    has_request: bool = False
+    """True if a request came since the beginning, or since bytes were lost."""
+    is_damaged: bool = False
+    """True if unreadable bytes came since the last request."""
+    last_request_ns: int = 0
+    last_loss_ns: int | None = None
+
+
+@dataclass(slots=True)
+class _Retry:
+    transaction: NamedTransaction
+    is_reported: bool = False
+
+
+class ResponseRules:
+    """Finds MB-401 to MB-403. Takes records in the order in which they are decoded."""
+
+    def __init__(self) -> None:
+        self._states: LruDict[_Connection, _ConnectionState] = LruDict(_ConnectionState)
+        self._has_responded: LruDict[tuple[str, int], list[bool]] = LruDict(lambda: [False])
+        """By link and unit."""
+        self._pending: OrderedDict[_Request, deque[NamedTransaction]] = OrderedDict()
+        self._pending_count = 0
+        self._retries: LruDict[_Request, deque[_Retry]] = LruDict(lambda: deque(maxlen=MAX_RETRIES))
+        """Retries that have a response."""
+        self._last_ns = 0
+
+    def transaction(
+        self, transaction: NamedTransaction, profile: Profile | None
+    ) -> Iterator[Finding]:
+        """Check the next transaction."""
+        connection = (transaction.link, transaction.source)
+        state = self._states[connection]
+        at_ns = transaction.start_ns
+        if state.since_ns is None:
+            state.since_ns = at_ns
+        yield from self._advance(at_ns)
+        if transaction.response_ns is not None:
+            self._last_ns = max(self._last_ns, transaction.response_ns)
+            self._has_responded[transaction.link, transaction.unit][0] = True
+        is_ambiguous = Verdict.AMBIGUOUS in transaction.verdicts
+        if is_ambiguous and transaction.outcome in _UNPAIRED:
+            self._forget(connection, transaction.unit)
+        if transaction.outcome is Outcome.UNSOLICITED:
+            if _is_surely_unsolicited(state, at_ns) and not is_ambiguous:
+                yield transaction_finding("MB-403", transaction, _unsolicited_text(transaction))
+            return
+        state.has_request, state.is_damaged = True, False
+        state.last_request_ns = max(state.last_request_ns, at_ns)
+        request = (connection, transaction.unit, _request_bytes(transaction))
+        if transaction.outcome is Outcome.NO_ANSWER:
+            may_be_lost = state.last_loss_ns is not None and state.last_loss_ns >= at_ns
+            if not (may_be_lost or is_ambiguous or _needs_no_response(transaction, profile)):
+                yield from self._add_unanswered(request, transaction)
+        elif transaction.outcome is not Outcome.BROADCAST:
+            earlier = self._pending.pop(request, None)
+            if earlier:
+                self._pending_count -= len(earlier)
+                yield _retry_finding(earlier[0], transaction, len(earlier) + 1)
+            elif transaction.retries:
+                self._retries[request].append(_Retry(transaction))
+
+    def event(self, event: WireEvent) -> Iterator[Finding]:
+        """Note the next event."""
+        yield from self._advance(event.ts_ns)
+        if event.kind in _LOST and not event.link:  # Part of a log is missing.
+            self._pending.clear()
+            self._pending_count = 0
+            self._states.clear()
+            return
+        for end in (event.source or None, event.destination or None):
+            connection = (event.link, end)
+            if event.kind is EventKind.OPENED and end == event.source:
+                self._states.pop(connection)
+                opened = self._states[connection]
+                opened.since_ns, opened.is_complete = event.ts_ns, not is_joined(event)
+            elif connection not in self._states:
+                continue
+            elif event.kind in _LOST:
+                state = self._states[connection]
+                state.has_request = state.is_complete = False
+                state.last_loss_ns = event.ts_ns
+                self._forget(connection)
+            elif event.kind in _DAMAGE:
+                self._states[connection].is_damaged = True
+
+    def close(self) -> Iterator[Finding]:
+        """Report the pending requests at the end of the capture."""
+        pending, self._pending = self._pending, OrderedDict()
+        for (connection, _, _), transactions in pending.items():
+            state = self._states[connection]
+            for one in transactions:
+                is_old = self._last_ns - one.start_ns >= EDGE_NS
+                was_given_up = connection[1] is None and state.last_request_ns > one.start_ns
+                if is_old or was_given_up:
+                    yield self._no_response_finding(one)
+
+    def _advance(self, now_ns: int) -> Iterator[Finding]:
+        """Report the requests that were pending for longer than PATIENCE_NS."""
+        self._last_ns = max(self._last_ns, now_ns)
+        while self._pending:
+            transactions = next(iter(self._pending.values()))
+            if now_ns - transactions[0].start_ns <= PATIENCE_NS:
+                return
+            yield self._give_up_oldest()
+
+    def _add_unanswered(
+        self, request: _Request, transaction: NamedTransaction
+    ) -> Iterator[Finding]:
+        # The timeout of a TCP request can come after the response to its retry.
+        for retry in self._retries.get(request) or ():
+            if 0 < retry.transaction.start_ns - transaction.start_ns <= PATIENCE_NS:
+                if not retry.is_reported:
+                    retry.is_reported = True
+                    times = retry.transaction.retries + 1
+                    yield _retry_finding(transaction, retry.transaction, times)
+                return
+        self._pending.setdefault(request, deque()).append(transaction)
+        self._pending_count += 1
+        if self._pending_count > MAX_PENDING:
+            yield self._give_up_oldest()
+
+    def _give_up_oldest(self) -> Finding:
+        request, transactions = next(iter(self._pending.items()))
+        oldest = transactions.popleft()
+        self._pending_count -= 1
+        if not transactions:
+            del self._pending[request]
+        return self._no_response_finding(oldest)
+
+    def _forget(self, connection: _Connection, unit: int | None = None) -> None:
+        """Drop the pending requests of a connection, or of one unit on it."""
+        for key in [k for k in self._pending if k[0] == connection and unit in (None, k[1])]:
+            self._pending_count -= len(self._pending.pop(key))
+
+    def _no_response_finding(self, transaction: NamedTransaction) -> Finding:
+        text = f"{request_text(transaction)}: no answer"
+        if not self._has_responded[transaction.link, transaction.unit][0]:
+            text += f"; unit {transaction.unit} says nothing in this capture"
+        return transaction_finding("MB-401", transaction, text)
+
+
+def _retry_finding(first: NamedTransaction, answered: NamedTransaction, times: int) -> Finding:
+    waited_ns = (answered.response_ns or answered.start_ns) - first.start_ns
+    text = f"asked {times} times, answered after {waited_ns / 1e9:.1f} s"
+    message = f"{request_text(answered)}: {text}"
+    return transaction_finding("MB-402", answered, message, ts_ns=first.start_ns)
+
+
+def _is_surely_unsolicited(state: _ConnectionState, at_ns: int) -> bool:
+    """True if the request of a response would be in the capture."""
+    if state.is_damaged:
+        return False
+    if state.has_request or state.is_complete:
+        return True
+    return state.since_ns is not None and at_ns - state.since_ns > PATIENCE_NS
+
+
+def _unsolicited_text(transaction: NamedTransaction) -> str:
+    what = f"answer to {transaction.function_name}"
+    if transaction.exception is not None:
+        what = f"exception {transaction.exception:02X} to {transaction.function_name}"
+    return f"{what}, which no request in the capture asked for"
+
+
+def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -> bool:
+    """True if the slave carries out a request in silence."""
+    if transaction.transport is Transport.RTU_TCP and transaction.unit == 0:
+        return True
+    if transaction.function == _DIAGNOSTICS and transaction.sub_function == _FORCE_LISTEN_ONLY:
+        return True
+    rule = profile.rule(transaction.function) if profile is not None else None
+    return rule is not None and not rule.answers
+
+
+def _request_bytes(transaction: NamedTransaction) -> bytes:
+    """The request PDU; all bytes of a request whose PDU cannot be read."""
+    raw = transaction.request_raw
+    return whole_pdu(transaction.transport, raw) or raw or b""

@@ -1,0 +1,394 @@
+"""Finds the profiles that explain the observed traffic of a slave, with a score and reasons."""
+
+# For every different request, the profile predicts whether the device accepts or refuses it.
+#
+# For the profile:      the slave responds as predicted; the identity that it reports (2B/0E, 11H)
+#                       names the profile's vendor or model
+# Against the profile:  the slave accepts what the profile refuses, or refuses what it accepts; the
+#                       exception gives another reason than the profile (for example, "no such
+#                       function" for a wrong address); the exception code is not in the manual; the
+#                       device does not support the transport, or cannot have the unit number
+# Neither:              no response; an exception about anything but function, address and quantity
+#                       (a state, a gateway, a vendor's own code); a write refused for its value; a
+#                       refused 17H, because either its read or its write may be the reason
+#
+# A model code decides alone: an FA3 module responds to 42H with the code of its model.
+#
+# How many of the addresses have names in a profile says nothing about the device, because a longer
+# manual has more names. The number only sorts profiles that explain a slave equally well; these are
+# reported as a tie.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.devices.block_reads import can_be_read
+from mbtool.devices.model import READ_AND_WRITE
+from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.references import write_reference
+from mbtool.modbus.adu import Transport
+from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, ExceptionCode, function_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.devices.model import Profile
+    from mbtool.devices.observed_slave import ObservedRequest, Replies
+    from mbtool.modbus.tables import Table
+
+_REFUSALS = frozenset(
+    (
+        ExceptionCode.ILLEGAL_FUNCTION,
+        ExceptionCode.ILLEGAL_DATA_ADDRESS,
+        ExceptionCode.ILLEGAL_DATA_VALUE,
+    )
+)
+_MIN_SHARE = 0.9
+"""Share of the requests that a profile must explain to be plausible."""
+_MAX_REASONS = 6
+_UNCONFIRMED = ", though no refusal, model code or name confirms it"
+_MIN_WORD_LETTERS = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfileMatch:
+    """How well one profile explains one slave."""
+
+    profile: str
+    explained: int
+    """Different requests that ended as predicted."""
+    contradicted: int
+    """Different requests that did not, and other contradictions."""
+    named: int
+    """Addresses that were read or written and have a point in the profile."""
+    addresses: int
+    """Addresses that were read or written."""
+    is_model: bool
+    """True if the slave gave the profile's model code."""
+    is_other_model: bool
+    """True if the slave gave another model code."""
+    has_name: bool
+    """True if the identity that the slave reports names the profile's vendor or model."""
+    refused: int
+    """Requests that were refused as predicted."""
+    reasons: tuple[str, ...]
+    against: tuple[str, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of the evidence that is for the profile, 0 to 1."""
+        total = self.explained + self.contradicted
+        return self.explained / total if total else 0.0
+
+    @property
+    def score(self) -> int:
+        """0 to 100."""
+        if self.is_other_model:
+            return 0
+        if self.is_model:
+            return 100
+        confirmation = 5 * self.has_name + 5 * (self.refused > 0)
+        return int(90 * self.share + confirmation) if self.explained else 0
+
+    @property
+    def is_confirmed(self) -> bool:
+        """True if there is better evidence than accepted requests, which many devices accept."""
+        return self.is_model or self.has_name or self.refused > 0
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """A greater rank is a better match; equal ranks are a tie."""
+        return self.is_model, self.has_name, self.share
+
+    @property
+    def is_plausible(self) -> bool:
+        """True if the slave is probably this device."""
+        if self.is_other_model:
+            return False
+        return self.is_model or (self.explained > 0 and self.share >= _MIN_SHARE)
+
+
+@dataclass(frozen=True, slots=True)
+class MatchResult:
+    """All profiles compared with one slave, the best first."""
+
+    slave: ObservedSlave
+    matches: tuple[ProfileMatch, ...]
+
+    @property
+    def best(self) -> tuple[ProfileMatch, ...]:
+        """The best plausible profile, or several that are a tie; empty if none is plausible."""
+        plausible = [one for one in self.matches if one.is_plausible]
+        return tuple(one for one in plausible if one.rank == plausible[0].rank)
+
+    @property
+    def sentence(self) -> str:
+        best = self.best
+        if not self.slave.has_responded:
+            return "never answered, so nothing tells what it is"
+        if not best:
+            nearest = next((one.profile for one in self.matches if one.explained), None)
+            also = f"; the nearest is {nearest}" if nearest is not None else ""
+            return f"none of the profiles explains it{also}"
+        if len(best) == 1:
+            unsure = "" if best[0].is_confirmed else _UNCONFIRMED
+            return f"explained best by {best[0].profile}{unsure}"
+        *others, last = (one.profile for one in best)
+        names = f"{', '.join(others)} and {last}"
+        count = len(self.slave.requests)
+        what = "one request" if count == 1 else f"{count} different requests"
+        return f"a tie of {names}: nothing in {what} tells them apart"
+
+
+def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
+    """Compare a slave with profiles."""
+    in_ascii = slave.transports == {Transport.ASCII}
+    known = slave.known_addresses()
+    matches = [
+        _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
+        for profile in profiles
+    ]
+    # Profiles of other models come last, with any other evidence.
+    matches.sort(
+        key=lambda one: (
+            one.is_other_model,
+            *(-part for part in one.rank),
+            -one.named,
+            one.profile,
+        )
+    )
+    return MatchResult(slave, tuple(matches))
+
+
+def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]) -> ProfileMatch:
+    reasons: list[str] = []
+    against: list[str] = []
+    is_model, is_other = _compare_models(slave, profile, reasons, against)
+    has_name = _compare_names(slave, profile, reasons)
+    explained, contradicted, refusals = _compare_requests(slave, profile, against)
+    if explained:
+        count = explained + contradicted
+        what = "the one request" if count == 1 else f"{explained} of {count} different requests"
+        reasons.append(f"{what} ended as it says")
+    contradicted += _compare_exceptions(slave, profile, against)
+    contradicted += _compare_transports(slave, profile, against)
+    contradicted += _compare_unit(slave, profile, against)
+    addresses = sum(flags.count(1) for flags in known.values())
+    named = min(_count_named(known, profile), addresses)
+    if named:
+        reasons.append(f"names {named} of {addresses} addresses asked for")
+    return ProfileMatch(
+        profile=profile.name,
+        explained=explained,
+        contradicted=contradicted,
+        named=named,
+        addresses=addresses,
+        is_model=is_model,
+        is_other_model=is_other,
+        has_name=has_name,
+        refused=len(refusals),
+        reasons=tuple([*reasons, *refusals][:_MAX_REASONS]),
+        against=tuple(against[:_MAX_REASONS]),
+    )
+
+
+def _compare_requests(
+    slave: ObservedSlave, profile: Profile, against: list[str]
+) -> tuple[int, int, list[str]]:
+    """Count the requests that ended as predicted and those that did not.
+
+    The third result is a sentence for each request that was refused as predicted.
+    """
+    explained, before = 0, len(against)
+    refusals: list[str] = []
+    for request, replies in slave.requests.items():
+        rule, is_predicted = _predict(profile, request)
+        is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
+        if is_accepted is None:
+            continue
+        if is_accepted and is_predicted:
+            explained += 1
+            continue
+        text = _request_text(profile, request)
+        other = _other_refusal(profile, request, replies)
+        if is_accepted or is_predicted:
+            against.append(f"{text} {'answered' if is_accepted else 'refused'}, though {rule}")
+        elif other:
+            against.append(f"{text} refused by {other}, though {rule}")
+        else:
+            explained += 1
+            refusals.append(f"{text} refused, as {rule}")
+    contradicted = len(against) - before
+    return explained, contradicted, refusals
+
+
+def _observed(
+    profile: Profile, request: ObservedRequest, replies: Replies, *, is_predicted: bool
+) -> bool | None:
+    """True if the slave accepts a request, False if it refuses it, None if neither is certain."""
+    if replies.ok:
+        return True
+    codes = profile.exceptions
+    refusals = _REFUSALS | {codes.function, codes.address, codes.value}
+    refused = refusals.intersection(replies.exceptions)
+    if request.function == READ_AND_WRITE:
+        refused &= {codes.function}
+    elif request.writes and is_predicted and codes.value not in (codes.function, codes.address):
+        refused -= {codes.value}
+    return False if refused else None
+
+
+def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
+    """The exception codes, if they give another reason than the profile; otherwise empty.
+
+    There are two reasons: the function, or the addresses and the quantity.
+    """
+    no_function = profile.exceptions.function
+    others = {profile.exceptions.address, profile.exceptions.value} - {no_function}
+    given = set(replies.exceptions)
+    if profile.rule(request.function) is None:
+        is_other = no_function not in given
+    else:
+        is_other = no_function in given and not given & others
+    return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
+
+
+def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
+    """The rule for a request, and True if a device of the profile accepts the request."""
+    function, table, span = request.function, request.table, request.span
+    rule = profile.rule(function)
+    if rule is None:
+        return f"it has no function {function:02X}", False
+    if table is None or request.address is None:
+        return f"it has function {function:02X}", True
+    known = FUNCTIONS.get(function)
+    if function == READ_AND_WRITE and request.writes:
+        limit: int | None = rule.write_limit or WRITE_LIMIT_17H
+    else:
+        limit = rule.limit or (known.limit if known is not None else None)
+    if limit is not None and not 1 <= request.quantity <= limit:
+        return f"its limit is {limit}", False
+    if request.writes:
+        verb, is_allowed = "write", profile.allows(table, span, writing=True)
+    else:
+        verb, is_allowed = "read", can_be_read(profile, table, span)
+    if is_allowed:
+        return "its manual has that", True
+    if profile.allows(table, span):
+        return f"one cannot {verb} there", False
+    return "it is outside its areas", False
+
+
+def _request_text(profile: Profile, request: ObservedRequest) -> str:
+    function, table, address = request.function, request.table, request.address
+    if table is None or address is None:
+        return f"{function:02X} {function_name(function)}"
+    where = write_reference(profile, table, address, request.quantity, writing=request.writes)
+    return f"{function:02X} {where}"
+
+
+def _compare_models(
+    slave: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
+) -> tuple[bool, bool]:
+    """Two results: the slave gave the profile's model code; it gave only others."""
+    function = model_function(profile)
+    if function is None or profile.model_code is None:
+        return False, False
+    codes = {word for code, word in slave.answer_words if code == function}
+    if profile.model_code in codes:
+        reasons.append(f"{function:02X}H was answered {profile.model_code:04X}H, its model code")
+        return True, False
+    if not codes:
+        return False, False
+    given = ", ".join(f"{code:04X}H" for code in sorted(codes))
+    against.append(
+        f"{function:02X}H was answered {given}, and its model code is {profile.model_code:04X}H"
+    )
+    return False, True
+
+
+def model_function(profile: Profile) -> int | None:
+    """The function whose response is the model code: the code is among the response's texts."""
+    for code, rule in profile.functions.items():
+        if rule.answer is not None and profile.model_code in rule.answer.texts:
+            return int(code, 16)
+    return None
+
+
+def _compare_names(slave: ObservedSlave, profile: Profile, reasons: list[str]) -> bool:
+    """True if the identity that the slave reports names the profile's vendor or device."""
+    known = _words(f"{profile.vendor} {profile.title} {profile.name}")
+    matching = {name: text for name, text in slave.identity.items() if known & _words(text)}
+    if matching:
+        texts = ", ".join(f"{name} {text!r}" for name, text in sorted(matching.items()))
+        reasons.append(f"it says of itself: {texts}")
+    return bool(matching)
+
+
+_COMMON_WORDS = frozenset(
+    ("modbus", "slave", "module", "device", "input", "inputs", "output", "outputs", "digital",
+     "analog", "unit", "series", "type", "interface", "network", "controller", "electric", "with",
+     "unknown", "operator", "company", "product", "code", "traffic", "coupler", "recorder",
+     "corporation", "fieldbus")
+)  # fmt: skip
+
+
+def _words(text: str) -> set[str]:
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    return {word for word in words if len(word) >= _MIN_WORD_LETTERS} - _COMMON_WORDS
+
+
+def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
+    """The number of exception codes that are not in the profile's manual."""
+    codes = {code for one in slave.requests.values() for code in one.exceptions}
+    undocumented = sorted(codes - set(profile.exceptions.documented))
+    against += [f"exception {code:02X} is none of its manual's" for code in undocumented]
+    return len(undocumented)
+
+
+def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
+    """The contradictions by a transport that the profile does not have.
+
+    Just 1 for a serial device on a network, because it may be behind a gateway. Otherwise more than
+    all requests can outweigh.
+    """
+    spoken = set(profile.transports)
+    if slave.transports & spoken or not slave.transports:
+        return 0
+    heard = ", ".join(sorted(slave.transports))
+    is_on_line = all(one.is_serial for one in slave.transports)
+    if is_on_line or not any(one.is_serial for one in spoken):
+        against.append(f"it speaks {', '.join(sorted(spoken))}, and this is {heard}")
+        return 1 + len(slave.requests)
+    against.append(f"it is a serial device, and this is {heard}: only behind a gateway")
+    return 1
+
+
+def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
+    """The contradictions by a unit number on a serial line that the device cannot have."""
+    last = profile.last_unit
+    on_line = any(one.is_serial for one in slave.transports)
+    if last is None or not on_line or slave.unit <= last:
+        return 0
+    against.append(f"it can be unit 1 to {last}, and this is {slave.unit}")
+    return 1 + len(slave.requests)
+
+
+def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
+    """The number of known addresses that have points."""
+    return sum(
+        known[point.table].count(1, address, address + point.words)
+        for point in profile.points
+        for address in point.addresses
+    )
+
+
+def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
+    """Profiles by the function that gives the model code, and by the code."""
+    return {
+        (function, profile.model_code): profile
+        for profile in profiles
+        if profile.model_code is not None and (function := model_function(profile)) is not None
+    }
