@@ -137,7 +137,7 @@ def test_import_guesses_nothing_that_is_said(mbtool: CommandLine) -> None:
     [
         (
             ["adress=Register"],
-            "--column adress=Register: 'adress' is no meaning; these are: access,",
+            "adress=Register: 'adress' is no meaning; these are: access,",
         ),
         (["Register"], "--column Register: is not MEANING=HEADING, as address=Register is"),
         (["name="], "--column name=: is not MEANING=HEADING"),

@@ -68,10 +68,10 @@ class AddressCell:
 
 _BIT = r"(?:\s*(?:[.:]|\bbit\s*|\.b|\[)\s*(?:bit\s*)?(?P<bit>\d{1,2}|[A-Fa-f])\]?)?"
 _LAST = r"(?:\s*(?:-|\u2013|\u2014|\.{2,3}|~|\u2026|\bto\b|\bbis\b)\s*(?P<last>(?:0[xX])?[0-9A-Fa-f]{1,8}?)[hH]?)?"  # noqa: E501
-_HEX_DIGITS = rf"(?P<number>[0-9A-Fa-f]{{1,6}}){{h}}{_LAST}{_BIT}"
-_HEX = re.compile(rf"(?:0[xX]|16#|\$|&[hH]|#[xX]?){_HEX_DIGITS}".replace("{h}", ""))
-_HEX_H = re.compile(_HEX_DIGITS.replace("{h}", "[hH]"))
-_BARE_HEX = re.compile(_HEX_DIGITS.replace("{h}", ""))
+_HEX = re.compile(
+    r"(?P<sign>0[xX]|16#|\$|&[hH]|#[xX]?)?(?P<number>[0-9A-Fa-f]{1,6})"
+    rf"(?P<suffix>[hH])?{_LAST}{_BIT}"
+)
 _DECIMAL = re.compile(
     r"(?:(?P<prefix>[0134][xX]|[%A-Za-z][A-Za-z_ %]{0,11}?)\s*[:#-]?\s*)?"
     rf"(?P<number>\d{{1,{MAX_DIGITS}}}){_LAST}{_BIT}"
@@ -120,34 +120,27 @@ def parse_address(
         if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
             return None
         text = f"{text.partition(',')[0]}-{numbers[-1]}"
-    if bare_hex:
-        return _address(_BARE_HEX.fullmatch(text), "", "", Radix.HEX)
-    if not (tables_in_front and re.match(r"0[xX]", text)):
-        if match := _HEX.fullmatch(text):
-            return _address(match, "0x", "", Radix.HEX)
-        if match := _HEX_H.fullmatch(text):
-            return _address(match, "", "H", Radix.HEX)
-    match = _DECIMAL.fullmatch(text)
-    prefix = (match["prefix"] or "").strip() if match else ""
-    return _address(match, prefix, "", Radix.DECIMAL)
+    is_coil = tables_in_front and re.match(r"0[xX]", text)
+    match = _HEX.fullmatch(text)
+    if match and not is_coil and (bare_hex or match["sign"] or match["suffix"]):
+        prefix, suffix = "0x" if match["sign"] else "", "H" if match["suffix"] else ""
+        return _address(match, prefix, suffix, Radix.HEX)
+    match = None if bare_hex else _DECIMAL.fullmatch(text)
+    return match and _address(match, (match["prefix"] or "").strip(), "", Radix.DECIMAL)
 
 
-def _address(
-    match: re.Match[str] | None, prefix: str, suffix: str, radix: Radix
-) -> AddressCell | None:
-    if match is None:
-        return None
+def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> AddressCell | None:
     bit, first = match["bit"], match["number"]
-    last = (match["last"] or "").lower().removeprefix("0x")
-    base = 16 if radix is Radix.HEX else 10
-    if base == 10 and last and not last.isdecimal():
-        return None
-    number = int(first, base)
-    end = int(last, base) if last else None
-    if end is not None and end < number and len(last) < len(first):
+    last = (match["last"] or "").upper().removeprefix("0X")
+    try:
+        number = int(first, 16) if radix is Radix.HEX else int(first)
         # 40001-2: the end has only the digits that differ.
-        end = int(first[: -len(last)] + last, base)
-    if end is not None and not number <= end <= number + 255:
+        whole = first[: max(len(first) - len(last), 0)] + last
+        ends = [int(one, 16) if radix is Radix.HEX else int(one) for one in (last, whole) if last]
+    except ValueError:
+        return None
+    end = next((one for one in ends if number <= one <= number + 255), None)
+    if ends and end is None:
         return None
     return AddressCell(
         number, prefix, suffix, radix, len(first),

@@ -29,9 +29,7 @@ _READ_FUNCTIONS = {
 _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
 
 
-def make_areas(
-    made: Sequence[RowPoint],
-) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
+def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
     """The areas, the points with the rights that differ from their area's, and the functions.
 
     Functions are those that the list names, and those by which its tables are read and written.

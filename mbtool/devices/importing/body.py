@@ -61,6 +61,8 @@ class BodyReader:
         self._style = options.addresses
         self._section: TableCell | None = None
         self._rows: list[ListRow] = []
+        self._follows_row = False
+        """True if the row above is the last of `_rows`, or belongs to it."""
 
     def read(self) -> list[ListRow]:
         """The rows that have an address; what cannot be read is a problem in the report."""
@@ -69,41 +71,57 @@ class BodyReader:
         guessed = self._style is None and is_bare_hex(cells, column.hint)
         hexadecimal = guessed or self._style is AddressStyle.HEXADECIMAL
         addresses = read_addresses(cells, hexadecimal=hexadecimal)
+        if any(one and one.prefix in ("0x", "0X") and one.is_decimal for one in addresses):
+            self._report.tell(
+                "0x0001 and its like are coils, as other addresses begin with a table"
+            )
+        if any(
+            one and one.bit is None and re.search(r"\.0$", cell)
+            for one, cell in zip(addresses, cells, strict=True)
+        ):
+            self._report.tell("addresses end in .0, which is left out, as all of them do")
         if guessed:
             first = next(one for one in addresses if one is not None)
             self._report.tell(
                 f"addresses are hexadecimal, as letters in them or the heading show: {first.text} "
                 f"is {first.number} on the wire (--addresses says otherwise)"
             )
-        for at, (row, address) in enumerate(zip(self._sheet.body, addresses, strict=True)):
+        for number, (row, address) in enumerate(
+            zip(self._sheet.body, addresses, strict=True), self._sheet.heading_row + 2
+        ):
             if any(not is_nothing(cell) for cell in row):
-                self._read(self._sheet.heading_row + 2 + at, row, address)
-        return merge_bits(self._rows, self._report)
+                self._follows_row = self._read(number, row, address)
+        # What has a problem already is not looked at again, so that no mistake is told twice.
+        good = [row for row in self._rows if row.row not in self._report.bad_rows]
+        return merge_bits(good, self._report)
 
-    def _read(self, number: int, row: Sequence[str], address: AddressCell | None) -> None:
-        column = self._sheet.addresses
+    def _read(self, number: int, row: Sequence[str], address: AddressCell | None) -> bool:
+        """Read a row; True if a value or a part of one stands in it."""
+        column, report = self._sheet.addresses, self._report
         cell = column.of(row)
         texts = [each.strip() for each in row if not is_nothing(each)]
         bit = re.fullmatch(r"bit\s*(\d{1,2})", cell, re.IGNORECASE)
+        if bit is not None and self._follows_row:
+            address = replace(self._rows[-1].address, bit=int(bit[1]), last=None)
         if any(each.strip() for each in row[len(self._sheet.headings) :]):
-            self._report.add_problem(number, None, row[-1], _TOO_LONG)
+            report.add_problem(number, None, row[-1], _TOO_LONG)
         elif (section := _section(texts, cell, is_address=address is not None)) is not None:
             self._enter(number, section, " ".join(texts))
-        elif bit is not None and self._rows:
-            above = replace(self._rows[-1].address, bit=int(bit[1]), last=None)
-            self._rows.append(self._reader.read(number, row, above, self._section))
         elif address is not None and self._reader.is_reserved(row):
-            self._report.tell("reserved or unused, left out", number)
+            report.tell("reserved or unused, left out", number)
         elif address is not None:
             self._rows.append(self._reader.read(number, row, address, self._section))
+            return True
         elif cell == column.heading:
-            self._report.tell("the headings again, left out", number)
+            report.tell("the headings again, left out", number)
         elif not is_nothing(cell) and len(texts) > 1:
-            self._report.add_problem(number, column.heading, cell, _ADDRESS_WANTED)
-        elif self._add_to_row_above(": ".join(texts)):
-            self._report.tell("no address, taken for values of the row above", number)
+            report.add_problem(number, column.heading, cell, _ADDRESS_WANTED)
+        elif self._follows_row and self._add_to_row_above(": ".join(texts)):
+            report.tell("no address, taken for values of the row above", number)
+            return True
         else:
-            self._report.tell("no address, left out", number)
+            report.tell("no address, left out", number)
+        return False
 
     def _enter(self, number: int, section: TableCell, text: str) -> None:
         if section.table is None:
@@ -119,7 +137,7 @@ class BodyReader:
         """Add `Bit 3: Alarm` or `1 = Auto` to the row above; False if it is something else."""
         bits = parse_bits(text) or {}
         texts = (parse_texts(text) or {}) if re.match(r"-?\w+\s*=", text) else {}
-        if not self._rows or not (bits or texts):
+        if not bits and not texts:
             return False
         last = self._rows[-1]
         self._rows[-1] = replace(last, bits={**last.bits, **bits}, texts={**last.texts, **texts})

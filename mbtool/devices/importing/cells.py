@@ -93,13 +93,13 @@ def parse_access(text: str) -> Access | None:
 
 
 _TABLE_WORDS = (
-    (r"dis[ck]rete|digitale? ?(?:inputs?|eing)|input ?(?:status|coils?|bits?|contacts?)|\bdi\b"
-     r"|contacts?|eingangs?(?:bits?|status)", Table.DISCRETE_INPUTS),
-    (r"coils?|digitale? ?(?:outputs?|ausg)|output ?(?:bits?|coils?)|\bdo\b|\bco\b|\bc\b|spulen?\b"
-     r"|bobines?|ausgangs?(?:bits?|status)", Table.COILS),
-    (r"input ?reg(?:ister)?s?|analog(?:ue?|e)? ?(?:inputs?|eing)|\bir\b|\bai\b|^inputs?$"
+    (r"dis[ck]rete|digitale? ?(?:inputs?|eing)|input ?(?:status|coils?|bits?|contacts?)|^di$"
+     r"|^contacts?$|eingangs?(?:bits?|status)", Table.DISCRETE_INPUTS),
+    (r"coils?|digitale? ?(?:outputs?|ausg)|output ?(?:bits?|coils?)|^do$|^co?$|spulen?\b|bobines?"
+     r"|ausgangs?(?:bits?|status)", Table.COILS),
+    (r"input ?reg(?:ister)?s?|analog(?:ue?|e)? ?(?:inputs?|eing)|^ir$|^ai$|^inputs?$"
      r"|eingangs ?reg|registres? d entree", Table.INPUT_REGISTERS),
-    (r"hold(?:ing)?(?: ?reg(?:ister)?s?)?|analog(?:ue?|e)? ?(?:outputs?|ausg)|\bhr\b|\bao\b"
+    (r"hold(?:ing)?(?: ?reg(?:ister)?s?)?|analog(?:ue?|e)? ?(?:outputs?|ausg)|^hr$|^ao$"
      r"|^reg(?:ister)?s?$|halte ?reg|ausgangs ?reg|registres? de maintien",
      Table.HOLDING_REGISTERS),
 )  # fmt: skip

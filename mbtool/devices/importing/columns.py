@@ -71,8 +71,9 @@ _HEADINGS = {
     "wortreihenfolge",
     Meaning.BIT: "bit, bit number, bit position, bitnr, bit index",
     Meaning.TABLE: "function, functions, function code, function codes, fc, fct, func, table, "
-    "area, object, object type, register type, registertype, reg type, register class, kind, block, "
-    "register kind, address type, input type, modbus type, funktion, funktionscode, fonction",
+    "area, object, object type, register type, registertype, reg type, register class, kind, "
+    "block, register kind, address type, input type, modbus type, funktion, funktionscode, "
+    "fonction",
     Meaning.ACCESS: "access, rw, r/w, rights, mode, access type, permission, permissions, action, "
     "zugriff, acces, read/write, read write, writable, writeable, attribute, attr, direction, "
     "lesen/schreiben",
@@ -189,11 +190,11 @@ def _likeness(sheet: Sheet) -> tuple[int, int, bool, int]:
 
 
 def _check(sheet: Sheet, file: str, named: Mapping[Meaning, str]) -> None:
-    headings = ", ".join(f"'{heading[:40]}'" for heading in sheet.headings if heading)
-    there = f"row {sheet.heading_row + 1} has {headings or 'nothing'}"
-    folded = [fold(heading) for heading in sheet.headings]
+    shown = ", ".join(f"'{heading[:40]}'" for heading in sheet.headings if heading)
+    there = f"row {sheet.heading_row + 1} has {shown or 'nothing'}"
+    headings = [heading.casefold() for heading in sheet.headings]
     for heading in named.values():
-        count = folded.count(fold(heading))
+        count = headings.count(_one_line(heading).casefold())
         if count != 1:
             many = f"{count} columns are headed" if count else "no column is headed"
             raise UsageError(f"{file}: {many} '{heading}'; {there}")
@@ -211,12 +212,12 @@ def _check(sheet: Sheet, file: str, named: Mapping[Meaning, str]) -> None:
 
 
 def _columns(row: Sequence[str], named: Mapping[Meaning, str]) -> tuple[Column, ...]:
-    meanings = {fold(heading): meaning for meaning, heading in named.items()}
+    meanings = {_one_line(heading).casefold(): meaning for meaning, heading in named.items()}
     columns: list[Column] = []
     taken = set(named)
     for index, cell in enumerate(row):
         heading = _one_line(cell)
-        if (said := meanings.get(fold(heading))) is not None:
+        if (said := meanings.get(heading.casefold())) is not None:
             columns.append(Column(index, heading, said, is_named=True))
             continue
         meaning = meaning_of(heading)

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
     from mbtool.devices.importing.report import ImportReport
 
 _TABLES = list(Table)
-_WORD_ORDERS = {
-    WordOrder.HIGH_FIRST: "high word first",
-    WordOrder.LOW_FIRST: "low word first",
-}
+_WORD_ORDERS = {WordOrder.HIGH_FIRST: "high word first", WordOrder.LOW_FIRST: "low word first"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +52,21 @@ def make_points(
     `word_order` is that of values that name none. What cannot be a point is a problem of its row.
     """
     made: list[RowPoint] = []
+    is_named = False
     for row, area in rows:
         try:
-            made.append(RowPoint(_point(row, area, word_order, report), row, area))
+            point = _point(row, area, word_order, report)
         except ValueError as problem:
             report.add_problem(row.row, None, row.address.text, str(problem))
+            continue
+        made.append(RowPoint(point, row, area))
+        if row.order is not None and point.words > 1 and point.type is not PointType.STRING:
+            report.tell("word order as named there", row.row)
+            is_named = True
     order = _WORD_ORDERS[word_order or WordOrder.HIGH_FIRST]
     why = "--word-order says" if word_order else "nothing says otherwise (--word-order)"
-    report.tell(f"word order: {order}, as {why}")
+    others = " of the others" if is_named else ""
+    report.tell(f"word order{others}: {order}, as {why}")
     made = _without_overlaps(made, report)
     made.sort(key=lambda one: (_TABLES.index(one.point.table), one.point.address))
     return _with_unique_names(made)
@@ -84,8 +88,6 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
     if size > words:
         report.tell("more registers than the type takes, so a series of values", row.row)
     has_order = words > 1 and kind is not PointType.STRING
-    if has_order and row.order is not None:
-        report.tell("word order as named there", row.row)
     order = row.order or (word_order or HIGH_LOW[0], HIGH_LOW[1])
     texts, other_texts = _texts(row, type_)
     limits, other_limits = _limits(row, kind, words)
@@ -142,7 +144,10 @@ def _string_words(row: ListRow, type_: TypeSpelling, report: ImportReport) -> in
     if type_.length is None:
         report.tell("a text without a length, taken as 1 register", row.row)
         return 1
-    return max(type_.length if type_.length_is_registers else -(-type_.length // 2), 1)
+    if type_.length_is_registers:
+        return max(type_.length, 1)
+    report.tell("the length of a text counts characters, two in a register", row.row)
+    return max(-(-type_.length // 2), 1)
 
 
 def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]]:

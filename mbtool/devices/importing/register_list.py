@@ -71,8 +71,6 @@ def import_register_list(
         raise UsageError(f"{file}: more than {MAX_ROWS} rows are no register list")
     tell_columns(sheet, report)
     rows = BodyReader(sheet, options, report).read()
-    # What has a problem already is not looked at again, so that no mistake is told twice.
-    rows = [row for row in rows if row.row not in report.bad_rows]
     located = locate_rows(rows, sheet.addresses, options, report)
     made = make_points(located, options.word_order, report)
     if report.bad_rows and not options.skip_bad:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeVar
@@ -88,6 +89,8 @@ class RowReader:
         bit = self._number_of(Meaning.BIT)
         if bit is not None and address.bit is None:
             address = replace(address, bit=int(bit))
+        if any(_THOUSANDS.fullmatch(self._text(meaning)) for meaning in Meaning):
+            self._report.tell("1,000 and its like taken as 1.000", number)
         registers = self._registers()
         wanted = _NO_TABLE if _known_table(self._text(Meaning.TYPE)) is not None else _TYPE_WANTED
         type_ = self._read(Meaning.TYPE, lambda text: parse_type(text, registers), wanted)
@@ -191,6 +194,8 @@ class RowReader:
         factors = [self._factor(Meaning.SCALE), self._factor(Meaning.DIVISOR)]
         said = [factor for factor in factors if factor is not None]
         scale = math.prod(said) if said else unit_factor or usual
+        if not said and not unit_factor and usual != 1:
+            self._report.tell("whole numbers are divided as their decimals say", self._number)
         if not math.isfinite(scale) or scale == 0:
             self._problem(Meaning.SCALE, self._text(Meaning.SCALE), _SCALE_WANTED)
             scale = 1.0
@@ -198,8 +203,9 @@ class RowReader:
 
     def _factor(self, meaning: Meaning) -> float | None:
         text = self._text(meaning)
-        if text in self._names:  # SunSpec: another register holds the power of ten.
-            return 1.0
+        if text in self._names and parse_factor(text) is None:
+            self._report.tell("scaled by another register, so a note and not a scale", self._number)
+            return 1.0  # SunSpec: the other register holds the power of ten.
         factor = self._read(meaning, parse_factor, _SCALE_WANTED)
         if factor is None:
             return None
@@ -235,8 +241,9 @@ class RowReader:
         if prose:
             self._report.tell("range or values in words, kept as a note", self._number)
         factor = self._text(Meaning.SCALE)
-        scaled = [f"scaled by the power of ten in {factor}"] if factor in self._names else []
-        return [*notes, *prose, *scaled]
+        if factor in self._names and parse_factor(factor) is None:
+            notes.append(f"scaled by the power of ten in {factor}")
+        return [*notes, *prose]
 
     def _factors_divide(self, scaling: Scaling | None) -> bool:
         """True if factors that do not say what they are for divide."""
@@ -293,11 +300,10 @@ def _known_table(text: str) -> TableCell | None:
     return cell if cell is not None and cell.table is not None else None
 
 
-_UNITS_OF_LENGTH = {
-    Meaning.LENGTH: 1,
-    Meaning.LENGTH_IN_BYTES: 2,
-    Meaning.LENGTH_IN_BITS: 16,
-}
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+"""A decimal comma, or one between thousands."""
+
+_UNITS_OF_LENGTH = {Meaning.LENGTH: 1, Meaning.LENGTH_IN_BYTES: 2, Meaning.LENGTH_IN_BITS: 16}
 """How many of each make a register."""
 
 _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (

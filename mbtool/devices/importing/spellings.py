@@ -62,15 +62,6 @@ _PHRASES = (
     (r"(?:big|be|msb ?first) ?(?:endian)?|none|no(?:rmal)?(?: ?swap)?|standard", HIGH_LOW),
     (r"(?:little|le|lsb ?first) ?(?:endian)?", LOW_SWAPPED),
 )
-_ORDER_IN_TYPE = re.compile(
-    r"(?<![a-z0-9])(?:abcdefgh|ghefcdab|badcfehg|hgfedcba|abcd|cdab|badc|dcba|1234|3412|2143|4321)"
-    r"(?![a-z0-9])"
-    r"|(?:(?:big|little)[ -]?endian[ -]?)?(?:word|byte)[ -]?swap(?:ped)?"
-    r"|(?:mid[ -]?)?(?:big|little)[ -]?endian|(?<![a-z])swap(?:ped)?|inverse|reversed"
-    r"|(?<=[0-9 _-])(?:be|le)(?![a-z0-9])|[lm]sw(?:[ -]?first)?|(?:low|high) word(?: first)?",
-)
-_IN_BRACKETS = re.compile(r"[(\[,][^()\[\]]+[)\]]?\s*$")
-
 _STRING = re.compile(
     r"(?:string|str|ascii(?:string)?|char(?:acter)?s?|text|utf8|octetstring|visiblestring)"
     r"(?P<length>\d{1,3})?(?P<unit>bytes?|chars?|characters?|b|reg(?:ister)?s?|words?)?"
@@ -112,22 +103,19 @@ _NAMES = {
 
 def parse_order(text: str) -> Order | None:
     """The order that a cell names: `CDAB`, `big-endian word swap`, `LSW first`; None if none."""
-    letters = re.sub(r"[^a-z0-9]", "", text.lower())
-    if letters in _LETTERS:
+    words = re.findall(r"[a-z0-9&]+", text.lower())
+    if (letters := "".join(words)) in _LETTERS:
         return _LETTERS[letters]
-    phrase = " ".join(re.sub(r"[^a-z0-9&]", " ", text.lower()).split())
+    phrase = " ".join(words)
     return next((order for pattern, order in _PHRASES if re.fullmatch(pattern, phrase)), None)
 
 
 def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
     """The type of a spelling; `registers` is how many the list gives the value, if it does."""
-    rest = text.lower().strip()
-    order: Order | None = None
-    for found in (_IN_BRACKETS.search(rest), _ORDER_IN_TYPE.search(rest)):
-        if found is not None and (order := parse_order(found[0])) is not None:
-            rest = f"{rest[: found.start()]} {rest[found.end() :]}"
-            break
-    name = re.sub(r"[^a-z0-9]", "", rest)
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    orders = (parse_order(" ".join(words[at:])) for at in range(1, len(words)))
+    at, order = next(((at, one) for at, one in enumerate(orders, 1) if one), (len(words), None))
+    name = "".join(words[:at])
     if name in _SWITCHES:
         return TypeSpelling(PointType.BIT, is_switch=True)
     bits = 16 * registers if registers in (1, 2, 4) else None

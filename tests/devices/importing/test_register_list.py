@@ -291,10 +291,10 @@ def test_every_wrong_row_is_told_with_its_columns() -> None:
         "map.csv: row 3, column \"register\": 'x!' is no address, as 40001, 4x0001, 12, 0x0102, "
         "0102H and HR12 are",
         "map.csv: row 4, column \"scale\": '0' is no factor, as 0.1, /10 or x0.1 are",
-        "map.csv: row 5, column \"function\": '77' names no table, as holding register, 4x, HR, 03, "
-        "FC04 or coil do",
-        "map.csv: row 5, column \"word order\": 'XYZW' is no order, as ABCD, CDAB, low word first or "
-        "big-endian word swap are",
+        "map.csv: row 5, column \"function\": '77' names no table, as holding register, 4x, HR, "
+        "03, FC04 or coil do",
+        "map.csv: row 5, column \"word order\": 'XYZW' is no order, as ABCD, CDAB, low word first "
+        "or big-endian word swap are",
         "map.csv: row 5, column \"access\": 'RX' is no access, as R, W or RW are",
     ]
 
