@@ -252,12 +252,15 @@ class RowReader:
             return scaling is Scaling.DIVIDE
         factors = [parse_factor(column.of(row)) for row in self._sheet.body]
         bare = [abs(one.number) for one in factors if one and one.divides is None]
-        is_said = column.is_named or any(word in column.hint for word in _MULTIPLIERS)
-        divides = not is_said and min(bare, default=0) >= 1
+        if column.is_named:
+            divides, why = False, "--column scale says"
+        elif any(word in column.hint for word in _MULTIPLIERS):
+            divides, why = False, "its heading says"
+        else:
+            divides = min(bare, default=0) >= 1
+            why = f"{'none is' if divides else 'some are'} less than 1"
         if any(one != 1 for one in bare):
             verb = "divided" if divides else "multiplied"
-            why = "none is" if divides else "its heading says so" if is_said else "some are"
-            why = why if is_said else f"{why} less than 1"
             self._report.tell(
                 f'numbers are {verb} by "{column.heading}", as {why} (--scaling says otherwise)'
             )

@@ -154,7 +154,7 @@ def test_hexadecimal_addresses_without_a_sign() -> None:
         'column "Access" is taken for the access',
         'column "Resolution" is taken for the scale',
         'column "Unit" is taken for the unit',
-        'numbers are multiplied by "Resolution", as its heading says so (--scaling says otherwise)',
+        'numbers are multiplied by "Resolution", as its heading says (--scaling says otherwise)',
         "addresses are hexadecimal, as letters in them or the heading show: 0000 is 0 on the wire "
         "(--addresses says otherwise)",
         "rows 2-5: no table named, taken as holding_registers (--table says otherwise)",
@@ -209,7 +209,7 @@ def test_a_german_list_with_headings_between_its_rows(encoding: str) -> None:
         'column "Faktor" is taken for the scale',
         'column "Zugriff" is taken for the access',
         'column "Bemerkung" is taken for the description',
-        'numbers are multiplied by "Faktor", as its heading says so (--scaling says otherwise)',
+        'numbers are multiplied by "Faktor", as its heading says (--scaling says otherwise)',
         'row 3: "Eingangsregister (FC 04)": the rows below are input registers',
         "rows 6, 11: values taken from the description",
         'row 7: "Diskrete Eingänge (FC 02)": the rows below are discrete inputs',
