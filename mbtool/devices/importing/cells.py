@@ -20,6 +20,7 @@ NOTHING = frozenset(
 """Cells that say that there is nothing, in lower case."""
 
 MAX_DIGITS = 8
+REGISTER_BITS = range(16)
 
 _NUMBER = re.compile(r"[+-]?(?:\d{1,30}(?:[.,]\d{1,30})?|[.,]\d{1,30})(?:[eE][+-]?\d{1,3})?")
 
@@ -169,8 +170,12 @@ def parse_texts(text: str) -> dict[int, str] | None:
 
 
 def parse_bits(text: str) -> dict[int, str] | None:
-    """`Bit0: too hot, Bit1: low oil`, `Bit 3 = Alarm`; None if it is something else."""
-    return _parse_pairs(text, _BIT, r"[Bb](?:it)?[ .]?\d+\s*[=:]")
+    """`Bit0: too hot, Bit1: low oil`, `Bit 3 = Alarm`; None if it is something else.
+
+    Bits are those of one register, 0 to 15.
+    """
+    bits = _parse_pairs(text, _BIT, r"[Bb](?:it)?[ .]?\d+\s*[=:]")
+    return bits if bits is not None and max(bits) in REGISTER_BITS else None
 
 
 def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None:

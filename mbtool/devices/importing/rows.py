@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.devices.importing.addresses import AddressCell
 from mbtool.devices.importing.cells import (
+    REGISTER_BITS,
     TableCell,
     is_nothing,
     parse_access,
@@ -40,8 +41,6 @@ T = TypeVar("T")
 
 MAX_NAME = 120
 """How many characters of a name are kept."""
-
-REGISTER_BITS = range(16)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
