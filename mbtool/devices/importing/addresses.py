@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.devices.importing.cells import DIGIT_TABLES, MAX_DIGITS, is_nothing
@@ -18,6 +18,8 @@ from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from mbtool.devices.importing.report import ImportReport
 
 _PREFIX_TABLES = {
     "hr": Table.HOLDING_REGISTERS, "ir": Table.INPUT_REGISTERS, "di": Table.DISCRETE_INPUTS,
@@ -40,12 +42,13 @@ class AddressCell:
     """The bit of the register, of 40001.3."""
     last: int | None = None
     """The last number of a range, of 40001-40004."""
+    text: str = field(default="", compare=False)
+    """All of the cell."""
 
     @property
-    def text(self) -> str:
-        bit = "" if self.bit is None else f".{self.bit}"
-        number = self.radix.write(self.number).rjust(self.digits, "0")
-        return f"{self.prefix}{number}{self.suffix}{bit}"
+    def registers(self) -> int | None:
+        """How many registers a range has."""
+        return None if self.last is None else self.last - self.number + 1
 
     @property
     def table(self) -> Table | None:
@@ -78,24 +81,32 @@ _DECIMAL = re.compile(
 )
 
 
-def read_addresses(cells: Sequence[str], *, hexadecimal: bool) -> list[AddressCell | None]:
-    """Read a column; None for cells that hold no address.
+def read_addresses(
+    cells: Sequence[str], heading: str, style: AddressStyle | None, report: ImportReport
+) -> list[AddressCell | None]:
+    """Read a column; None for cells that hold no address. `heading` is that of the column, folded.
 
-    `hexadecimal` is True if digits without a sign are hexadecimal. 40001.0 is a spreadsheet's 40001
-    if every number of the column ends so.
+    `style` is what the user says of it.
     """
-    tables_in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)
-    addresses = [
-        parse_address(cell, bare_hex=hexadecimal, tables_in_front=tables_in_front) for cell in cells
-    ]
+    is_hex = style is AddressStyle.HEXADECIMAL or (style is None and _is_bare_hex(cells, heading))
+    in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)
+    addresses = [parse_address(one, bare_hex=is_hex, tables_in_front=in_front) for one in cells]
     known = [one for one in addresses if one is not None]
-    if all(one.bit == 0 and one.is_decimal for one in known):
+    if is_hex and style is None:
+        report.tell(
+            f"addresses are hexadecimal, as letters in them or the heading show: {known[0].text} "
+            f"is {known[0].number} on the wire (--addresses says otherwise)"
+        )
+    if any(one.prefix in ("0x", "0X") and one.is_decimal for one in known):
+        report.tell("0x0001 and its like are coils, as other addresses begin with a table")
+    if known and all(one.bit == 0 and one.is_decimal for one in known):
+        report.tell("addresses end in .0, which a spreadsheet adds, as all of them do")
         return [one and replace(one, bit=None) for one in addresses]
     return addresses
 
 
-def is_bare_hex(cells: Sequence[str], heading: str) -> bool:
-    """True if a list writes 0BB7 without a sign that it is hexadecimal; `heading` is folded."""
+def _is_bare_hex(cells: Sequence[str], heading: str) -> bool:
+    """True if a list writes 0BB7 without a sign that it is hexadecimal."""
     there = [cell.strip() for cell in cells if not is_nothing(cell)]
     if not there or not all(re.fullmatch(r"[0-9A-Fa-f]{1,6}", one) for one in there):
         return False
@@ -142,10 +153,8 @@ def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> Ad
     end = next((one for one in ends if number <= one <= number + 255), None)
     if ends and end is None:
         return None
-    return AddressCell(
-        number, prefix, suffix, radix, len(first),
-        None if bit is None else int(bit, 16 if bit.isalpha() else 10), end,
-    )  # fmt: skip
+    of_bit = None if bit is None else int(bit, 16 if bit.isalpha() else 10)
+    return AddressCell(number, prefix, suffix, radix, len(first), of_bit, end, match[0])
 
 
 def decide_style(

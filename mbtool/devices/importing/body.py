@@ -13,10 +13,9 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.devices.importing.addresses import is_bare_hex, read_addresses
+from mbtool.devices.importing.addresses import read_addresses
 from mbtool.devices.importing.cells import is_nothing, parse_bits, parse_table, parse_texts
 from mbtool.devices.importing.columns import Sheet, fold
-from mbtool.devices.importing.options import AddressStyle, ImportOptions
 from mbtool.devices.importing.rows import ListRow, RowReader, merge_bits
 
 if TYPE_CHECKING:
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices.importing.addresses import AddressCell
     from mbtool.devices.importing.cells import TableCell
+    from mbtool.devices.importing.options import ImportOptions
     from mbtool.devices.importing.report import ImportReport
 
 _MAX_SECTION = 80
@@ -68,24 +68,7 @@ class BodyReader:
         """The rows that have an address; what cannot be read is a problem in the report."""
         column = self._sheet.addresses
         cells = [column.of(row) for row in self._sheet.body]
-        guessed = self._style is None and is_bare_hex(cells, column.hint)
-        hexadecimal = guessed or self._style is AddressStyle.HEXADECIMAL
-        addresses = read_addresses(cells, hexadecimal=hexadecimal)
-        if any(one and one.prefix in ("0x", "0X") and one.is_decimal for one in addresses):
-            self._report.tell(
-                "0x0001 and its like are coils, as other addresses begin with a table"
-            )
-        if any(
-            one and one.bit is None and re.search(r"\.0$", cell)
-            for one, cell in zip(addresses, cells, strict=True)
-        ):
-            self._report.tell("addresses end in .0, which is left out, as all of them do")
-        if guessed:
-            first = next(one for one in addresses if one is not None)
-            self._report.tell(
-                f"addresses are hexadecimal, as letters in them or the heading show: {first.text} "
-                f"is {first.number} on the wire (--addresses says otherwise)"
-            )
+        addresses = read_addresses(cells, column.hint, self._style, self._report)
         for number, (row, address) in enumerate(
             zip(self._sheet.body, addresses, strict=True), self._sheet.heading_row + 2
         ):
@@ -157,6 +140,6 @@ def _section(texts: Sequence[str], cell: str, *, is_address: bool) -> TableCell 
     if found is None or (found.table is None and not found.functions):
         return None
     if found.functions:
-        by_code = fold(text).startswith("f") if is_address else True
+        by_code = not is_address or fold(text).startswith(("fc", "fu", "fk"))
         return found if by_code and (len(distinct) == 1 or not re.search(r"\d", cell)) else None
     return found if len(distinct) == 1 and not is_address else None

@@ -77,12 +77,7 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
     type_ = _type(row, area.table, report)
     kind = type_.type
     words = kind.words or _string_words(row, type_, report)
-    span = row.address.last and row.address.last - row.address.number + 1
-    size = span or (None if area.table.is_bits else row.registers) or words
-    if size % words:
-        raise ValueError(f"has {size} registers, but its type takes {words}")
-    if area.first + size > 1 << 16:
-        raise ValueError(f"leaves no room for its {size} registers")
+    size = _size(row, area, words)
     if not kind.is_number and row.scale != 1:
         raise ValueError(f"has a factor, but {kind} is no number")
     if size > words:
@@ -114,6 +109,16 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
     return msgspec.structs.replace(point, **limits)
 
 
+def _size(row: ListRow, area: Area, words: int) -> int:
+    """How many addresses a row takes; `words` is what one value takes. Raises ValueError."""
+    size = row.address.registers or (None if area.table.is_bits else row.registers) or words
+    if size % words:
+        raise ValueError(f"has {size} registers, but its type takes {words}")
+    if area.first + size > 1 << 16:
+        raise ValueError(f"leaves no room for its {size} registers")
+    return size
+
+
 def _type(row: ListRow, table: Table, report: ImportReport) -> TypeSpelling:
     """The type as it stands in its table. Raises ValueError if it cannot stand there."""
     type_ = row.type
@@ -137,10 +142,8 @@ def _type(row: ListRow, table: Table, report: ImportReport) -> TypeSpelling:
 
 
 def _string_words(row: ListRow, type_: TypeSpelling, report: ImportReport) -> int:
-    if row.registers is not None:
-        return row.registers
-    if row.address.last is not None:
-        return row.address.last - row.address.number + 1
+    if known := row.registers or row.address.registers:
+        return known
     if type_.length is None:
         report.tell("a text without a length, taken as 1 register", row.row)
         return 1

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from mbtool.devices.importing.addresses import (
     AddressCell,
     decide_style,
-    is_bare_hex,
     parse_address,
     read_addresses,
     reference_table,
     table_and_base,
 )
 from mbtool.devices.importing.options import AddressStyle
+from mbtool.devices.importing.report import ImportReport
 from mbtool.devices.model import Radix
 from mbtool.modbus.tables import Table
 
@@ -70,24 +70,42 @@ def test_what_is_no_address(text: str) -> None:
     assert parse_address(text) is None
 
 
-def test_digits_are_hexadecimal_if_letters_or_the_heading_show_it() -> None:
-    assert is_bare_hex(["0BB7", "0BB8", "3000"], "address")
-    assert written("3000", bare_hex=True).number == 0x3000
-    assert not is_bare_hex(["3000", "3001"], "address")
-    assert is_bare_hex(["3000", "3001"], "address hex")
-    assert not is_bare_hex(["D100", "D101"], "address")
+def read(*cells: str, heading: str = "address") -> tuple[list[AddressCell], list[str]]:
+    report = ImportReport()
+    found = read_addresses(cells, heading, None, report)
+    return [one for one in found if one is not None], report.remarks
+
+
+@pytest.mark.parametrize(
+    ("cells", "heading", "number"),
+    [
+        (("3000", "0BB7"), "address", 0x3000),
+        (("3000", "3001"), "address", 3000),
+        (("3000", "3001"), "address hex", 0x3000),
+        (("D100", "D101"), "address", 100),
+    ],
+)
+def test_digits_are_hexadecimal_if_letters_or_the_heading_show_it(
+    cells: tuple[str, ...], heading: str, number: int
+) -> None:
+    found, told = read(*cells, heading=heading)
+    assert found[0].number == number
+    assert any("hexadecimal" in one for one in told) is (number == 0x3000)
 
 
 def test_0x_is_a_coil_beside_4x() -> None:
-    first, _ = read_addresses(["0x0001", "4x0001"], hexadecimal=False)
-    assert first == AddressCell(1, "0x", digits=4)
+    found, told = read("0x0001", "4x0001")
+    assert found[0] == AddressCell(1, "0x", digits=4)
+    assert told == ["0x0001 and its like are coils, as other addresses begin with a table"]
 
 
 def test_a_spreadsheets_decimal_is_no_bit() -> None:
-    whole = read_addresses(["40001.0", "40002.0"], hexadecimal=False)
-    mixed = read_addresses(["40001.0", "40001.1"], hexadecimal=False)
-    assert [one.bit for one in whole if one] == [None, None]
-    assert [one.bit for one in mixed if one] == [0, 1]
+    whole, told = read("40001.0", "40002.0")
+    mixed, nothing = read("40001.0", "40001.1")
+    assert [one.bit for one in whole] == [None, None]
+    assert [one.bit for one in mixed] == [0, 1]
+    assert told == ["addresses end in .0, which a spreadsheet adds, as all of them do"]
+    assert nothing == []
 
 
 def test_a_number_that_cannot_be_the_reference_it_must_be_is_an_error() -> None:

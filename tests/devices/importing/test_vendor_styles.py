@@ -304,10 +304,3 @@ def test_rights_follow_the_functions_of_the_heading() -> None:
 )
 def test_a_guess_about_one_row_is_told(row: str, told: str) -> None:
     assert told in imported(f"address,name,type,decimals,max\n{row}\n").remarks
-
-
-def test_guesses_about_how_addresses_are_written_are_told() -> None:
-    coil = imported("address,name\n4x0001,a\n0x0001,b\n")
-    assert "0x0001 and its like are coils, as other addresses begin with a table" in coil.remarks
-    spreadsheet = imported("address,name\n40001.0,a\n40002.0,b\n")
-    assert "addresses end in .0, which is left out, as all of them do" in spreadsheet.remarks
