@@ -70,8 +70,8 @@ def test_import_writes_a_profile_and_tells_each_guess(mbtool: CommandLine) -> No
         'column "Type" is taken for the type',
         'column "Scale" is taken for the scale',
         'numbers are multiplied by "Scale", as some are less than 1 (--scaling says otherwise)',
-        "addresses are references, as every one of 40001..40002 can be one: 40001 is 0 on the wire "
-        "(--addresses says otherwise)",
+        "addresses are references, as every one of 40001..40002 can be one: 40001 is address 0 "
+        "on the wire (--addresses says otherwise)",
         "rows 2-3: no access named, taken as read and write",
         "word order: high word first, as nothing says otherwise (--word-order)",
         "2 points -> pump.toml",
@@ -96,8 +96,8 @@ def test_import_tells_every_wrong_row_and_makes_nothing(mbtool: CommandLine) -> 
     told = mbtool("devices", "import", "map.csv", "-o", "pump.toml")
     assert told.code == exit_codes.USAGE
     assert told.err.splitlines() == [
-        "map.csv: rows 4-5, column \"Type\": 'DATETIME' is no type, as UINT16, INT32, FLOAT32, BCD, "
-        "BOOL or STRING[16] are",
+        "map.csv: rows 4-5, column \"Type\": 'DATETIME' is no type, as UINT16, INT32, FLOAT32, "
+        "BCD, BOOL or STRING[16] are",
         "map.csv: row 5, column \"Scale\": 'x' is no factor, as 0.1, /10 or x0.1 are",
         "mbtool: map.csv: 2 rows are wrong, so no profile was made (--skip-bad leaves them out)",
     ]
@@ -139,7 +139,7 @@ def test_import_guesses_nothing_that_is_said(mbtool: CommandLine) -> None:
             ["adress=Register"],
             "adress=Register: 'adress' is no meaning; these are: access,",
         ),
-        (["Register"], "--column Register: is not MEANING=HEADING, as address=Register is"),
+        (["Register"], "--column Register: is not MEANING=HEADING, as address=Register"),
         (["name="], "--column name=: is not MEANING=HEADING"),
         (["name=Name", "name=Type"], "--column name=Type: 'Name' is named for name already"),
         (["values=Name", "texts=Type"], "'Name' is named for texts already"),

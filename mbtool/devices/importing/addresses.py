@@ -95,7 +95,7 @@ def read_addresses(
     if is_hex and style is None:
         report.tell(
             f"addresses are hexadecimal, as letters in them or the heading show: {known[0].text} "
-            f"is {known[0].number} on the wire (--addresses says otherwise)"
+            f"is address {known[0].number} on the wire (--addresses says otherwise)"
         )
     if any(one.prefix in ("0x", "0X") and one.is_decimal for one in known):
         report.tell("0x0001 and its like are coils, as other addresses begin with a table")

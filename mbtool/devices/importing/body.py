@@ -36,7 +36,8 @@ _ADDRESS_WANTED = "is no address, as 40001, 4x0001, 12, 0x0102, 0102H and HR12 a
 def tell_columns(sheet: Sheet, report: ImportReport) -> None:
     """Tell what each column is taken for that the user does not name, and what is not used."""
     if any(cell.strip() for row in sheet.rows[: sheet.heading_row] for cell in row):
-        report.tell(f"row {sheet.heading_row + 1} is taken for the headings; those above left out")
+        row = sheet.heading_row + 1
+        report.tell(f"row {row} is taken for the headings, and the rows above it are left out")
     for column in sheet.columns:
         if not column.is_named:
             report.tell(f'column "{column.heading}" is taken for the {column.meaning}')

@@ -79,8 +79,8 @@ def _style(
     first = decimal[0][0]
     _, base = table_and_base(first, style)
     report.tell(
-        f"addresses are {style}, as {why}: {first.text} is {first.number - base} on the wire "
-        "(--addresses says otherwise)"
+        f"addresses are {style}, as {why}: {first.text} is address "
+        f"{first.number - base} on the wire (--addresses says otherwise)"
     )
     return style
 

@@ -207,7 +207,7 @@ def _without_overlaps(made: Sequence[RowPoint], report: ImportReport) -> list[Ro
             continue
         size = other.end - other.point.address
         takes = f", which takes {size} registers" if size > 1 else ""
-        problem = f'lies on row {other.row.row}, "{other.point.name or other.reference}"{takes}'
+        problem = f'overlaps row {other.row.row}, "{other.point.name or other.reference}"{takes}'
         report.add_problem(one.row.row, None, one.row.address.text, problem)
     return kept
 

@@ -222,7 +222,7 @@ class RowReader:
                 texts, bits = parse_texts(text) or {}, parse_bits(text) or {}
                 if bits or len(texts) > 1 or (texts and meaning is Meaning.TEXTS):
                     if meaning is not Meaning.TEXTS:
-                        self._report.tell(f"values taken from the {meaning}", self._number)
+                        self._report.tell(f"values listed in the {meaning}", self._number)
                     return texts, bits, " ".join(text.split())
         return {}, {}, None
 

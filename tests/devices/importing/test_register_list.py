@@ -117,7 +117,7 @@ def test_a_list_of_an_inverter_with_gains_that_divide() -> None:
 
 def test_numbers_that_cannot_be_references_are_addresses_and_that_is_told() -> None:
     assert (
-        "addresses are zero-based, as nothing says otherwise: 30000 is 30000 on the wire "
+        "addresses are zero-based, as nothing says otherwise: 30000 is address 30000 on the wire "
         "(--addresses says otherwise)"
     ) in imported(INVERTER).remarks
 
@@ -236,7 +236,7 @@ def test_lengths_count_registers_unless_the_user_says_otherwise(
 ) -> None:
     text = "address,name,type,size\n0,a,UINT16,{}\n1,b,UINT32,{}\n".format(*sizes)
     assert problems(text) == [
-        f"map.csv: row 3: '1' lies on row 2, \"a\", which takes {sizes[0]} registers"
+        f"map.csv: row 3: '1' overlaps row 2, \"a\", which takes {sizes[0]} registers"
     ]
     found = points(text, columns={meaning: "size"})
     assert [point.type for point in found.values()] == ["uint16", "uint32"]
@@ -310,11 +310,11 @@ def test_what_cannot_be_together_is_told_too() -> None:
         "40012,f,UINT32,R,\n"
     )
     assert problems(text) == [
-        "map.csv: row 3: '40002' lies on row 2, \"a\", which takes 2 registers",
+        "map.csv: row 3: '40002' overlaps row 2, \"a\", which takes 2 registers",
         "map.csv: row 4, column \"register\": '30001' is in input_registers, which cannot be "
         "written, but its row says rw",
         "map.csv: row 5: '40010.17' names no bit from 0 to 15",
-        "map.csv: row 7: '40012' lies on row 6, \"e\", which takes 2 registers",
+        "map.csv: row 7: '40012' overlaps row 6, \"e\", which takes 2 registers",
     ]
 
 
@@ -356,7 +356,7 @@ def test_rows_that_are_wrong_can_be_left_out_and_are_told() -> None:
     assert [one for one in found.remarks if one.startswith("left out")] == [
         "left out: row 3, column \"type\": 'DATETIME' is no type, as UINT16, INT32, FLOAT32, BCD, "
         "BOOL or STRING[16] are",
-        "left out: row 4: '40001' lies on row 2, \"a\"",
+        "left out: row 4: '40001' overlaps row 2, \"a\"",
     ]
 
 
@@ -380,7 +380,7 @@ def test_a_factor_that_another_register_holds_is_a_note() -> None:
 def test_what_is_left_out_is_said() -> None:
     text = "Pump 7,,\naddress,name,colour\n1,a,red\n,see page 4,\naddress,name,colour\n2,b,blue\n"
     said = imported(text).remarks
-    assert "row 2 is taken for the headings; those above left out" in said
+    assert "row 2 is taken for the headings, and the rows above it are left out" in said
     assert "row 4: no address, left out" in said
     assert "row 5: the headings again, left out" in said
     assert 'columns that are not used: "colour"' in said

@@ -101,7 +101,7 @@ def test_references_with_swapped_words() -> None:
     assert points(found)["Alarms"].bits == {0: "Over voltage", 3: "Phase loss"}
     assert found.profile.areas[0].reference(0) == "400001"
     assert list(found.remarks) == [
-        "row 2 is taken for the headings; those above left out",
+        "row 2 is taken for the headings, and the rows above it are left out",
         'column "Register" is taken for the address',
         'column "Parameter" is taken for the name',
         'column "Data Type" is taken for the type',
@@ -113,8 +113,8 @@ def test_references_with_swapped_words() -> None:
         'numbers are multiplied by "Scale", as some are less than 1 (--scaling says otherwise)',
         'row 3: "Holding registers": the rows below are holding registers',
         'row 13: "Input registers (FC 04)": the rows below are input registers',
-        "addresses are references, as every one of 300001..400015 can be one: 400001 is 0 on the "
-        "wire (--addresses says otherwise)",
+        "addresses are references, as every one of 300001..400015 can be one: 400001 is address 0 "
+        "on the wire (--addresses says otherwise)",
         "rows 4-5, 14: word order as named there",
         "row 15: the length of a text counts characters, two in a register",
         "word order of the others: high word first, as nothing says otherwise (--word-order)",
@@ -155,8 +155,8 @@ def test_hexadecimal_addresses_without_a_sign() -> None:
         'column "Resolution" is taken for the scale',
         'column "Unit" is taken for the unit',
         'numbers are multiplied by "Resolution", as its heading says (--scaling says otherwise)',
-        "addresses are hexadecimal, as letters in them or the heading show: 0000 is 0 on the wire "
-        "(--addresses says otherwise)",
+        "addresses are hexadecimal, as letters in them or the heading show: 0000 is address 0 "
+        "on the wire (--addresses says otherwise)",
         "rows 2-5: no table named, taken as holding_registers (--table says otherwise)",
         "word order: high word first, as nothing says otherwise (--word-order)",
     ]
@@ -201,7 +201,7 @@ def test_a_german_list_with_headings_between_its_rows(encoding: str) -> None:
     latin = ["not UTF-8, so read as Latin-1: check °, µ and umlauts"]
     assert list(found.remarks) == [
         *(latin if encoding == "latin-1" else []),
-        "row 2 is taken for the headings; those above left out",
+        "row 2 is taken for the headings, and the rows above it are left out",
         'column "Modbus-Adresse" is taken for the address',
         'column "Bezeichnung" is taken for the name',
         'column "Datentyp" is taken for the type',
@@ -211,13 +211,13 @@ def test_a_german_list_with_headings_between_its_rows(encoding: str) -> None:
         'column "Bemerkung" is taken for the description',
         'numbers are multiplied by "Faktor", as its heading says (--scaling says otherwise)',
         'row 3: "Eingangsregister (FC 04)": the rows below are input registers',
-        "rows 6, 11: values taken from the description",
+        "rows 6, 11: values listed in the description",
         'row 7: "Diskrete Eingänge (FC 02)": the rows below are discrete inputs',
         'row 9: "Halteregister (FC 03/06/16)": the rows below are holding registers',
         "rows 13-14: no address, taken for values of the row above",
         'row 15: "Spulen": the rows below are coils',
-        "addresses are zero-based, as one of them is 0: 0 is 0 on the wire (--addresses says "
-        "otherwise)",
+        "addresses are zero-based, as one of them is 0: 0 is address 0 on the wire (--addresses "
+        "says otherwise)",
         "word order: high word first, as nothing says otherwise (--word-order)",
     ]
 
