@@ -82,8 +82,6 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
         raise ValueError(f"has a factor, but {kind} is no number")
     if size > words:
         report.tell("more registers than the type takes, so a series of values", row.row)
-    has_order = words > 1 and kind is not PointType.STRING
-    order = row.order or (word_order or HIGH_LOW[0], HIGH_LOW[1])
     texts, other_texts = _texts(row, type_)
     limits, other_limits = _limits(row, kind, words)
     if other_limits:
@@ -96,17 +94,20 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
         count=size // words,
         stride=words if size > words else 1,
         length=words if kind is PointType.STRING else None,
-        word_order=order[0] if has_order else HIGH_LOW[0],
-        byte_order=order[1] if not area.table.is_bits else HIGH_LOW[1],
         unit=row.unit,
-        scale=row.scale if kind.is_number else 1.0,
-        offset=row.offset if kind.is_number else 0.0,
-        decimals=row.decimals if kind.is_number else None,
         texts=texts,
         bits=dict(sorted(row.bits.items())) if kind is PointType.FLAGS else {},
         note="; ".join(part for part in (row.note, *other_texts, *other_limits) if part) or None,
     )
-    return msgspec.structs.replace(point, **limits)
+    fields: dict[str, object] = dict(limits)
+    if kind.is_number:
+        fields |= {"scale": row.scale, "offset": row.offset, "decimals": row.decimals}
+    order = row.order or (word_order or HIGH_LOW[0], HIGH_LOW[1])
+    if not area.table.is_bits:
+        fields["byte_order"] = order[1]
+    if words > 1 and kind is not PointType.STRING:
+        fields["word_order"] = order[0]
+    return msgspec.structs.replace(point, **fields)
 
 
 def _size(row: ListRow, area: Area, words: int) -> int:

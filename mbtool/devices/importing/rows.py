@@ -88,7 +88,7 @@ class RowReader:
         bit = self._number_of(Meaning.BIT)
         if bit is not None and address.bit is None:
             address = replace(address, bit=int(bit))
-        if any(_THOUSANDS.fullmatch(self._text(meaning)) for meaning in Meaning):
+        if any("," in cell and _THOUSANDS.fullmatch(cell.strip()) for cell in row):
             self._report.tell("1,000 and its like taken as 1.000", number)
         registers = self._registers()
         wanted = _NO_TABLE if _known_table(self._text(Meaning.TYPE)) is not None else _TYPE_WANTED
