@@ -468,7 +468,8 @@ CELLS = st.sampled_from(
             "0=off,1=on",
             "0 to 100",
         ),
-        "0=a;70000=b",
+        *("0=a;70000=b", "0: off 1: on", "Bit0: a, Bit1: b", "Bit 17 = c", "FC 04", "FC 03/04"),
+        *("Spulen", "UINT32 (low word first)", "DATETIME", "Bit 3", "1,000"),
     ]
 )
 
@@ -488,11 +489,11 @@ def lists(draw: st.DrawFn) -> str:
 
 
 @settings(max_examples=300, deadline=None)
-@given(lists())
-def test_any_list_becomes_a_profile_or_problems(text: str) -> None:
+@given(lists(), st.booleans())
+def test_any_list_becomes_a_profile_or_problems(text: str, skip_bad: bool) -> None:
     try:
-        found = imported(text)
-    except ProfileError as error:  # What a profile may not be is to be told as a cell.
+        found = imported(text, skip_bad=skip_bad)
+    except ProfileError as error:  # What a profile may not be is to be told as a row.
         raise AssertionError(str(error)) from error
     except UsageError:
         return
