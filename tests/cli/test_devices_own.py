@@ -72,7 +72,8 @@ def test_import_writes_a_profile_and_tells_each_guess(mbtool: CommandLine) -> No
         'column "Name" is taken for the name',
         'column "Type" is taken for the type',
         'column "Scale" is taken for the scale',
-        'numbers are multiplied by "Scale", as some are less than 1 (--scaling says otherwise)',
+        'numbers are multiplied by "Scale", as some factors are less than 1 '
+        "(--scaling says otherwise)",
         "addresses are references, as every one of 40001..40002 can be one: 40001 is address 0 "
         "on the wire (--addresses says otherwise)",
         "rows 2-3: no access named, taken as read and write",

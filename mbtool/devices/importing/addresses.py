@@ -98,7 +98,7 @@ def read_addresses(
             f"is address {known[0].number} on the wire (--addresses says otherwise)"
         )
     if any(one.prefix in ("0x", "0X") and one.is_decimal for one in known):
-        report.tell("0x0001 and its like are coils, as other addresses begin with a table")
+        report.tell("0x0001 and its like are coils, as other addresses begin with 4x or 3x")
     if known and all(one.bit == 0 and one.is_decimal for one in known):
         report.tell("addresses end in .0, which a spreadsheet adds, as all of them do")
         return [one and replace(one, bit=None) for one in addresses]

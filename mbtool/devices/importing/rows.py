@@ -89,7 +89,7 @@ class RowReader:
         if bit is not None and address.bit is None:
             address = replace(address, bit=int(bit))
         if any("," in cell and _THOUSANDS.fullmatch(cell.strip()) for cell in row):
-            self._report.tell("1,000 and its like taken as 1.000", number)
+            self._report.tell("comma taken for a decimal comma: 1,000 is 1", number)
         registers = self._registers()
         wanted = _NO_TABLE if _known_table(self._text(Meaning.TYPE)) is not None else _TYPE_WANTED
         type_ = self._read(Meaning.TYPE, lambda text: parse_type(text, registers), wanted)
@@ -203,7 +203,7 @@ class RowReader:
     def _factor(self, meaning: Meaning) -> float | None:
         text = self._text(meaning)
         if text in self._names and parse_factor(text) is None:
-            self._report.tell("scaled by another register, so a note and not a scale", self._number)
+            self._report.tell("scaled by another register, kept as a note", self._number)
             return 1.0  # SunSpec: the other register holds the power of ten.
         factor = self._read(meaning, parse_factor, _SCALE_WANTED)
         if factor is None:
@@ -222,7 +222,9 @@ class RowReader:
                 texts, bits = parse_texts(text) or {}, parse_bits(text) or {}
                 if bits or len(texts) > 1 or (texts and meaning is Meaning.TEXTS):
                     if meaning is not Meaning.TEXTS:
-                        self._report.tell(f"values listed in the {meaning}", self._number)
+                        self._report.tell(
+                            f"values listed in the {meaning}, taken as texts", self._number
+                        )
                     return texts, bits, " ".join(text.split())
         return {}, {}, None
 
@@ -257,7 +259,7 @@ class RowReader:
             divides, why = False, "its heading says"
         else:
             divides = min(bare, default=0) >= 1
-            why = f"{'none is' if divides else 'some are'} less than 1"
+            why = f"{'no factor is' if divides else 'some factors are'} less than 1"
         if any(one != 1 for one in bare):
             verb = "divided" if divides else "multiplied"
             self._report.tell(
@@ -274,21 +276,23 @@ def merge_bits(rows: Sequence[ListRow], report: ImportReport) -> list[ListRow]:
         bit = row.address.bit
         if bit is None:
             continue
-        if (place := _register(row)) not in places:
-            places[place] = len(merged)
-            address = replace(row.address, bit=None)
-            type_ = TypeSpelling(PointType.UINT16)
-            merged.append(replace(row, name="", note="", address=address, type=type_, bits={}))
-        whole = merged[places[place]]
-        if bit not in REGISTER_BITS or bit in whole.bits:
-            which = "a bit that another row names" if bit in whole.bits else "no bit from 0 to 15"
+        at = places.get(_register(row))
+        if bit not in REGISTER_BITS or (at is not None and bit in merged[at].bits):
+            which = (
+                "a bit that another row names" if bit in REGISTER_BITS else "no bit from 0 to 15"
+            )
             report.add_problem(row.row, None, row.address.text, f"names {which}")
             continue
-        access = whole.access
+        if at is None:
+            at = places[_register(row)] = len(merged)
+            address, type_ = replace(row.address, bit=None), TypeSpelling(PointType.UINT16)
+            whole = replace(row, name="", note="", address=address, type=type_, texts={}, bits={})
+            merged.append(whole)
+        access = merged[at].access
         if row.access is not access:
             access = None if None in (row.access, access) else Access.READ_WRITE
-        bits = {**whole.bits, bit: row.name or f"bit {bit}"}
-        merged[places[place]] = replace(whole, bits=bits, access=access)
+        bits = {**merged[at].bits, bit: row.name or f"bit {bit}"}
+        merged[at] = replace(merged[at], bits=bits, access=access)
     return merged
 
 

@@ -96,7 +96,7 @@ def test_digits_are_hexadecimal_if_letters_or_the_heading_show_it(
 def test_0x_is_a_coil_beside_4x() -> None:
     found, told = read("0x0001", "4x0001")
     assert found[0] == AddressCell(1, "0x", digits=4)
-    assert told == ["0x0001 and its like are coils, as other addresses begin with a table"]
+    assert told == ["0x0001 and its like are coils, as other addresses begin with 4x or 3x"]
 
 
 def test_a_spreadsheets_decimal_is_no_bit() -> None:

@@ -110,7 +110,8 @@ def test_references_with_swapped_words() -> None:
         'column "R/W" is taken for the access',
         'column "Values" is taken for the texts',
         'column "Notes" is taken for the description',
-        'numbers are multiplied by "Scale", as some are less than 1 (--scaling says otherwise)',
+        'numbers are multiplied by "Scale", as some factors are less than 1 '
+        "(--scaling says otherwise)",
         'row 3: "Holding registers": the rows below are holding registers',
         'row 13: "Input registers (FC 04)": the rows below are input registers',
         "addresses are references, as every one of 300001..400015 can be one: 400001 is address 0 "
@@ -211,7 +212,7 @@ def test_a_german_list_with_headings_between_its_rows(encoding: str) -> None:
         'column "Bemerkung" is taken for the description',
         'numbers are multiplied by "Faktor", as its heading says (--scaling says otherwise)',
         'row 3: "Eingangsregister (FC 04)": the rows below are input registers',
-        "rows 6, 11: values listed in the description",
+        "rows 6, 11: values listed in the description, taken as texts",
         'row 7: "Diskrete Eingänge (FC 02)": the rows below are discrete inputs',
         'row 9: "Halteregister (FC 03/06/16)": the rows below are holding registers',
         "rows 13-14: no address, taken for values of the row above",
@@ -286,6 +287,11 @@ def test_bits_of_a_row_that_is_left_out_are_a_point_of_their_own() -> None:
     assert (point.name, point.bits) == ("40001", {3: "b"})
 
 
+def test_a_bit_that_is_wrong_makes_no_point() -> None:
+    found = imported("Register,Name,Type\n40001.17,a,BOOL\n40002,b,INT\n", skip_bad=True)
+    assert [one.name for one in found.profile.points] == ["b"]
+
+
 def test_rights_follow_the_functions_of_the_heading() -> None:
     found = imported("Adresse;Name\nRegister (FC 03);\n5;a\nRegister (FC 03/06);\n9;b\n")
     assert [(one.name, one.access) for one in found.profile.points] == [
@@ -299,7 +305,7 @@ def test_rights_follow_the_functions_of_the_heading() -> None:
     [
         ("5,a,STRING[8],,", "row 2: the length of a text counts characters, two in a register"),
         ("5,a,INT16,2,", "row 2: whole numbers are divided as their decimals say"),
-        ('5,a,INT16,,"10,000"', "row 2: 1,000 and its like taken as 1.000"),
+        ('5,a,INT16,,"10,000"', "row 2: comma taken for a decimal comma: 1,000 is 1"),
     ],
 )
 def test_a_guess_about_one_row_is_told(row: str, told: str) -> None:
