@@ -23,6 +23,7 @@ class AddressesChoice(StrEnum):
     ZERO_BASED = "zero-based"
     ONE_BASED = "one-based"
     REFERENCES = "references"
+    HEXADECIMAL = "hexadecimal"
 
 
 class ScalingChoice(StrEnum):
@@ -32,13 +33,20 @@ class ScalingChoice(StrEnum):
     DIVIDE = "divide"
 
 
+class WordOrderChoice(StrEnum):
+    """Which register of a value of several comes first."""
+
+    HIGH_FIRST = "high-first"
+    LOW_FIRST = "low-first"
+
+
 class TableChoice(StrEnum):
-    """The tables of Modbus."""
+    """The tables of Modbus, by their first word."""
 
     COILS = "coils"
-    DISCRETE_INPUTS = "discrete_inputs"
-    HOLDING_REGISTERS = "holding_registers"
-    INPUT_REGISTERS = "input_registers"
+    DISCRETE = "discrete"
+    HOLDING = "holding"
+    INPUT = "input"
 
 
 _SUFFIX = ".toml"
@@ -70,55 +78,78 @@ def import_(
     file: Annotated[
         str,
         typer.Argument(
-            metavar="MAP.csv",
+            metavar="LIST.csv",
             help="A register list: CSV with a row of headings; - is standard input.",
         ),
     ],
     output: OutputOption = None,
-    addresses: Annotated[
-        AddressesChoice | None,
+    column: Annotated[
+        list[str] | None,
         typer.Option(
-            help="What its numbers are, where the list leaves it open. [default: found out]"
+            "--column",
+            metavar="MEANING=HEADING",
+            help="Which column holds what, as in address=Modbus-Adresse; may be repeated. "
+            "[default: guessed by the headings]",
         ),
     ] = None,
     table: Annotated[
         TableChoice | None,
-        typer.Option(help="The table of rows that name none. [default: holding_registers]"),
+        typer.Option(help="The table of rows that name none. [default: holding]"),
+    ] = None,
+    addresses: Annotated[
+        AddressesChoice | None,
+        typer.Option(help="What the numbers of its addresses are. [default: guessed]"),
+    ] = None,
+    word_order: Annotated[
+        WordOrderChoice | None,
+        typer.Option(
+            help="Which register comes first in values that name no order. [default: high-first]"
+        ),
     ] = None,
     scaling: Annotated[
         ScalingChoice | None,
-        typer.Option(help="What its factors are for. [default: found out]"),
+        typer.Option(help="What its factors are for. [default: guessed]"),
     ] = None,
+    skip_bad: Annotated[
+        bool,
+        typer.Option("--skip-bad", help="Leave out rows that cannot be read, and tell them."),
+    ] = False,
 ) -> None:
     """Make a profile of a register list.
 
-    Columns are found by their headings: address or register, name, type, unit, scale, access,
-    function, word order and more. What is decided where the list leaves it open is said. Of cells
-    that cannot be read each is told, with its row and column, and no profile is made.
+    What you name is not guessed; each guess is told in a line. If rows cannot be read, each is told
+    and no profile is made, unless you say --skip-bad.
     """
     from mbtool.cli.talk import say
-    from mbtool.devices.importing.addresses import Counting
-    from mbtool.devices.importing.placing import ImportOptions
-    from mbtool.devices.importing.register_list import WrongCellsError, import_register_list
-    from mbtool.devices.importing.rows import Scaling
+    from mbtool.devices.importing.options import (
+        AddressStyle,
+        ImportOptions,
+        Scaling,
+        parse_columns,
+    )
+    from mbtool.devices.importing.register_list import BadRowsError, import_register_list
+    from mbtool.devices.model import WordOrder
     from mbtool.devices.profile_template import name_for
     from mbtool.modbus.tables import Table
 
     _demand_new(output)
     options = ImportOptions(
-        counting=Counting(addresses) if addresses is not None else None,
-        table=Table(table) if table is not None else None,
+        columns=parse_columns(column or ()),
+        addresses=AddressStyle(addresses) if addresses is not None else None,
+        table=next((one for one in Table if table and one.value.startswith(table)), None),
         scaling=Scaling(scaling) if scaling is not None else None,
+        word_order=WordOrder(word_order) if word_order is not None else None,
+        skip_bad=skip_bad,
     )
     name = name_for(output or file) if _STANDARD not in (output or file,) else None
     try:
         imported = import_register_list(_read(file), _shown(file), options, name)
-    except WrongCellsError as wrong:
+    except BadRowsError as wrong:
         for line in wrong.lines:
             say(line)
         raise
     for remark in imported.remarks:
-        say(f"- {remark}")
+        say(remark)
     _give(imported.text, output)
     points = len(imported.profile.points)
     if _is_file(output):

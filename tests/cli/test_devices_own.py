@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import re
+import shlex
 import sys
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,15 +63,23 @@ def test_a_profile_is_a_toml_file_in_a_folder_that_is_there(mbtool: CommandLine)
     assert told.err == "mbtool: nowhere/pump.toml: cannot be written: No such file or directory\n"
 
 
-def test_import_writes_a_profile_and_says_what_it_decided(mbtool: CommandLine) -> None:
+def test_import_writes_a_profile_and_tells_each_guess(mbtool: CommandLine) -> None:
     Path("map.csv").write_text(LIST)
     told = mbtool("devices", "import", "map.csv", "-o", "pump.toml")
     assert (told.code, told.out) == (exit_codes.DONE, "")
-    assert told.err.splitlines()[0] == (
-        '- the numbers of "Register" are references, since every one of 40001..40002 can be a '
-        "reference: 40001 is address 0 on the wire (--addresses says otherwise)"
-    )
-    assert told.err.splitlines()[-1] == "2 points -> pump.toml"
+    assert told.err.splitlines() == [
+        'column "Register" is taken for the address',
+        'column "Name" is taken for the name',
+        'column "Type" is taken for the type',
+        'column "Scale" is taken for the scale',
+        'numbers are multiplied by "Scale", as some factors are less than 1 '
+        "(--scaling says otherwise)",
+        "addresses are references, as every one of 40001..40002 can be one: 40001 is address 0 "
+        "on the wire (--addresses says otherwise)",
+        "rows 2-3: no access named, taken as read and write",
+        "word order: high word first, as nothing says otherwise (--word-order)",
+        "2 points -> pump.toml",
+    ]
     profile = load_profile("pump.toml")
     assert (profile.name, [point.name for point in profile.points]) == ("pump", ["Speed", "State"])
 
@@ -84,25 +95,80 @@ def test_import_prints_where_no_file_is_named(
     assert 'name = "Speed"' in piped
 
 
-def test_import_tells_every_wrong_cell_and_makes_nothing(mbtool: CommandLine) -> None:
-    Path("map.csv").write_text("Register;Name;Type;Scale\n40001;Speed;FLOTE;x\n")
+def test_import_tells_every_wrong_row_and_makes_nothing(mbtool: CommandLine) -> None:
+    Path("map.csv").write_text(f"{LIST}40003;Start;DATETIME;1\n40007;Stop;DATETIME;x\n")
     told = mbtool("devices", "import", "map.csv", "-o", "pump.toml")
     assert told.code == exit_codes.USAGE
     assert told.err.splitlines() == [
-        "map.csv: row 2, column \"Type\": 'FLOTE' is no type; UINT16, INT32, FLOAT32, BCD, BOOL, "
-        "STRING[16] and their like are",
-        "map.csv: row 2, column \"Scale\": 'x' is no factor; 0.1, /10, x0.1 and their like are",
-        "mbtool: map.csv: 2 cells are wrong, so no profile was made",
+        "map.csv: rows 4-5, column \"Type\": 'DATETIME' is no type, as UINT16, INT32, FLOAT32, "
+        "BCD, BOOL or STRING[16] are",
+        "map.csv: row 5, column \"Scale\": 'x' is no factor, as 0.1, /10 or x0.1 are",
+        "mbtool: map.csv: 2 rows are wrong, so no profile was made (--skip-bad leaves them out)",
     ]
     assert not Path("pump.toml").exists()
 
 
-def test_import_believes_its_options(mbtool: CommandLine) -> None:
-    Path("map.csv").write_text("Register;Name;Gain\n40001;Speed;10\n")
-    options = ["--addresses", "zero-based", "--table", "input_registers", "--scaling", "multiply"]
-    mbtool("devices", "import", "map.csv", "-o", "pump.toml", *options)
+def test_import_leaves_wrong_rows_out_if_that_is_said(mbtool: CommandLine) -> None:
+    Path("map.csv").write_text(f"{LIST}40003;Start;DATETIME;1\n")
+    told = mbtool("devices", "import", "map.csv", "-o", "pump.toml", "--skip-bad")
+    assert told.code == exit_codes.DONE
+    assert [line for line in told.err.splitlines() if line.startswith("left out")] == [
+        "left out: row 4, column \"Type\": 'DATETIME' is no type, as UINT16, INT32, FLOAT32, BCD, "
+        "BOOL or STRING[16] are"
+    ]
+    assert [point.name for point in load_profile("pump.toml").points] == ["Speed", "State"]
+
+
+def test_import_guesses_nothing_that_is_said(mbtool: CommandLine) -> None:
+    Path("map.csv").write_text("Nr;Wert;Format;Teiler;R/W\n40001;Speed;UINT32;10;R\n")
+    columns = ("address=Nr", "name=Wert", "type=format", "scale=Teiler", "access=R/W")
+    options = [word for one in columns for word in ("--column", one)]
+    options += ["--addresses", "zero-based", "--table", "input", "--scaling", "multiply"]
+    told = mbtool(
+        "devices", "import", "map.csv", "-o", "pump.toml", "--word-order", "low-first", *options
+    )
+    assert told.err.splitlines() == [
+        "word order: low word first, as --word-order says",
+        "1 points -> pump.toml",
+    ]
     (point,) = load_profile("pump.toml").points
-    assert (point.table, point.address, point.scale) == ("input_registers", 40001, 10)
+    assert (point.name, point.table, point.address) == ("Speed", "input_registers", 40001)
+    assert (point.scale, point.word_order) == (10, "low-first")
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        (
+            ["adress=Register"],
+            "adress=Register: 'adress' is no meaning; these are: access,",
+        ),
+        (["Register"], "--column Register: is not MEANING=HEADING, as address=Register"),
+        (["name="], "--column name=: is not MEANING=HEADING"),
+        (["name=Name", "name=Type"], "--column name=Type: 'Name' is named for name already"),
+        (["values=Name", "texts=Type"], "'Name' is named for texts already"),
+        (["name=Name", "type=Name"], "'Name' is named for another meaning already"),
+        (["type=Typ"], "map.csv: no column is headed 'Typ'; row 1 has 'Register', 'Name', 'Type'"),
+    ],
+)
+def test_import_tells_what_is_wrong_with_a_column_that_is_named(
+    mbtool: CommandLine, said: list[str], why: str
+) -> None:
+    Path("map.csv").write_text(LIST)
+    told = mbtool("devices", "import", "map.csv", *(f"--column={one}" for one in said))
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert why in told.err
+    assert len(told.err.splitlines()) == 1
+
+
+def test_the_example_of_the_page_prints_what_the_page_says(mbtool: CommandLine) -> None:
+    page = (CAPTURES.parent / "docs" / "devices.md").read_text(encoding="utf-8")
+    blocks = [textwrap.dedent(one) for one in re.findall(r"(?:^    .+\n)+", page, re.MULTILINE)]
+    at = next(at for at, one in enumerate(blocks) if one.startswith("Modbus-Adresse;"))
+    listed, command, told, refused = (one.rstrip("\n") for one in blocks[at : at + 4])
+    Path("list.csv").write_text(f"{listed}\n", encoding="utf-8")
+    assert mbtool("devices", "import", "list.csv").err.rstrip("\n") == refused
+    assert mbtool(*shlex.split(command)[1:]).err.rstrip("\n") == told
 
 
 def test_import_of_nothing_is_told(mbtool: CommandLine) -> None:

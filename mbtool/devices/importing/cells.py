@@ -1,8 +1,7 @@
-"""What stands in the cells of a register list: numbers, addresses, factors, rights, tables."""
+"""Reads the cells of a register list: numbers, factors, rights, tables, texts and ranges."""
 
-# Each function reads one cell, or answers None where it holds nothing of that kind. They know the
-# common ways of writing, with a decimal comma, too; what a whole column means by them is decided in
-# addresses.py and rows.py.
+# Each function reads one cell, or returns None if it holds nothing of that kind. They know the
+# usual ways of writing, in English, mostly in German and French, also with a decimal comma.
 
 from __future__ import annotations
 
@@ -10,6 +9,7 @@ import math
 import re
 from dataclasses import dataclass
 
+from mbtool.devices.importing.columns import fold
 from mbtool.devices.model import Access
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
@@ -20,6 +20,7 @@ NOTHING = frozenset(
 """Cells that say that there is nothing, in lower case."""
 
 MAX_DIGITS = 8
+REGISTER_BITS = range(16)
 
 _NUMBER = re.compile(r"[+-]?(?:\d{1,30}(?:[.,]\d{1,30})?|[.,]\d{1,30})(?:[eE][+-]?\d{1,3})?")
 
@@ -29,7 +30,7 @@ def is_nothing(text: str) -> bool:
 
 
 def parse_number(text: str) -> float | None:
-    """`0.1`, `0,1`, `1e-3`, `-5`, `0x0F`; an int where it is whole. Commas are decimal commas."""
+    """`0.1`, `0,1`, `1e-3`, `-5`, `0x0F`; an int if it is whole. Commas are decimal commas."""
     text = text.strip().replace("\u2212", "-").replace("\u00a0", "")
     if re.fullmatch(r"0[xX][0-9A-Fa-f]{1,8}", text):
         return int(text, 16)
@@ -43,13 +44,11 @@ def parse_number(text: str) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """What a cell says about scaling."""
+    """A factor as a cell of the list has it."""
 
     number: float
-    divides: bool = False
-    """The cell says to divide by it."""
-    multiplies: bool = False
-    """The cell says to multiply by it; where neither, the column must tell."""
+    divides: bool | None = None
+    """True to divide by it, False to multiply by it, None if the cell does not say."""
 
 
 _TEN_TO = re.compile(r"10\s*(?:\^|\*\*|[eE])\s*(?P<power>[+-]?\d{1,2})")
@@ -63,11 +62,10 @@ def parse_factor(text: str) -> Factor | None:
         return None
     power = _TEN_TO.fullmatch(match["number"])
     number = 10.0 ** int(power["power"]) if power else parse_number(match["number"])
-    if not number:
+    if not number or not math.isfinite(1 / number):
         return None
-    sign = (match["sign"] or "").strip()
-    is_divided = sign.endswith("/") or sign == ":"
-    return Factor(number, divides=is_divided, multiplies=bool(sign) and not is_divided)
+    sign = match["sign"]
+    return Factor(number, None if sign is None else sign not in "xX*")
 
 
 def parse_unit(text: str) -> tuple[float | None, str | None]:
@@ -76,109 +74,126 @@ def parse_unit(text: str) -> tuple[float | None, str | None]:
     if is_nothing(text):
         return None, None
     match = re.fullmatch(r"(?:[xX*]\s*)?(?P<number>[\d.,]+)\s*(?P<unit>[^\d\s.,/*^-].*)", text)
-    if match is None:
-        return None, text
-    number = parse_number(match["number"])
-    return (number, match["unit"]) if number else (None, text)
+    number = parse_number(match["number"]) if match else None
+    return (number, match["unit"]) if match and number else (None, text)
 
 
-_READ = frozenset(("r", "ro", "read", "readonly", "input", "lesen", "nurlesen", "lecture", "rd"))
-_WRITE = frozenset(("w", "wo", "write", "writeonly", "wr", "schreiben", "ecriture"))
+_ACCESS = {
+    **dict.fromkeys(("r", "ro", "read", "readonly", "input", "lesen", "nurlesen", "lecture", "rd"),
+                    Access.READ),
+    **dict.fromkeys(("w", "wo", "write", "writeonly", "schreiben", "ecriture"), Access.WRITE),
+    # R/WC, Schneider: written by a command.
+    **dict.fromkeys(("rw", "wr", "rwc", "readwritable", "lesenschreiben", "readwriteonly", "output",
+                     "readwrite", "readandwrite", "randw", "rundw"), Access.READ_WRITE),
+}  # fmt: skip
 
 
 def parse_access(text: str) -> Access | None:
-    """`R`, `RO`, `R/W`, `read/write`, `W`, `read only`; also `yes` and `no` where W is asked."""
-    words = [word for word in re.split(r"[^a-z]+", text.lower()) if word]
-    joined = "".join(words)
-    if joined in _READ:
-        return Access.READ
-    if joined in _WRITE:
-        return Access.WRITE
-    is_both = joined in ("rw", "wr") or re.fullmatch(r"r(?:ead)?(?:and|und)?w(?:rite)?", joined)
-    # R/WC, Schneider: written by a command.
-    if is_both or joined in ("rwc", "readwritable", "lesenschreiben", "readwriteonly", "output"):
-        return Access.READ_WRITE
-    return None
+    """`R`, `RO`, `R/W`, `read/write`, `W`, `read only`, `lesen`."""
+    return _ACCESS.get(re.sub(r"[^a-z]+", "", fold(text)))
 
 
 _TABLE_WORDS = (
-    (r"discrete|digital ?inputs?|input ?(?:status|coils?|bits?|contacts?)|\bdi\b|contacts?",
-     Table.DISCRETE_INPUTS),
-    (r"coils?|digital ?outputs?|output ?(?:bits?|coils?)|\bdo\b|\bco\b|\bc\b", Table.COILS),
-    (r"input ?reg(?:ister)?s?|analog(?:ue)? ?inputs?|\bir\b|\bai\b|^inputs?$",
-     Table.INPUT_REGISTERS),
-    (r"hold(?:ing)?(?: ?reg(?:ister)?s?)?|analog(?:ue)? ?outputs?|\bhr\b|\bao\b|^reg(?:ister)?s?$",
+    (r"dis[ck]rete|digitale? ?(?:inputs?|eing)|input ?(?:status|coils?|bits?|contacts?)|^di$"
+     r"|^contacts?$|eingangs?(?:bits?|status)", Table.DISCRETE_INPUTS),
+    (r"coils?|digitale? ?(?:outputs?|ausg)|output ?(?:bits?|coils?)|^do$|^co?$|spulen?\b|bobines?"
+     r"|ausgangs?(?:bits?|status)", Table.COILS),
+    (r"input ?reg(?:ister)?s?|analog(?:ue?|e)? ?(?:inputs?|eing)|^ir$|^ai$|^inputs?$"
+     r"|eingangs ?reg|registres? d entree", Table.INPUT_REGISTERS),
+    (r"hold(?:ing)?(?: ?reg(?:ister)?s?)?|analog(?:ue?|e)? ?(?:outputs?|ausg)|^hr$|^ao$"
+     r"|^reg(?:ister)?s?$|halte ?reg|ausgangs ?reg|registres? de maintien",
      Table.HOLDING_REGISTERS),
 )  # fmt: skip
-_DIGIT_TABLES = {
+DIGIT_TABLES = {
     "0": Table.COILS,
     "1": Table.DISCRETE_INPUTS,
     "3": Table.INPUT_REGISTERS,
     "4": Table.HOLDING_REGISTERS,
 }
+_CODE = r"(?:0x[0-9a-f]{1,2}|[0-9a-f]{1,2}h|\d{1,2})(?![0-9a-z])"
+_FUNCTION = (
+    r"(?:\b(?:fct?|fn|fkt|func(?:tion)?s?|funktion(?:en)?)(?: ?s?codes?)?\b\.?"
+    r"|\bfc(?=\d)|^f(?=\d))"
+)
+_AND = r"(?:\s*(?:[,;/+&|]|\band\b|\bund\b|\bor\b|\boder\b|\bet\b)\s*|\s+)"
+_CODES = rf"{_CODE}(?:{_AND}(?:{_FUNCTION}\s*)?{_CODE})*"
+_NAMED_CODES = re.compile(rf"{_FUNCTION}\s*[:=#]?\s*\(?(?P<codes>{_CODES})")
+_ONLY_CODES = re.compile(rf"\(?(?P<codes>{_CODES})\)?")
 
 
 @dataclass(frozen=True, slots=True)
-class CellAccess:
-    """What a cell says about where a value stands and by which functions it is reached."""
+class TableCell:
+    """The table that a cell names, and the function codes, if it names it by them."""
 
-    table: Table
+    table: Table | None
+    """None if the function codes belong to several tables, or to none of the four."""
     functions: tuple[int, ...] = ()
+    """Empty if the cell names none, or one that belongs to no table."""
 
 
-def parse_table(text: str) -> CellAccess | None:
-    """`Holding register`, `4x`, `HR`, `03`, `FC03/06/16`, `3,16`, `0x04`, `coil`."""
+def parse_table(text: str) -> TableCell | None:
+    """`Holding register`, `4x`, `HR`, `03`, `FC03/06/16`, `0x04`, `Eingangsregister (FC 04)`.
+
+    Function codes count before words.
+    """
     lowered = " ".join(re.sub(r"[_\-]", " ", text.lower()).split())
-    digit = re.fullmatch(r"([0134])\s?x+", lowered)
-    if digit:
-        return CellAccess(_DIGIT_TABLES[digit[1]])
-    numbers = _functions(lowered)
-    if numbers is not None:
-        return numbers
-    for pattern, table in _TABLE_WORDS:
-        if re.search(pattern, lowered):
-            return CellAccess(table)
-    return None
+    if digit := re.fullmatch(r"([0134])\s?x+", lowered):
+        return TableCell(DIGIT_TABLES[digit[1]])
+    if codes := _ONLY_CODES.fullmatch(lowered) or _NAMED_CODES.search(lowered):
+        return _table_of(re.findall(_CODE, codes["codes"]))
+    words = fold(lowered)
+    return next((TableCell(table) for one, table in _TABLE_WORDS if re.search(one, words)), None)
 
 
-_FUNCTION_WORDS = re.compile(
-    r"\b(?:fc|fn|func(?:tion)?s?|fct|code|modbus|f|and|und|or)\b\.?|(?<![a-z])fc?(?=\d)"
-)
-
-
-def _functions(text: str) -> CellAccess | None:
-    plain = _FUNCTION_WORDS.sub(" ", text)
-    tokens = [token for token in re.split(r"[\s,;/+&|()=:]+", plain) if token]
-    codes = []
-    for token in tokens:
-        if not re.fullmatch(r"0x[0-9a-f]{1,2}|[0-9a-f]{1,2}h|\d{1,2}", token):
-            return None
-        is_hex = token.startswith("0x") or token.endswith("h")
-        codes.append(int(token.removesuffix("h"), 16) if is_hex else int(token))
+def _table_of(codes: list[str]) -> TableCell:
+    numbers = [
+        int(code.removesuffix("h"), 16)
+        if code.startswith("0x") or code.endswith("h")
+        else int(code)
+        for code in codes
+    ]
     # 10 beside 03 and 06 is 10H: no function 10 reaches a register.
-    codes = [16 if code == 10 else code for code in codes]
-    known = [FUNCTIONS.get(code) for code in codes]
-    tables = {one.table if one is not None else None for one in known}
-    table = tables.pop() if len(tables) == 1 else None
-    return CellAccess(table, tuple(dict.fromkeys(codes))) if table is not None else None
+    numbers = [16 if number == 10 else number for number in numbers]
+    known = {FUNCTIONS[number].table if number in FUNCTIONS else None for number in numbers}
+    functions = () if None in known else tuple(dict.fromkeys(numbers))
+    return TableCell(known.pop() if len(known) == 1 else None, functions)
 
 
-_PAIR = re.compile(
-    r"\s*(?P<value>0[xX][0-9A-Fa-f]{1,4}|-?\d{1,10})\s*(?:[=:]|->|\u2192|\s-\s|-(?=\s*[^\d\s]))\s*"
-    r"(?P<text>.+?)\s*"
-)
+_VALUE = r"(?P<number>0[xX][0-9A-Fa-f]{1,4}|-?\d{1,10})"
+_BIT = r"(?:bit|b)[ .]?(?P<number>\d{1,2})"
+_IS = r"\s*(?:[=:]|->|\u2192|\s-\s|-(?=\s*[^\d\s]))\s*(?P<text>.+?)"
 
 
 def parse_texts(text: str) -> dict[int, str] | None:
-    """`0=stopped, 1=running`, `0: off; 1: on`, one to a line; None where it is prose."""
-    splits = [[part for part in text.split(sign) if part.strip()] for sign in ("\n", ";", "|", ",")]
+    """`0=stopped, 1=running`, `0: off 1: on`, one to a line; None if it is prose."""
+    return _parse_pairs(text, _VALUE, r"-?\d+\s*[=:]")
+
+
+def parse_bits(text: str) -> dict[int, str] | None:
+    """`Bit0: too hot, Bit1: low oil`, `Bit 3 = Alarm`; None if it is something else.
+
+    Bits are those of one register, 0 to 15.
+    """
+    bits = _parse_pairs(text, _BIT, r"[Bb](?:it)?[ .]?\d+\s*[=:]")
+    return bits if bits is not None and max(bits) in REGISTER_BITS else None
+
+
+def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None:
+    """Numbers with their texts, separated by a sign or where the `next_one` begins."""
+    pair = re.compile(rf"\s*{number}{_IS}\s*", re.IGNORECASE)
+    splits = [text.split(sign) for sign in ("\n", ";", "|", ",")]
+    splits.append(re.split(rf"\s+(?={next_one})", text))
     # A text may have a comma in it, so the sign that gives the most pairs is the one between them.
     for parts in sorted(splits, key=len, reverse=True):
-        pairs = [_PAIR.fullmatch(part) for part in parts]
-        texts = {int(pair["value"], 0): pair["text"] for pair in pairs if pair is not None}
-        if texts and len(texts) == len(parts):
-            return texts
+        pairs = [pair.fullmatch(part.rstrip(" ,;|")) for part in parts if part.strip()]
+        found = {_whole(one["number"]): one["text"] for one in pairs if one is not None}
+        if found and len(found) == len(pairs):
+            return found
     return None
+
+
+def _whole(digits: str) -> int:
+    return int(digits, 16 if digits[:2].lower() == "0x" else 10)
 
 
 _SPAN = re.compile(

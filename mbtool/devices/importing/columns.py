@@ -1,19 +1,18 @@
-"""Finds the columns of a register list: its delimiter, its row of headings, and what each means."""
+"""Finds the columns of a register list: its delimiter, its row of headings, what each means."""
 
-# The row of headings is the one, of the first MAX_PREAMBLE, in which most headings are known; one
-# of them must speak of addresses. A heading is known by the whole of it, else by its last known
-# word: a "register description" is a description, a "parameter address" an address. Headings are
-# English, German or French.
+# The row of headings is that of the first MAX_PREAMBLE rows that has most of the headings that the
+# user names, then most of those that are known. A heading is known as a whole, else by its last
+# known words: a "register description" is a description. Headings are English, German or French.
 #
-# Several columns may speak of addresses (the address on the wire and the vendor's number), names
-# and descriptions; of every other meaning the first column counts, and the rest is told as unused.
+# Several columns may hold names or descriptions. Of any other meaning the first column counts, and
+# the others are not used. A column that the user names for a meaning is the only one of it.
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -24,20 +23,21 @@ DELIMITERS = ";\t,|"
 
 
 class Meaning(StrEnum):
-    """What a column is about."""
+    """What a column holds."""
 
     ADDRESS = "address"
     NAME = "name"
     DESCRIPTION = "description"
     TYPE = "type"
     LENGTH = "length"
-    ORDER = "order"
+    LENGTH_IN_BYTES = "length-in-bytes"
+    LENGTH_IN_BITS = "length-in-bits"
+    WORD_ORDER = "word-order"
     BIT = "bit"
     TABLE = "table"
     ACCESS = "access"
     UNIT = "unit"
     SCALE = "scale"
-    GAIN = "gain"
     DIVISOR = "divisor"
     OFFSET = "offset"
     DECIMALS = "decimals"
@@ -48,81 +48,60 @@ class Meaning(StrEnum):
     TEXTS = "texts"
 
 
+SYNONYMS = {
+    "bits": Meaning.TEXTS, "byte-order": Meaning.WORD_ORDER, "factor": Meaning.SCALE,
+    "function": Meaning.TABLE, "max": Meaning.MAXIMUM, "min": Meaning.MINIMUM,
+    "order": Meaning.WORD_ORDER, "quantity": Meaning.LENGTH, "values": Meaning.TEXTS,
+}  # fmt: skip
+"""Other words that name a meaning in --column."""
+
 _HEADINGS = {
-    Meaning.ADDRESS: (
-        "address, addr, adr, adresse, register, registers, reg, registre, reference, register "
-        "number, register no, mb address, adresse registre, registeradresse, start, from"
-    ),
-    Meaning.NAME: (
-        "name, signal, tag, tagname, parameter, variable, point, label, item, quantity name, "
-        "bezeichnung, signalname, designation, nom, measurement, datapoint, property, field, "
-        "value name, symbol, messwert, parametername, element, data name, object name, libelle"
-    ),
-    Meaning.DESCRIPTION: (
-        "description, desc, comment, comments, remark, remarks, note, notes, beschreibung, "
-        "bemerkung, kommentar, explanation, details, meaning, content, contents, info"
-    ),
-    Meaning.TYPE: "type, data type, datatype, format, datentyp, encoding, data, typ, data format",
-    Meaning.LENGTH: (
-        "length, len, size, words, count, quantity, registers count, number of registers, "
-        "register count, num registers, no of registers, of registers, qty, anzahl, laenge, "
-        "lange, taille, longueur, register length, bytes, width, word count, n registers, regs, "
-        "register size, characters, chars, points, quantity of registers"
-    ),
-    Meaning.ORDER: (
-        "order, word order, byte order, endian, endianness, endianess, wordorder, byteorder, "
-        "swap, word swap, byte swap, wortreihenfolge"
-    ),
-    Meaning.BIT: "bit, bit number, bit no, bit position, bitnr, bit index",
-    Meaning.TABLE: (
-        "function, function code, functions, function codes, fc, fct, func, table, object, object "
-        "type, register type, registertype, reg type, area, register class, kind, address type, "
-        "input type, modbus type, memory area, funktion, funktionscode, block, read function, "
-        "register kind, space, modbus function, fonction, code fonction, data table"
-    ),
-    Meaning.ACCESS: (
-        "access, rw, r/w, rights, mode, access type, permission, permissions, action, zugriff, "
-        "acces, access mode, read/write, read write, writable, writeable, attribute, attr, "
-        "property rw, r/w access, access right, access rights, direction, lesen/schreiben"
-    ),
-    Meaning.UNIT: (
-        "unit, units, uom, unit of measurement, unit of measure, einheit, unite, eng unit, "
-        "engineering unit, engineering units, dimension, measure"
-    ),
-    Meaning.SCALE: (
-        "scale, scaling, factor, multiplier, scale factor, scaling factor, resolution, faktor, "
-        "skalierung, facteur, accuracy, multiply, coefficient, precision factor, lsb, auflosung, "
-        "conversion, ratio, multiplication factor, skalierungsfaktor, step"
-    ),
-    Meaning.GAIN: "gain, magnification",
+    Meaning.ADDRESS: "address, addr, adr, adresse, register, registers, reg, registre, reference, "
+    "registeradresse, start, from",
+    Meaning.NAME: "name, signal, tag, tagname, parameter, variable, point, label, item, symbol, "
+    "bezeichnung, signalname, designation, nom, measurement, datapoint, field, messwert, "
+    "parametername, element, libelle, quantity name, value name, object name",
+    Meaning.DESCRIPTION: "description, desc, comment, comments, remark, remarks, note, notes, "
+    "info, beschreibung, bemerkung, kommentar, explanation, details, meaning, bedeutung, content",
+    Meaning.TYPE: "type, datatype, format, datentyp, encoding, data, typ",
+    Meaning.LENGTH: "length, len, size, words, count, quantity, qty, anzahl, laenge, lange, width, "
+    "taille, longueur, regs, bytes, characters, chars, number of registers, registers count, "
+    "no of registers, of registers",
+    Meaning.WORD_ORDER: "order, endian, endianness, endianess, wordorder, byteorder, swap, "
+    "wortreihenfolge",
+    Meaning.BIT: "bit, bit number, bit position, bitnr, bit index",
+    Meaning.TABLE: "function, functions, function code, function codes, fc, fct, func, table, "
+    "area, object, object type, register type, registertype, reg type, register class, kind, "
+    "block, register kind, address type, input type, modbus type, funktion, funktionscode, "
+    "fonction",
+    Meaning.ACCESS: "access, rw, r/w, rights, mode, access type, permission, permissions, action, "
+    "zugriff, acces, read/write, read write, writable, writeable, attribute, attr, direction, "
+    "lesen/schreiben",
+    Meaning.UNIT: "unit, units, uom, unit measurement, unit measure, einheit, unite, dimension",
+    Meaning.SCALE: "scale, scaling, factor, multiplier, resolution, faktor, skalierung, facteur, "
+    "skalierungsfaktor, coefficient, accuracy, multiply, lsb, auflosung, step, conversion, gain, "
+    "magnification",
     Meaning.DIVISOR: "divisor, divider, divide by, divide, teiler, division, diviseur",
-    Meaning.OFFSET: "offset, bias, zero offset, value offset, verschiebung",
-    Meaning.DECIMALS: (
-        "decimals, decimal places, precision, decimal, dp, nachkommastellen, decimal point, digits"
-    ),
+    Meaning.OFFSET: "offset, bias, verschiebung",
+    Meaning.DECIMALS: "decimals, decimal places, precision, decimal, dp, nachkommastellen, digits",
     Meaning.MINIMUM: "min, minimum, low, lower limit, min value, low limit, minimum value",
     Meaning.MAXIMUM: "max, maximum, high, upper limit, max value, high limit, maximum value",
-    Meaning.RANGE: "range, value range, valid range, limits, wertebereich, data range, plage",
-    Meaning.DEFAULT: (
-        "default, default value, factory setting, factory default, initial value, voreinstellung, "
-        "standardwert, factory, preset, init"
-    ),
-    Meaning.TEXTS: (
-        "values, enum, enumeration, options, states, coding, value, enum values, enumerations, "
-        "codes, selection, werte, choices, valeurs, value description, possible values"
-    ),
+    Meaning.RANGE: "range, limits, wertebereich, plage",
+    Meaning.DEFAULT: "default, default value, factory setting, initial value, voreinstellung, "
+    "standardwert, factory, preset",
+    Meaning.TEXTS: "values, enum, enumeration, options, states, coding, value, codes, selection, "
+    "werte, choices, valeurs",
 }
 _MEANINGS = {
     heading.strip(): meaning
     for meaning, headings in _HEADINGS.items()
     for heading in headings.split(",")
 }
-_SEVERAL = frozenset((Meaning.ADDRESS, Meaning.NAME, Meaning.DESCRIPTION))
-_FOREIGN = re.compile(r"\b(?:slave|device|unit|node|station) (?:id|addr(?:ess)?|no|number)\b")
+_OF_THE_SLAVE = re.compile(r"\b(?:slave|device|unit|node|station) (?:id|addr(?:ess)?|no|number)\b")
 _FILLER = frozenset(
-    ("modbus", "the", "no", "nr", "number", "num", "start", "starting", "first", "begin", "plc",
-     "dec", "decimal", "hex", "hexadecimal", "hexa", "pdu", "base", "based", "zero", "one", "0",
-     "1", "offset", "protocol", "wire", "in", "of", "holding", "input", "id", "raw", "16bit")
+    ("modbus", "mb", "the", "no", "nr", "number", "num", "start", "starting", "first", "begin",
+     "plc", "dec", "decimal", "hex", "hexadecimal", "hexa", "pdu", "base", "based", "zero", "one",
+     "0", "1", "offset", "protocol", "wire", "in", "of", "holding", "input", "id", "raw", "16bit")
 )  # fmt: skip
 
 
@@ -133,20 +112,17 @@ class Column:
     index: int
     heading: str
     meaning: Meaning
+    is_named: bool = False
+    """True if the user says what it holds, so that nothing is guessed."""
 
     @property
     def hint(self) -> str:
-        """The heading in lower case, single spaces between its words."""
-        return _plain(self.heading)
+        """The heading in lower case, without accents, single spaces between its words."""
+        return fold(self.heading)
 
     def of(self, row: Sequence[str]) -> str:
-        """What a row has in it; rows may be short."""
+        """The cell of a row; a row may be too short to have it."""
         return row[self.index].strip() if self.index < len(row) else ""
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether all of the heading is known."""
-        return self.hint in _MEANINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,19 +131,22 @@ class Sheet:
 
     rows: Sequence[Sequence[str]]
     heading_row: int
-    """Its index in `rows`."""
+    """The index of the row of headings in `rows`."""
     columns: tuple[Column, ...]
-    unused: tuple[str, ...]
-    """Headings that mean nothing here."""
 
     @property
-    def headings(self) -> Sequence[str]:
-        return self.rows[self.heading_row]
+    def headings(self) -> list[str]:
+        return [_one_line(heading) for heading in self.rows[self.heading_row]]
 
     @property
     def body(self) -> Sequence[Sequence[str]]:
         """The rows below the headings."""
         return self.rows[self.heading_row + 1 :]
+
+    @property
+    def addresses(self) -> Column:
+        """The column of addresses, which every list has."""
+        return self.all(Meaning.ADDRESS)[0]
 
     def column(self, meaning: Meaning) -> Column | None:
         return next((column for column in self.columns if column.meaning is meaning), None)
@@ -176,10 +155,14 @@ class Sheet:
         return [column for column in self.columns if column.meaning is meaning]
 
 
-def find_sheet(text: str, file: str) -> Sheet:
-    """Cut a text into cells and find its columns. Raises UsageError."""
+def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None) -> Sheet:
+    """Cut a text into cells and find its columns; `named` are the headings that the user names.
+
+    Raises UsageError for what is no CSV, or has no column of addresses or not those that are named.
+    """
+    named = named or {}
     problems: list[str] = []
-    found: list[Sheet] = []
+    sheets: list[Sheet] = []
     for delimiter in DELIMITERS:
         reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
         try:
@@ -187,79 +170,86 @@ def find_sheet(text: str, file: str) -> Sheet:
         except csv.Error as error:
             problems.append(f"{file}: not CSV: {error}, up to line {reader.line_num}")
             continue
-        found += _sheets(rows)
+        first = rows[:MAX_PREAMBLE]
+        sheets += [Sheet(rows, at, _columns(row, named)) for at, row in enumerate(first) if row]
     # The first of equals: a semicolon is less often part of a text than a comma.
-    best = max(found, key=lambda sheet: len(sheet.columns), default=None)
-    if best is not None:
-        return best
-    if problems:
+    best = max(sheets, key=_likeness, default=None)
+    if problems and (best is None or best.column(Meaning.ADDRESS) is None):
         raise UsageError(f"{problems[0]}; a quote that opens a cell must close it")
-    first = next((line.strip() for line in text.splitlines() if line.strip()), "")
-    raise UsageError(
-        f"{file}: no row of headings in its first {MAX_PREAMBLE} rows: one must name a column of "
-        f"addresses, for example 'address' or 'register'; the first row is {first[:80]!r}"
-    )
+    if best is None:
+        raise UsageError(f"{file}: is empty")
+    _check(best, file, named)
+    return best
 
 
-def _sheets(rows: list[list[str]]) -> list[Sheet]:
-    sheets = []
-    for index, row in enumerate(rows[:MAX_PREAMBLE]):
-        columns, unused = _columns(row)
-        if len(columns) > 1 and any(one.meaning is Meaning.ADDRESS for one in columns):
-            sheets.append(Sheet(rows, index, tuple(columns), tuple(unused)))
-    return sheets
+def _likeness(sheet: Sheet) -> tuple[int, int, bool, int]:
+    """How much a row looks like the headings."""
+    named = sum(column.is_named for column in sheet.columns)
+    has_address = sheet.column(Meaning.ADDRESS) is not None
+    return named, len(sheet.columns), has_address, len(sheet.headings)
 
 
-def _columns(row: Sequence[str]) -> tuple[list[Column], list[str]]:
+def _check(sheet: Sheet, file: str, named: Mapping[Meaning, str]) -> None:
+    shown = ", ".join(f"'{heading[:40]}'" for heading in sheet.headings if heading)
+    there = f"row {sheet.heading_row + 1} has {shown or 'nothing'}"
+    headings = [heading.casefold() for heading in sheet.headings]
+    for heading in named.values():
+        count = headings.count(_one_line(heading).casefold())
+        if count != 1:
+            many = f"{count} columns are headed" if count else "no column is headed"
+            raise UsageError(f"{file}: {many} '{heading}'; {there}")
+    if sheet.column(Meaning.ADDRESS) is None or (len(sheet.columns) < 2 and not named):
+        raise UsageError(
+            f"{file}: no row of headings in its first {MAX_PREAMBLE} rows names a column of "
+            f"addresses; say which it is with --column address=HEADING; {there}"
+        )
+    if len(several := sheet.all(Meaning.ADDRESS)) > 1:
+        names = " and ".join(f"'{column.heading}'" for column in several)
+        raise UsageError(
+            f"{file}: {names} may be columns of addresses; say which counts, as with "
+            f"--column 'address={several[0].heading}'"
+        )
+
+
+def _columns(row: Sequence[str], named: Mapping[Meaning, str]) -> tuple[Column, ...]:
+    meanings = {_one_line(heading).casefold(): meaning for meaning, heading in named.items()}
     columns: list[Column] = []
-    unused: list[str] = []
-    for index, heading in enumerate(row):
-        meaning = meaning_of(heading)
-        if meaning is None:
-            unused += [" ".join(heading.split())] if heading.strip() else []
+    taken = set(named)
+    for index, cell in enumerate(row):
+        heading = _one_line(cell)
+        if (said := meanings.get(heading.casefold())) is not None:
+            columns.append(Column(index, heading, said, is_named=True))
             continue
-        column = Column(index, " ".join(heading.split()), meaning)
-        other = next((one for one in columns if one.meaning is meaning), None)
-        if other is None or meaning in _SEVERAL:
-            columns.append(column)
-        elif column.is_exact and not other.is_exact:
-            columns[columns.index(other)] = column
-            unused.append(other.heading)
-        else:
-            unused.append(column.heading)
-    return _addresses_found(columns), unused
-
-
-def _addresses_found(columns: list[Column]) -> list[Column]:
-    """Where no column but "offset" can be the addresses, it is."""
-    if any(one.meaning is Meaning.ADDRESS for one in columns):
-        return columns
-    return [
-        Column(one.index, one.heading, Meaning.ADDRESS) if one.meaning is Meaning.OFFSET else one
-        for one in columns
-    ]
+        meaning = meaning_of(heading)
+        if meaning is not None and meaning not in taken:
+            columns.append(Column(index, heading, meaning))
+            if meaning not in (Meaning.ADDRESS, Meaning.NAME, Meaning.DESCRIPTION):
+                taken.add(meaning)
+    return tuple(columns)
 
 
 def meaning_of(heading: str) -> Meaning | None:
-    """What a heading stands for, or None."""
-    plain = _plain(heading)
-    if not plain or len(plain) > 60 or _FOREIGN.search(plain):
+    """What a heading stands for; None if it is not known."""
+    plain = fold(heading)
+    if not plain or len(plain) > 60 or _OF_THE_SLAVE.search(plain):
         return None
-    if plain in _MEANINGS:
-        return _MEANINGS[plain]
-    words = plain.replace("/", " ").split()
-    kept = [word for word in words if word not in _FILLER]
-    known = _MEANINGS.get(" ".join(kept))
-    if known is not None:
-        return known
-    for count in (3, 2, 1):
-        for start in range(len(kept) - count, -1, -1):
-            known = _MEANINGS.get(" ".join(kept[start : start + count]))
-            if known is not None:
-                return known
-    return None
+    words = [word for word in plain.replace("/", " ").split() if word not in _FILLER]
+    parts = [
+        " ".join(words[start : start + count])
+        for count in (len(words), 3, 2, 1)
+        for start in range(len(words) - count, -1, -1)
+    ]
+    meaning = next((_MEANINGS[part] for part in [plain, *parts] if part in _MEANINGS), None)
+    if meaning is Meaning.LENGTH and re.search("byte|char", plain):
+        return Meaning.LENGTH_IN_BYTES
+    return Meaning.LENGTH_IN_BITS if meaning is Meaning.LENGTH and "bit" in plain else meaning
 
 
-def _plain(heading: str) -> str:
-    folded = heading.lower().translate(str.maketrans("äöüéèà", "aoueea")).replace("ß", "ss")
-    return " ".join(re.sub(r"[^a-z0-9/]+", " ", folded).split())
+def fold(text: str) -> str:
+    """A text in lower case, without accents and marks, so that spellings can be compared."""
+    lowered = text.lower().translate(str.maketrans("äöüéèêà", "aoueeea")).replace("ß", "ss")
+    return " ".join(re.sub(r"[^a-z0-9/]+", " ", lowered).split())
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,24 +1,24 @@
 """Reads the rows of a register list: each value with its type, scale, unit and rights."""
 
-# Every cell that cannot be read is a complaint with its row and column; the row goes on, so that
-# all that is wrong is told at once. What a whole column means is found before its rows are read:
-# whether a gain of 10 divides, and whether a size counts registers, bytes or bits.
+# Every cell that cannot be read is a problem of its row. The other cells of the row are read all
+# the same, so that all that is wrong is told at once. One thing is decided for a whole column: that
+# its factors multiply, or that they divide.
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
-from mbtool.devices.importing.addresses import Written
+from mbtool.devices.importing.addresses import AddressCell
 from mbtool.devices.importing.cells import (
-    CellAccess,
-    Factor,
+    REGISTER_BITS,
+    TableCell,
     is_nothing,
     parse_access,
+    parse_bits,
     parse_factor,
     parse_number,
     parse_range,
@@ -26,66 +26,34 @@ from mbtool.devices.importing.cells import (
     parse_texts,
     parse_unit,
 )
-from mbtool.devices.importing.columns import Column, Meaning
+from mbtool.devices.importing.columns import Meaning
+from mbtool.devices.importing.options import Scaling
 from mbtool.devices.importing.spellings import Order, TypeSpelling, parse_order, parse_type
-from mbtool.devices.model import Access, PointType
-from mbtool.modbus.functions import READ_LIMIT
+from mbtool.devices.model import Access, ByteOrder, PointType
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from mbtool.devices.importing.columns import Sheet
+    from mbtool.devices.importing.report import ImportReport
 
 T = TypeVar("T")
 
-MAX_COMPLAINTS = 100
-"""How many complaints are kept; the others are counted."""
-
 MAX_NAME = 120
-_SHOWN = 40
-
-
-class Scaling(StrEnum):
-    """What the numbers of a column of factors are for."""
-
-    MULTIPLY = "multiply"
-    DIVIDE = "divide"
-
-
-class Complaints:
-    """What is wrong with the cells of a list."""
-
-    def __init__(self, file: str) -> None:
-        self._file = file
-        self._kept: list[tuple[int, str]] = []
-        self.count = 0
-
-    def add(self, row: int, column: Column | None, text: str, problem: str) -> None:
-        self.count += 1
-        if len(self._kept) < MAX_COMPLAINTS:
-            where = f', column "{column.heading}"' if column is not None else ""
-            shown = " ".join(text.split())
-            shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
-            self._kept.append((row, f"{self._file}: row {row}{where}: {shown!r} {problem}"))
-
-    @property
-    def lines(self) -> list[str]:
-        """In the order of the rows."""
-        return [line for _, line in sorted(self._kept, key=lambda each: each[0])]
+"""How many characters of a name are kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Item:
+class ListRow:
     """One row of the list."""
 
     row: int
+    """Its number in the file; the first row is 1."""
     name: str
-    written: Written
-    other: Written | None
-    """What a second column of addresses has."""
-    reach: CellAccess | None
-    kind: TypeSpelling | None
-    """None where the list gives no type."""
+    address: AddressCell
+    table: TableCell | None
+    """The table that the row's own column names, or the heading above the row."""
+    type: TypeSpelling | None
     registers: int | None
     order: Order | None
     access: Access | None
@@ -97,291 +65,275 @@ class Item:
     maximum: float | None
     default: float | None
     texts: Mapping[int, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def note(self) -> str | None:
-        return "; ".join(dict.fromkeys(self.notes)) or None
+    bits: Mapping[int, str] = field(default_factory=dict)
+    note: str = ""
 
 
 class RowReader:
-    """Reads the cells of one sheet."""
+    """Reads the cells of one sheet, row by row."""
 
-    def __init__(self, sheet: Sheet, complaints: Complaints, scaling: Scaling | None) -> None:
+    def __init__(self, sheet: Sheet, report: ImportReport, scaling: Scaling | None) -> None:
         self._sheet = sheet
-        self._complaints = complaints
-        self._factor_column = next(
-            (
-                column
-                for meaning in (Meaning.SCALE, Meaning.GAIN, Meaning.DIVISOR)
-                for column in sheet.all(meaning)
-            ),
-            None,
-        )
-        self.remarks: list[str] = []
-        self.unread: list[int] = []
-        """Rows whose range or values are prose, which becomes a note."""
-        self._names = {self._name(row) for row in sheet.body} - {""}
-        self._scaling = scaling or self._find_scaling()
-        self._size_of = self._find_size()
-        if scaling is not None and self._factor_column is None:
-            self.remarks.append("--scaling: the list has no column of factors")
+        self._report = report
+        self._number = 0
+        self._row: Sequence[str] = ()
+        self._names = {self.name(row) for row in sheet.body} - {""}
+        self._divides = self._factors_divide(scaling)
 
-    def item(
-        self,
-        number: int,
-        row: Sequence[str],
-        written: Written,
-        other: Written | None,
-        section: CellAccess | None,
-    ) -> Item:
-        """Read the row behind its address."""
-        registers = self._registers(number, row)
-        kind = self._kind(number, row, registers)
-        unit_factor, unit = parse_unit(self._of(row, Meaning.UNIT))
-        scale, decimals = self._scale(number, row, kind, unit_factor)
-        texts, prose = self._texts(row)
-        low, high, range_note = self._limits(number, row, texts)
-        if prose or range_note:
-            self.unread.append(number)
-        factor = self._factor(row)
-        scaled_by = f"scaled by the power of ten in {factor}" if factor in self._names else ""
-        notes = (self._note(row), prose, range_note, scaled_by)
-        bit = self._number(number, row, Meaning.BIT)
-        if bit is not None and written.bit is None:
-            written = replace(written, bit=int(bit))
-        return Item(
+    def read(
+        self, number: int, row: Sequence[str], address: AddressCell, section: TableCell | None
+    ) -> ListRow:
+        """Read a row; `section` is the table that the heading above it names."""
+        self._number, self._row = number, row
+        bit = self._number_of(Meaning.BIT)
+        if bit is not None and address.bit is None:
+            address = replace(address, bit=int(bit))
+        if any("," in cell and _THOUSANDS.fullmatch(cell.strip()) for cell in row):
+            self._report.tell("comma taken for a decimal comma: 1,000 is 1", number)
+        registers = self._registers()
+        wanted = _NO_TABLE if _known_table(self._text(Meaning.TYPE)) is not None else _TYPE_WANTED
+        type_ = self._read(Meaning.TYPE, lambda text: parse_type(text, registers), wanted)
+        scale, decimals, unit = self._scaled(type_)
+        texts, bits, used = self._values()
+        low, high = parse_range(self._text(Meaning.RANGE)) or (
+            parse_number(self._text(Meaning.MINIMUM)),
+            parse_number(self._text(Meaning.MAXIMUM)),
+        )
+        if low is not None and high is not None and low > high:
+            self._problem(Meaning.MINIMUM, f"{low}", f"is more than {high}")
+        return ListRow(
             row=number,
-            name=self._name(row),
-            written=written,
-            other=other,
-            reach=self._read(number, row, Meaning.TABLE, parse_table, _TABLE_WANTED) or section,
-            kind=kind,
+            name=self.name(row),
+            address=address,
+            table=self._read(Meaning.TABLE, _known_table, _TABLE_WANTED) or section,
+            type=type_,
             registers=registers,
-            order=self._order(number, row) or (kind.order if kind is not None else None),
-            access=self._access(number, row),
+            order=self._order() or (type_.order if type_ is not None else None),
+            access=self._access(),
             unit=unit,
             scale=scale,
-            offset=self._number(number, row, Meaning.OFFSET) or 0.0,
+            offset=self._number_of(Meaning.OFFSET) or 0.0,
             decimals=decimals,
             minimum=low,
             maximum=high,
-            default=self._plain_number(row, Meaning.DEFAULT),
+            default=parse_number(self._text(Meaning.DEFAULT)),
             texts=texts,
-            notes=tuple(note for note in notes if note),
+            bits=bits,
+            note="; ".join(dict.fromkeys(self._notes(used))),
         )
 
     def is_reserved(self, row: Sequence[str]) -> bool:
-        """Whether it only says that there is nothing."""
-        return self._name(row).lower().strip("().- ") in _RESERVED
+        """True if the row only says that there is nothing."""
+        return self.name(row).lower().strip("().- ") in _RESERVED
 
-    def _of(self, row: Sequence[str], meaning: Meaning) -> str:
-        return _cell(row, self._sheet.column(meaning))
-
-    def _factor(self, row: Sequence[str]) -> str:
-        return _cell(row, self._factor_column)
-
-    def _name(self, row: Sequence[str]) -> str:
-        columns = [*self._sheet.all(Meaning.NAME), *self._sheet.all(Meaning.DESCRIPTION)]
-        names = [name for column in columns if not is_nothing(name := column.of(row))]
+    def name(self, row: Sequence[str]) -> str:
         # Braces stand for numbers in a profile.
-        name = " ".join(names[0].split()) if names else ""
-        return name.replace("{", "(").replace("}", ")")[:MAX_NAME].strip()
+        name = next(iter(self._words(row)), "").replace("{", "(").replace("}", ")")
+        return name[:MAX_NAME].strip()
 
-    def _note(self, row: Sequence[str]) -> str:
-        name = self._name(row)
+    def _words(self, row: Sequence[str]) -> list[str]:
+        """The texts of the columns of names, then those of descriptions."""
         columns = [*self._sheet.all(Meaning.NAME), *self._sheet.all(Meaning.DESCRIPTION)]
-        texts = [" ".join(column.of(row).split()) for column in columns]
-        return "; ".join(text for text in texts if not is_nothing(text) and text != name)
+        texts = (" ".join(column.of(row).split()) for column in columns)
+        return [text for text in texts if not is_nothing(text)]
 
-    def _read(
-        self,
-        number: int,
-        row: Sequence[str],
-        meaning: Meaning,
-        parse: Callable[[str], T | None],
-        wanted: str,
-    ) -> T | None:
-        """A cell that may be empty, or must be one that `parse` knows."""
+    def _text(self, meaning: Meaning) -> str:
+        """The cell of a meaning, empty if there is none."""
         column = self._sheet.column(meaning)
-        text = _cell(row, column)
-        if is_nothing(text):
-            return None
-        value = parse(text)
-        if value is None:
-            self._complaints.add(number, column, text, wanted)
+        text = column.of(self._row) if column is not None else ""
+        return "" if is_nothing(text) else text
+
+    def _problem(self, meaning: Meaning, text: str, problem: str) -> None:
+        column = self._sheet.column(meaning)
+        heading = column.heading if column is not None else None
+        self._report.add_problem(self._number, heading, text, problem)
+
+    def _read(self, meaning: Meaning, parse: Callable[[str], T | None], problem: str) -> T | None:
+        """Read a cell that may be empty; what `parse` does not know is a problem."""
+        text = self._text(meaning)
+        value = parse(text) if text else None
+        if text and value is None:
+            self._problem(meaning, text, problem)
         return value
 
-    def _number(self, number: int, row: Sequence[str], meaning: Meaning) -> float | None:
-        return self._read(number, row, meaning, parse_number, "is no number")
+    def _number_of(self, meaning: Meaning) -> float | None:
+        return self._read(meaning, parse_number, "is no number")
 
-    def _plain_number(self, row: Sequence[str], meaning: Meaning) -> float | None:
-        return parse_number(self._of(row, meaning))
+    def _registers(self) -> int | None:
+        for meaning, per_register in _UNITS_OF_LENGTH.items():
+            length = self._number_of(meaning)
+            if length is not None and 0 < length <= 125 * per_register:
+                return math.ceil(length / per_register)
+            if length is not None:
+                self._problem(meaning, self._text(meaning), "is not 1 to 125 registers")
+        return None
 
-    def _registers(self, number: int, row: Sequence[str]) -> int | None:
-        size = self._number(number, row, Meaning.LENGTH)
-        if size is None:
-            return None
-        registers = -(-size // self._size_of)
-        if not 1 <= registers <= READ_LIMIT:
-            column = self._sheet.column(Meaning.LENGTH)
-            problem = f"is no size; 1 to {READ_LIMIT} registers are"
-            self._complaints.add(number, column, self._of(row, Meaning.LENGTH), problem)
-            return None
-        return int(registers)
+    def _order(self) -> Order | None:
+        order = self._read(Meaning.WORD_ORDER, parse_order, _ORDER_WANTED)
+        column = self._sheet.column(Meaning.WORD_ORDER)
+        if order is None or column is None or "word" not in column.hint:
+            return order
+        return order[0], ByteOrder.HIGH_FIRST  # "Little" says nothing about bytes here.
 
-    def _kind(self, number: int, row: Sequence[str], registers: int | None) -> TypeSpelling | None:
-        return self._read(
-            number, row, Meaning.TYPE, lambda text: parse_type(text, registers), _TYPE_WANTED
-        )
-
-    def _order(self, number: int, row: Sequence[str]) -> Order | None:
-        column = self._sheet.column(Meaning.ORDER)
-        if column is None:
-            return None
-        is_swap, of_words = "swap" in column.hint, "word" in column.hint
-
-        def parse(text: str) -> Order | None:
-            order = parse_order(f"{text} swap") if is_swap else None
-            order = order or parse_order(text)
-            # "Little" in a column of word orders says nothing about bytes.
-            return (order[0], type(order[1]).HIGH_FIRST) if order and of_words else order
-
-        return self._read(number, row, Meaning.ORDER, parse, _ORDER_WANTED)
-
-    def _access(self, number: int, row: Sequence[str]) -> Access | None:
+    def _access(self) -> Access | None:
         column = self._sheet.column(Meaning.ACCESS)
+        if column is not None and column.hint.startswith("writ"):
+            answer = _YES_OR_NO.get(self._text(Meaning.ACCESS).lower())
+            if answer is not None:
+                return answer
+        return self._read(Meaning.ACCESS, parse_access, _ACCESS_WANTED)
 
-        def parse(text: str) -> Access | None:
-            if column is not None and column.hint.startswith("writ"):
-                answer = _ANSWERS.get(text.lower())
-                if answer is not None:
-                    return Access.READ_WRITE if answer else Access.READ
-            return parse_access(text)
-
-        return self._read(number, row, Meaning.ACCESS, parse, _ACCESS_WANTED)
-
-    def _scale(
-        self, number: int, row: Sequence[str], kind: TypeSpelling | None, unit_factor: float | None
-    ) -> tuple[float, int | None]:
-        places = self._number(number, row, Meaning.DECIMALS)
+    def _scaled(self, type_: TypeSpelling | None) -> tuple[float, int | None, str | None]:
+        """The scale (by the factors, else the unit's factor, else the decimals), decimals, unit."""
+        unit_factor, unit = parse_unit(self._text(Meaning.UNIT))
+        places = self._number_of(Meaning.DECIMALS)
         decimals = int(places) if places is not None and 0 <= places <= 15 else None
-        text = self._factor(row)
-        if self._factor_column is None or is_nothing(text):
-            is_float = kind is not None and kind.type in (PointType.FLOAT32, PointType.FLOAT64)
-            if decimals and not is_float and unit_factor is None:
-                return 10.0**-decimals, decimals
-            return (unit_factor or 1.0), decimals
-        factor = parse_factor(text)
-        if factor is None and text in self._names:
-            return 1.0, decimals  # SunSpec: another register holds the power of ten.
-        if factor is None:
-            self._complaints.add(number, self._factor_column, text, _SCALE_WANTED)
-            return 1.0, decimals
-        scale = self._applied(factor)
+        is_float = type_ is not None and type_.type in (PointType.FLOAT32, PointType.FLOAT64)
+        usual = 10.0**-decimals if decimals and not is_float else 1.0
+        factors = [self._factor(Meaning.SCALE), self._factor(Meaning.DIVISOR)]
+        said = [factor for factor in factors if factor is not None]
+        scale = math.prod(said) if said else unit_factor or usual
+        if not said and not unit_factor and usual != 1:
+            self._report.tell("whole numbers are divided as their decimals say", self._number)
         if not math.isfinite(scale) or scale == 0:
-            self._complaints.add(number, self._factor_column, text, _SCALE_WANTED)
-            return 1.0, decimals
-        return scale, decimals
+            self._problem(Meaning.SCALE, self._text(Meaning.SCALE), _SCALE_WANTED)
+            scale = 1.0
+        return scale, decimals, unit
 
-    def _applied(self, factor: Factor) -> float:
-        divides = self._scaling is Scaling.DIVIDE and not factor.multiplies
-        return 1 / factor.number if factor.divides or divides else float(factor.number)
+    def _factor(self, meaning: Meaning) -> float | None:
+        text = self._text(meaning)
+        if text in self._names and parse_factor(text) is None:
+            self._report.tell("scaled by another register, kept as a note", self._number)
+            return 1.0  # SunSpec: the other register holds the power of ten.
+        factor = self._read(meaning, parse_factor, _SCALE_WANTED)
+        if factor is None:
+            return None
+        divides = meaning is Meaning.DIVISOR or self._divides
+        divides = divides if factor.divides is None else factor.divides
+        return 1 / factor.number if divides else float(factor.number)
 
-    def _texts(self, row: Sequence[str]) -> tuple[Mapping[int, str], str]:
-        text = self._of(row, Meaning.TEXTS)
-        if is_nothing(text):
-            # "0=off, 1=on" may stand in a column of ranges; one alone is as likely a limit.
-            pairs = parse_texts(self._of(row, Meaning.RANGE)) or {}
-            return (pairs if len(pairs) > 1 else {}), ""
-        texts = parse_texts(text)
-        return (texts, "") if texts is not None else ({}, " ".join(text.split()))
+    def _values(self) -> tuple[dict[int, str], dict[int, str], str | None]:
+        """What numbers mean, what bits mean, and the cell that says so.
 
-    def _limits(
-        self, number: int, row: Sequence[str], texts: Mapping[int, str]
-    ) -> tuple[float | None, float | None, str | None]:
-        low = self._plain_number(row, Meaning.MINIMUM)
-        high = self._plain_number(row, Meaning.MAXIMUM)
-        text = self._of(row, Meaning.RANGE)
-        if not is_nothing(text):
-            span = parse_range(text)
-            if span is None and texts and parse_texts(text) == texts:
-                return low, high, None
-            if span is None:
-                return low, high, f"range: {' '.join(text.split())}"
-            low, high = span
-        if low is not None and high is not None and low > high:
-            self._complaints.add(
-                number, self._sheet.column(Meaning.MINIMUM), f"{low}", f"is more than {high}"
-            )
-            return None, None, None
-        return low, high, None
+        A range or a description may list them too, but not one number alone: that may be prose.
+        """
+        for meaning in (Meaning.TEXTS, Meaning.RANGE, Meaning.DESCRIPTION):
+            for text in (column.of(self._row) for column in self._sheet.all(meaning)):
+                texts, bits = parse_texts(text) or {}, parse_bits(text) or {}
+                if bits or len(texts) > 1 or (texts and meaning is Meaning.TEXTS):
+                    if meaning is not Meaning.TEXTS:
+                        self._report.tell(
+                            f"values listed in the {meaning}, taken as texts", self._number
+                        )
+                    return texts, bits, " ".join(text.split())
+        return {}, {}, None
 
-    def _find_scaling(self) -> Scaling:
-        column = self._factor_column
-        if column is None:
-            return Scaling.MULTIPLY
+    def _notes(self, used: str | None) -> list[str]:
+        """The texts that are neither the name nor the cell `used` for values."""
+        notes = [
+            text for text in self._words(self._row) if text not in (self.name(self._row), used)
+        ]
+        prose = [
+            f"{prefix}{text}"
+            for meaning, parse, prefix in _PROSE
+            if (text := " ".join(self._text(meaning).split())) and text != used
+            if parse(text) is None
+        ]
+        if prose:
+            self._report.tell("range or values in words, kept as a note", self._number)
+        factor = self._text(Meaning.SCALE)
+        if factor in self._names and parse_factor(factor) is None:
+            notes.append(f"scaled by the power of ten in {factor}")
+        return [*notes, *prose]
+
+    def _factors_divide(self, scaling: Scaling | None) -> bool:
+        """True if factors that do not say what they are for divide."""
+        column = self._sheet.column(Meaning.SCALE)
+        if scaling is not None or column is None:
+            return scaling is Scaling.DIVIDE
         factors = [parse_factor(column.of(row)) for row in self._sheet.body]
-        bare = [one.number for one in factors if one and not one.divides and not one.multiplies]
-        if column.meaning is Meaning.DIVISOR:
-            scaling, why = Scaling.DIVIDE, "its heading says so"
-        elif any(word in column.hint for word in _MULTIPLIERS) or all(one == 1 for one in bare):
-            scaling, why = Scaling.MULTIPLY, "its heading says so"
-        elif min(map(abs, bare)) < 1:
-            scaling, why = Scaling.MULTIPLY, "some of them are less than 1"
+        bare = [abs(one.number) for one in factors if one and one.divides is None]
+        if column.is_named:
+            divides, why = False, "--column scale says"
+        elif any(word in column.hint for word in _MULTIPLIERS):
+            divides, why = False, "its heading says"
         else:
-            scaling, why = Scaling.DIVIDE, "none of them is less than 1"
+            divides = min(bare, default=0) >= 1
+            why = f"{'no factor is' if divides else 'some factors are'} less than 1"
         if any(one != 1 for one in bare):
-            verb = "divided by" if scaling is Scaling.DIVIDE else "multiplied by"
-            self.remarks.append(
-                f'column "{column.heading}": a register\'s number is {verb} what stands there, '
-                f"since {why} (--scaling says otherwise)"
+            verb = "divided" if divides else "multiplied"
+            self._report.tell(
+                f'numbers are {verb} by "{column.heading}", as {why} (--scaling says otherwise)'
             )
-        return scaling
-
-    def _find_size(self) -> int:
-        """What a size is divided by to give registers: 1, or 2 for bytes, or 16 for bits."""
-        column = self._sheet.column(Meaning.LENGTH)
-        if column is None:
-            return 1
-        if any(word in column.hint for word in ("byte", "char")):
-            return 2
-        votes: Counter[int] = Counter()
-        sizes = set()
-        for row in self._sheet.body:
-            size = parse_number(column.of(row))
-            kind = parse_type(self._of(row, Meaning.TYPE))
-            sizes.add(size)
-            if size and kind is not None and kind.type.words > 1 and size % kind.type.words == 0:
-                votes[int(size // kind.type.words)] += 1
-        if votes:
-            ((ratio, _),) = votes.most_common(1)
-        else:
-            known = sizes - {None}
-            ratio = 16 if known and known <= {8, 16, 32, 64} else 1
-        if ratio not in (2, 16):
-            return 1
-        what = "bytes" if ratio == 2 else "bits"
-        self.remarks.append(f'column "{column.heading}" counts {what}, as its types show')
-        return ratio
+        return divides
 
 
-def _cell(row: Sequence[str], column: Column | None) -> str:
-    return column.of(row) if column is not None else ""
+def merge_bits(rows: Sequence[ListRow], report: ImportReport) -> list[ListRow]:
+    """Make one row of the rows that name bits of one register, called as that of the whole one."""
+    merged = [row for row in rows if row.address.bit is None]
+    places = {_register(row): at for at, row in enumerate(merged)}
+    for row in rows:
+        bit = row.address.bit
+        if bit is None:
+            continue
+        at = places.get(_register(row))
+        if bit not in REGISTER_BITS or (at is not None and bit in merged[at].bits):
+            which = (
+                "a bit that another row names" if bit in REGISTER_BITS else "no bit from 0 to 15"
+            )
+            report.add_problem(row.row, None, row.address.text, f"names {which}")
+            continue
+        if at is None:
+            at = places[_register(row)] = len(merged)
+            address, type_ = replace(row.address, bit=None), TypeSpelling(PointType.UINT16)
+            whole = replace(row, name="", note="", address=address, type=type_, texts={}, bits={})
+            merged.append(whole)
+        access = merged[at].access
+        if row.access is not access:
+            access = None if None in (row.access, access) else Access.READ_WRITE
+        bits = {**merged[at].bits, bit: row.name or f"bit {bit}"}
+        merged[at] = replace(merged[at], bits=bits, access=access)
+    return merged
 
+
+def _register(row: ListRow) -> tuple[object, ...]:
+    table = row.table.table if row.table is not None else None
+    return row.address.number, row.address.notation, table
+
+
+def _known_table(text: str) -> TableCell | None:
+    cell = parse_table(text)
+    return cell if cell is not None and cell.table is not None else None
+
+
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+"""A decimal comma, or one between thousands."""
+
+_UNITS_OF_LENGTH = {Meaning.LENGTH: 1, Meaning.LENGTH_IN_BYTES: 2, Meaning.LENGTH_IN_BITS: 16}
+"""How many of each make a register."""
+
+_PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
+    (Meaning.TEXTS, lambda _: None, ""),
+    (Meaning.RANGE, parse_range, "range: "),
+    (Meaning.MINIMUM, parse_number, "minimum: "),
+    (Meaning.MAXIMUM, parse_number, "maximum: "),
+    (Meaning.DEFAULT, parse_number, "default: "),
+)
+"""Cells that may hold words, which become a note."""
 
 _MULTIPLIERS = ("multipl", "factor", "faktor", "facteur", "resolution", "coefficient", "lsb",
                 "accuracy", "precision", "step", "auflosung", "conversion")  # fmt: skip
-_ANSWERS = {
-    "yes": True, "y": True, "true": True, "1": True, "x": True, "ja": True, "oui": True,
-    "no": False, "n": False, "false": False, "0": False, "nein": False, "non": False,
-}  # fmt: skip
+_YES_OR_NO = {
+    **dict.fromkeys(("yes", "y", "true", "1", "x", "ja", "oui"), Access.READ_WRITE),
+    **dict.fromkeys(("no", "n", "false", "0", "nein", "non"), Access.READ),
+}
 _RESERVED = frozenset(
     ("reserved", "reserve", "spare", "not used", "unused", "future use", "for future use",
      "reserved for future use", "reserviert", "frei", "nicht belegt", "réservé", "pad", "padding")
 )  # fmt: skip
-_TYPE_WANTED = "is no type; UINT16, INT32, FLOAT32, BCD, BOOL, STRING[16] and their like are"
-_ORDER_WANTED = "is no order; ABCD, CDAB, BADC, DCBA, big-endian word swap and their like are"
-_ACCESS_WANTED = "is no access; R, W and RW and their like are"
-_TABLE_WANTED = "names no table; holding register, 4x, HR, 03, FC04, coil and their like do"
-_SCALE_WANTED = "is no factor; 0.1, /10, x0.1 and their like are"
+_TYPE_WANTED = "is no type, as UINT16, INT32, FLOAT32, BCD, BOOL or STRING[16] are"
+_NO_TABLE = "is a table, not a type; --column table=HEADING says that the column has tables"
+_ORDER_WANTED = "is no order, as ABCD, CDAB, low word first or big-endian word swap are"
+_ACCESS_WANTED = "is no access, as R, W or RW are"
+_TABLE_WANTED = "names no table, as holding register, 4x, HR, 03, FC04 or coil do"
+_SCALE_WANTED = "is no factor, as 0.1, /10 or x0.1 are"

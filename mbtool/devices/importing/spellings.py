@@ -1,8 +1,8 @@
-"""The spellings that register lists have for types, and for the order of registers and bytes."""
+"""Reads the spellings that register lists have for types, and for the order of words and bytes."""
 
-# A type may bring its order along (`FLOAT32 CDAB`, `32BIT_UINT_3412`, `REAL (swapped)`), its length
-# (`STRING[16]`) or nothing but its family (`INT`, `float`), where the number of registers decides.
-# What is not known whole is not guessed at: `FLOTE` is an error, not a float.
+# A type may bring its order along (`FLOAT32 CDAB`, `32BIT_UINT_3412`, `UINT32 (low word first)`),
+# its length (`STRING[16]`) or nothing but its family (`INT`, `float`); then the number of registers
+# decides. What is not known as a whole is no type: `FLOTE` is an error, not a float.
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Order = tuple[WordOrder, ByteOrder]
 
 @dataclass(frozen=True, slots=True)
 class TypeSpelling:
-    """What a type's spelling says."""
+    """The type that a cell names."""
 
     type: PointType
     order: Order | None = None
-    """None where the spelling says nothing of it."""
+    """None if the cell names no order."""
     length: int | None = None
-    """Of a string, where the spelling has a number."""
+    """Of a string: the number in the cell."""
     length_is_registers: bool = False
-    """Else it counts characters, two in each register."""
+    """True if `length` counts registers, False if it counts characters, two in a register."""
     is_switch: bool = False
-    """A yes or no, wherever it stands."""
+    """True for off or on, in a table of bits or in a register."""
     is_bits: bool = False
-    """Bits that have meanings of their own."""
+    """True if each bit has a meaning of its own."""
 
 
 _LETTERS = {
@@ -45,7 +45,7 @@ _LETTERS = {
 }  # fmt: skip
 
 # "Little endian byte swap" is CDAB and "big endian byte swap" BADC in the masters that most people
-# check a list with; of a swap without an endianness the big one is meant.
+# check a list with. A swap without an endianness is one of big endian.
 _PHRASES = (
     (r"little ?endian byte ?swap(?:ped)?|mid(?:dle)? ?little ?endian", LOW_HIGH),
     (r"little ?endian word ?swap(?:ped)?|(?:big ?endian )?byte ?swap(?:ped)?", HIGH_SWAPPED),
@@ -53,167 +53,109 @@ _PHRASES = (
     (r"(?:byte ?word|word ?byte|word ?(?:and|&) ?byte)(?: ?swap(?:ped)?)?", LOW_SWAPPED),
     (r"(?:big ?endian )?(?:word ?swap(?:ped)?|swap(?:ped)? ?words?)", LOW_HIGH),
     (r"swap(?:ped)?|inverse|inverted|reversed?", LOW_HIGH),
-    (r"(?:ls[wr]|low(?:er)? ?words?|least significant word)(?: ?first)?|lo ?hi", LOW_HIGH),
-    (r"(?:ms[wrb]|high(?:er)? ?words?|most significant word)(?: ?first)?|hi ?lo", HIGH_LOW),
+    (r"(?:ls[wr]|low(?:er)? ?words?|least significant word)(?: ?first)?|low? ?hi(?:gh)?", LOW_HIGH),
+    (
+        r"(?:ms[wrb]|high(?:er)? ?words?|most significant word)(?: ?first)?|hi(?:gh)? ?low?",
+        HIGH_LOW,
+    ),
+    (r"niederwertiges wort zuerst", LOW_HIGH),
     (r"(?:big|be|msb ?first) ?(?:endian)?|none|no(?:rmal)?(?: ?swap)?|standard", HIGH_LOW),
+    (r"(?:little|le|lsb ?first) ?(?:endian)?", LOW_SWAPPED),
 )
-_LITTLE = re.compile(r"(?:little|le|lsb ?first) ?(?:endian)?")
-_ORDER_IN_TYPE = re.compile(
-    r"(?<![a-z0-9])(?:abcdefgh|ghefcdab|badcfehg|hgfedcba|abcd|cdab|badc|dcba|1234|3412|2143|4321)"
-    r"(?![a-z0-9])"
-    r"|(?:(?:big|little)[ -]?endian[ -]?)?(?:word|byte)[ -]?swap(?:ped)?"
-    r"|(?:mid[ -]?)?(?:big|little)[ -]?endian|(?<![a-z])swap(?:ped)?|inverse|reversed"
-    r"|(?<=[0-9 _-])(?:be|le)(?![a-z0-9])|[lm]sw(?:[ -]?first)?",
-)
-
-_BITS = r"(?:(?P<bits{n}>8|16|32|64)[ -]?(?:bits?)?)?"
-_INTEGER = re.compile(
-    rf"{_BITS.format(n=1)}(?P<sign1>unsigned|signed|u|s)?{_BITS.format(n=2)}"
-    r"(?P<word>int(?:eger)?|i|short|long(?:long)?|num(?:ber)?)?"
-    rf"{_BITS.format(n=3)}(?P<sign2>unsigned|signed|u|s)?t?"
-)
-_FLOAT = re.compile(
-    rf"{_BITS.format(n=1)}(?:ieee(?:754)?)?"
-    r"(?P<word>float(?:ing)?(?:point)?|real|lreal|single|double|fp|f)?(?:precision)?(?:float)?"
-    rf"(?:ieee(?:754)?)?{_BITS.format(n=2)}(?:ieee(?:754)?)?"
-)
-_BCD = re.compile(rf"{_BITS.format(n=1)}(?:packed)?bcd(?P<number>4|8|16|32)?(?:bits?|digits?)?")
 _STRING = re.compile(
     r"(?:string|str|ascii(?:string)?|char(?:acter)?s?|text|utf8|octetstring|visiblestring)"
     r"(?P<length>\d{1,3})?(?P<unit>bytes?|chars?|characters?|b|reg(?:ister)?s?|words?)?"
 )
-_FLAGS = re.compile(
-    rf"{_BITS.format(n=1)}(?:bit(?:field|map|mask|string|array|s)|flags?|status)"
-    rf"{_BITS.format(n=2)}"
+_FLOAT = re.compile(
+    r"ieee|(?:ieee)?(?P<word>float(?:ing)?(?:point)?|l?real|single|double|fp|f)"
+    r"(?:precision)?(?:float)?(?:ieee)?"
 )
-_NAMED = {
-    "byte": (8, False), "usint": (8, False), "sint": (8, True),
-    "word": (16, False), "dint": (32, True), "udint": (32, False), "dword": (32, False),
-    "lint": (64, True), "ulint": (64, False), "lword": (64, False), "qword": (64, False),
-    "doubleword": (32, False), "longword": (32, False), "doubleint": (32, True),
-    "enum": (16, False), "enum16": (16, False), "enum32": (32, False), "enumeration": (16, False),
-    "acc16": (16, False), "acc32": (32, False), "acc64": (64, False), "count": (16, False),
-    "sunssf": (16, True), "counter": (None, False), "percent": (16, False),
-}  # fmt: skip
+_FLAGS = re.compile(r"bit(?:field|map|mask|string|array|s)|field|map|mask|flags?|status")
+_INTEGER = re.compile(
+    r"(?P<sign>unsigned|signed|u|s)?(?P<word>int(?:eger)?|i|short|long(?:long)?|num(?:ber)?)?"
+    r"(?(sign)|(?P<last>unsigned|signed|u|s)?)t?"
+)
 _SWITCHES = frozenset(
     ("bool", "boolean", "bit", "1bit", "bit1", "binary", "digital", "coil", "onoff", "discrete",
      "yesno", "switch")
 )  # fmt: skip
 _HEX = frozenset(("hex", "hex16", "hexadecimal", "raw", "raw16"))
 
-_INTEGERS = {
-    (16, False): PointType.UINT16, (16, True): PointType.INT16,
-    (32, False): PointType.UINT32, (32, True): PointType.INT32,
-    (64, False): PointType.UINT64, (64, True): PointType.INT64,
+_UNSIGNED = {
+    8: PointType.UINT16, 16: PointType.UINT16, 32: PointType.UINT32, 64: PointType.UINT64,
 }  # fmt: skip
-_CODES = {
-    8: PointType.HEX16, 16: PointType.HEX16, 32: PointType.UINT32, 64: PointType.UINT64,
+_SIGNED = {8: PointType.INT16, 16: PointType.INT16, 32: PointType.INT32, 64: PointType.INT64}
+_CODES = {8: PointType.HEX16, 16: PointType.HEX16, 32: PointType.UINT32, 64: PointType.UINT64}
+_FLOATS = {32: PointType.FLOAT32, 64: PointType.FLOAT64}
+_BCD = {16: PointType.BCD16, 32: PointType.BCD32}
+_USUAL_BITS = {"double": 64, "lreal": 64, "long": 32, "longlong": 64, "short": 16}
+_NAMES = {
+    "byte": (_UNSIGNED, 8), "usint": (_UNSIGNED, 8), "sint": (_SIGNED, 8),
+    "word": (_UNSIGNED, 16), "percent": (_UNSIGNED, 16), "sunssf": (_SIGNED, 16),
+    "enum": (_UNSIGNED, 16), "enumeration": (_UNSIGNED, 16), "count": (_UNSIGNED, 16),
+    "acc": (_UNSIGNED, None), "counter": (_UNSIGNED, None),
+    "dint": (_SIGNED, 32), "doubleint": (_SIGNED, 32), "udint": (_UNSIGNED, 32),
+    "dword": (_UNSIGNED, 32), "doubleword": (_UNSIGNED, 32), "longword": (_UNSIGNED, 32),
+    "lint": (_SIGNED, 64), "ulint": (_UNSIGNED, 64), "lword": (_UNSIGNED, 64),
+    "qword": (_UNSIGNED, 64), "bcd": (_BCD, None), "packedbcd": (_BCD, None),
 }  # fmt: skip
 
 
 def parse_order(text: str) -> Order | None:
     """The order that a cell names: `CDAB`, `big-endian word swap`, `LSW first`; None if none."""
-    letters = re.sub(r"[^a-z0-9]", "", text.lower())
-    if letters in _LETTERS:
+    words = re.findall(r"[a-z0-9&]+", text.lower())
+    if (letters := "".join(words)) in _LETTERS:
         return _LETTERS[letters]
-    phrase = " ".join(re.sub(r"[^a-z0-9&]", " ", text.lower()).split())
-    for pattern, order in _PHRASES:
-        if re.fullmatch(pattern, phrase):
-            return order
-    return LOW_SWAPPED if _LITTLE.fullmatch(phrase) else None
+    phrase = " ".join(words)
+    return next((order for pattern, order in _PHRASES if re.fullmatch(pattern, phrase)), None)
 
 
 def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
-    """What a spelling stands for; `registers` is how many the list gives the value, if it does."""
-    lowered = text.lower().strip()
-    order: Order | None = None
-    found = _ORDER_IN_TYPE.search(lowered)
-    if found is not None:
-        order = parse_order(found[0])
-        lowered = f"{lowered[: found.start()]} {lowered[found.end() :]}"
-    name = re.sub(r"[^a-z0-9]", "", lowered)
-    if not name:
-        return None
-    bits = 16 * registers if registers in (1, 2, 4) else None
-    return (
-        _plain(name, bits, order)
-        or _string(name, order)
-        or _float(name, bits, order)
-        or _bcd(name, bits, order)
-        or _flags(name, bits, order)
-        or _integer(name, bits, order)
-    )
-
-
-def _plain(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
+    """The type of a spelling; `registers` is how many the list gives the value, if it does."""
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    orders = (parse_order(" ".join(words[at:])) for at in range(1, len(words)))
+    at, order = next(((at, one) for at, one in enumerate(orders, 1) if one), (len(words), None))
+    name = "".join(words[:at])
     if name in _SWITCHES:
         return TypeSpelling(PointType.BIT, is_switch=True)
+    bits = 16 * registers if registers in (1, 2, 4) else None
     if name in _HEX:
         return TypeSpelling(_CODES[bits or 16], order)
-    return None
+    if string := _STRING.fullmatch(name):
+        length = int(string["length"]) if string["length"] else None
+        in_registers = (string["unit"] or "").startswith(("reg", "word"))
+        return TypeSpelling(PointType.STRING, order, length, in_registers)
+    return _number(name.replace("ieee754", "ieee"), bits, order)
 
 
-def _string(name: str, order: Order | None) -> TypeSpelling | None:
-    match = _STRING.fullmatch(name)
+def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
+    """A type of a number of bits, which the name may say: `uint32`, `32bitfloat`, `dword`."""
+    numbers = set(re.findall(r"\d+", name))
+    letters = re.sub(r"\d+(?:bits?)?", "", name)
+    if len(numbers) > 1 or not (letters or "bit" in name):
+        return None
+    said = int(numbers.pop()) if numbers else None
+    types, usual = _family(letters, has_bits=said is not None)
+    if types is _BCD and said in (4, 8):
+        said *= 4  # These are digits.
+    known = bits if bits in types else None
+    type_ = types.get(said or usual or known or min(types, default=0))
+    return None if type_ is None else TypeSpelling(type_, order, is_bits=types is _CODES)
+
+
+def _family(letters: str, *, has_bits: bool) -> tuple[dict[int, PointType], int | None]:
+    """The types by their bits, and how many bits are usual; no types if the name is not known."""
+    if letters in _NAMES:
+        return _NAMES[letters]
+    if match := _FLOAT.fullmatch(letters):
+        return _FLOATS, _USUAL_BITS.get(match["word"])
+    if _FLAGS.fullmatch(letters):
+        return _CODES, None
+    match = _INTEGER.fullmatch(letters)
     if match is None:
-        return None
-    length = int(match["length"]) if match["length"] else None
-    return TypeSpelling(
-        PointType.STRING, order, length, (match["unit"] or "").startswith(("reg", "word"))
-    )
-
-
-def _float(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
-    match = _FLOAT.fullmatch(name)
-    if match is None or not (match["word"] or "ieee" in name):
-        return None
-    said = _width(match, bits, 64 if match["word"] in ("double", "lreal") else None)
-    point_type = {32: PointType.FLOAT32, 64: PointType.FLOAT64}.get(said or 32)
-    return None if point_type is None else TypeSpelling(point_type, order)
-
-
-def _bcd(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
-    match = _BCD.fullmatch(name)
-    if match is None:
-        return None
-    # A number of up to eight counts digits.
-    number = {"4": 16, "8": 32, "16": 16, "32": 32}.get(match["number"] or "")
-    said = number or _width(match, bits, None)
-    point_type = {16: PointType.BCD16, 32: PointType.BCD32}.get(said or 16)
-    return None if point_type is None else TypeSpelling(point_type, order)
-
-
-def _flags(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
-    match = _FLAGS.fullmatch(name)
-    if match is None:
-        return None
-    said = _width(match, bits, None) or 16
-    return TypeSpelling(_CODES[said], order, is_bits=True)
-
-
-def _integer(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
-    if name in _NAMED:
-        width, signed = _NAMED[name]
-        return TypeSpelling(_INTEGERS[max(width or bits or 16, 16), signed], order)
-    match = _INTEGER.fullmatch(name)
-    if match is None or (match["sign1"] and match["sign2"]):
-        return None
-    sign, word = match["sign1"] or match["sign2"], match["word"]
-    if not word and name in ("u", "s", "t", *("8", "16", "32", "64")):
-        return None
-    widths = {match[key] for key in ("bits1", "bits2", "bits3")} - {None}
-    if len(widths) > 1:
-        return None
-    usual = {"long": 32, "longlong": 64, "short": 16}.get(word or "")
-    said = _width(match, bits if usual is None else None, usual) or 16
-    signed = sign in ("s", "signed") or (sign is None and word is not None)
-    # Eight bits stand in a register of their own.
-    return TypeSpelling(_INTEGERS[max(said, 16), signed], order)
-
-
-def _width(match: re.Match[str], bits: int | None, usual: int | None) -> int | None:
-    """How many bits: by the spelling's number, else its word, else the list's registers."""
-    for key in ("bits1", "bits2", "bits3"):
-        if match.groupdict().get(key):
-            return int(match[key])
-    return usual or bits
+        return {}, None
+    sign, word = match["sign"] or match["last"] or "", match["word"]
+    if not word and len(sign) < 2 and not has_bits:
+        return {}, None
+    is_signed = sign.startswith("s") or bool(word and not sign)
+    return _SIGNED if is_signed else _UNSIGNED, _USUAL_BITS.get(word)

@@ -1,43 +1,28 @@
-"""Rows of register lists, read without placing them."""
+"""Rows of register lists, read without making a profile of them."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbtool.devices.importing.addresses import parse_address
-from mbtool.devices.importing.columns import Column, Meaning, Sheet, find_sheet
-from mbtool.devices.importing.placing import ImportOptions, Placer
-from mbtool.devices.importing.rows import Complaints, Item, RowReader, Scaling
+from mbtool.devices.importing.body import BodyReader
+from mbtool.devices.importing.columns import find_sheet
+from mbtool.devices.importing.locating import LocatedRow, locate_rows
+from mbtool.devices.importing.options import ImportOptions, Scaling
+from mbtool.devices.importing.report import ImportReport
 
 if TYPE_CHECKING:
-    from mbtool.devices.importing.layout import PlacedRow
+    from mbtool.devices.importing.rows import ListRow
 
 
-def read_items(
-    text: str, scaling: Scaling | None = None
-) -> tuple[list[Item], Complaints, RowReader]:
-    """The rows of a list whose first column has the addresses."""
+def read_rows(text: str, scaling: Scaling | None = None) -> tuple[list[ListRow], ImportReport]:
+    """The rows of a list, and what is told of them."""
+    report = ImportReport()
     sheet = find_sheet(text, "map.csv")
-    complaints = Complaints("map.csv")
-    reader = RowReader(sheet, complaints, scaling)
-    items = []
-    for number, row in enumerate(sheet.rows[1:], start=2):
-        written = parse_address(row[0])
-        assert written is not None, row
-        items.append(reader.item(number, row, written, None, None))
-    return items, complaints, reader
+    return BodyReader(sheet, ImportOptions(scaling=scaling), report).read(), report
 
 
-def place(text: str, **options: Any) -> tuple[list[PlacedRow], Complaints, Placer]:
-    """The rows of such a list in their places."""
-    items, complaints, _ = read_items(text)
-    chosen = ImportOptions(**options)
-    placer = Placer(items, address_column(find_sheet(text, "map.csv")), chosen, complaints)
-    return placer.place_all(), complaints, placer
-
-
-def address_column(sheet: Sheet) -> Column:
-    """The column of addresses."""
-    column = sheet.column(Meaning.ADDRESS)
-    assert column is not None
-    return column
+def locate(text: str, **options: Any) -> tuple[list[LocatedRow], ImportReport]:
+    """The rows of a list with their areas, and what is told of them."""
+    rows, report = read_rows(text)
+    addresses = find_sheet(text, "map.csv").addresses
+    return locate_rows(rows, addresses, ImportOptions(**options), report), report

@@ -7,25 +7,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.importing.addresses import (
-    ColumnPair,
-    Counting,
-    Numbering,
-    Written,
-    decide,
-    difference_of,
-    has_tables_in_front,
-    is_bare_hex,
-    numbering,
-    pair,
+    AddressCell,
+    decide_style,
     parse_address,
+    read_addresses,
     reference_table,
-    without_false_bits,
+    table_and_base,
 )
+from mbtool.devices.importing.options import AddressStyle
+from mbtool.devices.importing.report import ImportReport
 from mbtool.devices.model import Radix
 from mbtool.modbus.tables import Table
 
 
-def written(text: str, **flags: bool) -> Written:
+def written(text: str, **flags: bool) -> AddressCell:
     found = parse_address(text, **flags)
     assert found is not None, text
     return found
@@ -75,92 +70,88 @@ def test_what_is_no_address(text: str) -> None:
     assert parse_address(text) is None
 
 
-def test_digits_with_letters_are_hexadecimal_where_the_whole_column_is() -> None:
-    assert is_bare_hex(["0BB7", "0BB8", "3000"])
-    assert written("3000", bare_hex=True).number == 0x3000
-    assert not is_bare_hex(["3000", "3001"])
-    assert not is_bare_hex(["D100", "D101"])
+def read(*cells: str, heading: str = "address") -> tuple[list[AddressCell], list[str]]:
+    report = ImportReport()
+    found = read_addresses(cells, heading, None, report)
+    return [one for one in found if one is not None], report.remarks
+
+
+@pytest.mark.parametrize(
+    ("cells", "heading", "number"),
+    [
+        (("3000", "0BB7"), "address", 0x3000),
+        (("3000", "3001"), "address", 3000),
+        (("3000", "3001"), "address hex", 0x3000),
+        (("D100", "D101"), "address", 100),
+    ],
+)
+def test_digits_are_hexadecimal_if_letters_or_the_heading_show_it(
+    cells: tuple[str, ...], heading: str, number: int
+) -> None:
+    found, told = read(*cells, heading=heading)
+    assert found[0].number == number
+    assert any("hexadecimal" in one for one in told) is (number == 0x3000)
 
 
 def test_0x_is_a_coil_beside_4x() -> None:
-    assert has_tables_in_front(["0x0001", "4x0001"])
-    assert written("0x0001", tables_in_front=True).prefix == "0x"
-    assert written("0x0001", tables_in_front=True).radix is Radix.DECIMAL
+    found, told = read("0x0001", "4x0001")
+    assert found[0] == AddressCell(1, "0x", digits=4)
+    assert told == ["0x0001 and its like are coils, as other addresses begin with 4x or 3x"]
 
 
 def test_a_spreadsheets_decimal_is_no_bit() -> None:
-    whole = without_false_bits([written("40001.0"), written("40002.0")])
-    mixed = without_false_bits([written("40001.0"), written("40001.1")])
-    assert [one.bit for one in whole if one] == [None, None]
-    assert [one.bit for one in mixed if one] == [0, 1]
+    whole, told = read("40001.0", "40002.0")
+    mixed, nothing = read("40001.0", "40001.1")
+    assert [one.bit for one in whole] == [None, None]
+    assert [one.bit for one in mixed] == [0, 1]
+    assert told == ["addresses end in .0, which a spreadsheet adds, as all of them do"]
+    assert nothing == []
+
+
+def test_a_number_that_cannot_be_the_reference_it_must_be_is_an_error() -> None:
+    with pytest.raises(ValueError, match="is no reference"):
+        table_and_base(written("70001"), AddressStyle.REFERENCES)
 
 
 @pytest.mark.parametrize(
-    ("texts", "hint", "counting"),
+    ("texts", "hint", "style"),
     [
-        (["40001", "40012"], "", Counting.REFERENCES),
-        (["30001", "40001", "00001"], "", Counting.REFERENCES),
-        (["300001", "400012"], "", Counting.REFERENCES),
-        (["40000", "40001"], "", Counting.ZERO_BASED),
-        (["0", "1"], "address", Counting.ZERO_BASED),
-        (["1", "2"], "address", Counting.ONE_BASED),
-        (["1", "2"], "address 0 based", Counting.ZERO_BASED),
-        (["5", "6"], "address 1 based", Counting.ONE_BASED),
-        (["5", "6"], "address", Counting.ZERO_BASED),
+        (["40001", "40012"], "", AddressStyle.REFERENCES),
+        (["30001", "40001", "00001"], "", AddressStyle.REFERENCES),
+        (["300001", "400012"], "", AddressStyle.REFERENCES),
+        (["40000", "40001"], "", AddressStyle.ZERO_BASED),
+        (["0", "1"], "address", AddressStyle.ZERO_BASED),
+        (["1", "2"], "address", AddressStyle.ONE_BASED),
+        (["1", "2"], "address 0 based", AddressStyle.ZERO_BASED),
+        (["5", "6"], "address 1 based", AddressStyle.ONE_BASED),
+        (["5", "6"], "address", AddressStyle.ZERO_BASED),
     ],
 )
-def test_the_list_tells_how_it_counts(texts: list[str], hint: str, counting: Counting) -> None:
-    assert decide([(written(text), None) for text in texts], hint, None)[0] is counting
+def test_the_list_tells_how_it_counts(texts: list[str], hint: str, style: AddressStyle) -> None:
+    assert decide_style([(written(text), None) for text in texts], hint)[0] is style
 
 
 def test_a_reference_must_fit_the_table_of_its_row() -> None:
-    rows: list[tuple[Written, Table | None]] = [(written("30001"), Table.HOLDING_REGISTERS)]
-    assert decide(rows, "", None)[0] is Counting.ZERO_BASED
-
-
-def test_what_the_user_says_counts() -> None:
-    assert decide([(written("0"), None)], "", Counting.ONE_BASED) == (
-        Counting.ONE_BASED, "you said so",
-    )  # fmt: skip
+    rows: list[tuple[AddressCell, Table | None]] = [(written("30001"), Table.HOLDING_REGISTERS)]
+    assert decide_style(rows, "")[0] is AddressStyle.ZERO_BASED
 
 
 @pytest.mark.parametrize(
-    ("text", "counting", "how"),
+    ("text", "style", "how"),
     [
-        ("40010", Counting.REFERENCES, Numbering(Table.HOLDING_REGISTERS, 40001)),
-        ("300010", Counting.REFERENCES, Numbering(Table.INPUT_REGISTERS, 300001)),
-        ("00010", Counting.REFERENCES, Numbering(Table.COILS, 1)),
-        ("4x0010", Counting.ZERO_BASED, Numbering(Table.HOLDING_REGISTERS, 1)),
-        ("0x10", Counting.ONE_BASED, Numbering(None, 0)),
-        ("IR10", Counting.ONE_BASED, Numbering(Table.INPUT_REGISTERS, 1)),
-        ("10", Counting.ZERO_BASED, Numbering(None, 0)),
+        ("40010", AddressStyle.REFERENCES, (Table.HOLDING_REGISTERS, 40001)),
+        ("300010", AddressStyle.REFERENCES, (Table.INPUT_REGISTERS, 300001)),
+        ("00010", AddressStyle.REFERENCES, (Table.COILS, 1)),
+        ("4x0010", AddressStyle.ZERO_BASED, (Table.HOLDING_REGISTERS, 1)),
+        ("0x10", AddressStyle.ONE_BASED, (None, 0)),
+        ("IR10", AddressStyle.ONE_BASED, (Table.INPUT_REGISTERS, 1)),
+        ("10", AddressStyle.ZERO_BASED, (None, 0)),
     ],
 )
-def test_a_number_counts_by_its_notation(text: str, counting: Counting, how: Numbering) -> None:
-    assert numbering(written(text), counting, None) == how
-
-
-@pytest.mark.parametrize(
-    ("numbers", "pairing"),
-    [
-        ([(2999, 3000), (3001, 3002)], ColumnPair(0, True, 1)),
-        ([(3000, 2999), (3002, 3001)], ColumnPair(0, False, -1)),
-        ([(40001, 0), (40002, 1), (30001, 0)], ColumnPair(0, False, -1)),
-        ([(40001, 1), (40002, 2)], ColumnPair(1, False, 0)),
-        ([(5, 5), (6, 6)], None),
-        ([(5, 100), (6, 200)], None),
-        ([], None),
-    ],
-)
-def test_two_columns_tell_which_is_the_wires(
-    numbers: list[tuple[int, int]], pairing: ColumnPair | None
+def test_a_number_counts_by_its_notation(
+    text: str, style: AddressStyle, how: tuple[Table | None, int]
 ) -> None:
-    assert pair(numbers) == pairing
-
-
-@given(st.integers(0, 99_999), st.integers(0, 99_999))
-def test_a_difference_forgets_the_tables(first: int, second: int) -> None:
-    assert (first + difference_of(first, second) - second) % 10_000 == 0
+    assert table_and_base(written(text), style) == how
 
 
 @given(st.text(max_size=45), st.booleans(), st.booleans())

@@ -12,6 +12,7 @@ from mbtool.devices.importing.cells import (
     Factor,
     is_nothing,
     parse_access,
+    parse_bits,
     parse_factor,
     parse_number,
     parse_range,
@@ -43,8 +44,8 @@ def test_a_number_may_have_a_decimal_comma(text: str, number: float | None) -> N
         ("/10", Factor(10, divides=True)),
         ("1/10", Factor(10, divides=True)),
         ("\u00f7 100", Factor(100, divides=True)),
-        ("x0.1", Factor(0.1, multiplies=True)),
-        ("\u00d7 10", Factor(10, multiplies=True)),
+        ("x0.1", Factor(0.1, divides=False)),
+        ("\u00d7 10", Factor(10, divides=False)),
         ("10^-1", Factor(0.1)),
         ("0", None),
         ("tenths", None),
@@ -88,10 +89,14 @@ def test_rights_are_known(texts: str, access: Access | None) -> None:
     ("texts", "table"),
     [
         ("3; 03; 0x03; FC03; FC 3; 03/06/16; 03H, 06H, 10H; 4x; HR; holding; Holding register; "
-         "F3_HOLDING_REGS; Read Holding Registers (3); register", Table.HOLDING_REGISTERS),
-        ("4; FC04; 3x; IR; Input Register; input; analog input", Table.INPUT_REGISTERS),
-        ("1; FC01; 01,05,15; coil; Coil status; DO; digital output; 0x", Table.COILS),
-        ("2; FC=02; 1x; DI; discrete input; Digital Input; input status", Table.DISCRETE_INPUTS),
+         "F3_HOLDING_REGS; Read Holding Registers (3); register; Halteregister",
+         Table.HOLDING_REGISTERS),
+        ("4; FC04; 3x; IR; Input Register; input; analog input; Eingangsregister",
+         Table.INPUT_REGISTERS),
+        ("1; FC01; 01,05,15; coil; Coil status; DO; digital output; 0x; Spulen; Digitale Ausgänge",
+         Table.COILS),
+        ("2; FC=02; 1x; DI; discrete input; Digital Input; input status; Diskrete Eingänge",
+         Table.DISCRETE_INPUTS),
         ("x; 99; 3/4; 7", None),
     ],
 )  # fmt: skip
@@ -117,10 +122,29 @@ def test_the_functions_of_a_cell_are_kept() -> None:
         ("-1 = unknown", {-1: "unknown"}),
         ("see table 3", None),
         ("0=a, b", {0: "a, b"}),
+        ("0: off 1: on", {0: "off", 1: "on"}),
+        ("0 = Aus  1 = Auto  2 = Sommer", {0: "Aus", 1: "Auto", 2: "Sommer"}),
+        ("00=aus, 01=an", {0: "aus", 1: "an"}),
     ],
 )
 def test_texts_stand_behind_their_numbers(text: str, texts: dict[int, str] | None) -> None:
     assert parse_texts(text) == texts
+
+
+@pytest.mark.parametrize(
+    ("text", "bits"),
+    [
+        ("Bit0: too hot, Bit1: low oil", {0: "too hot", 1: "low oil"}),
+        ("Bit 3 = Alarm", {3: "Alarm"}),
+        ("bit 0 - on\nbit 15 - off", {0: "on", 15: "off"}),
+        ("B0: on B1: off", {0: "on", 1: "off"}),
+        ("Bit 16 = beyond", None),
+        ("Bit 0-3: mode", None),
+        ("0 = off", None),
+    ],
+)
+def test_bits_stand_behind_their_numbers(text: str, bits: dict[int, str] | None) -> None:
+    assert parse_bits(text) == bits
 
 
 @pytest.mark.parametrize(
@@ -144,5 +168,13 @@ def test_any_text_is_read_or_not(text: str) -> None:
     assert number is None or math.isfinite(number)
     factor = parse_factor(text)
     assert factor is None or factor.number != 0
-    for parse in (parse_unit, parse_access, parse_table, parse_texts, parse_range, is_nothing):
+    for parse in (
+        parse_unit,
+        parse_access,
+        parse_table,
+        parse_texts,
+        parse_bits,
+        parse_range,
+        is_nothing,
+    ):
         parse(text)

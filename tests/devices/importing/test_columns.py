@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,12 +18,13 @@ HEADINGS = {
     Meaning.DESCRIPTION: "Description, Parameter description, Remarks, Beschreibung, Comment",
     Meaning.TYPE: "Type, Data type, Datatype, Data Format, Format, Datentyp",
     Meaning.LENGTH: "Length, Size (words), Number of registers, Quantity, Register length, Länge",
-    Meaning.ORDER: "Word order, Byte order, Endianness, Swap",
+    Meaning.LENGTH_IN_BYTES: "Bytes, Size (bytes), Length in characters",
+    Meaning.LENGTH_IN_BITS: "Size (bits)",
+    Meaning.WORD_ORDER: "Word order, Byte order, Endianness, Swap",
     Meaning.TABLE: "Function, Function code, FC, Register type, Table, Object type",
     Meaning.ACCESS: "Access, R/W, RW, Read/Write, Action (R/W/WC), writable, Zugriff, Mode",
     Meaning.UNIT: "Unit, Units, UoM, Einheit, Engineering units, unit_of_measurement",
-    Meaning.SCALE: "Scale, Scale factor, Factor, Multiplier, Resolution, Faktor",
-    Meaning.GAIN: "Gain",
+    Meaning.SCALE: "Scale, Scale factor, Factor, Multiplier, Resolution, Faktor, Gain",
     Meaning.DIVISOR: "Divisor, Divide by",
     Meaning.OFFSET: "Offset",
     Meaning.MINIMUM: "Min, Minimum, Min value",
@@ -55,27 +58,49 @@ def test_the_row_of_headings_is_the_one_with_most_of_them() -> None:
     assert sheet.rows[3] == ["1", "a", "INT"]
 
 
-def test_an_offset_is_the_address_where_nothing_else_is() -> None:
-    with_address = find_sheet("address,name,offset\n", "map.csv")
-    without = find_sheet("name,offset\n", "map.csv")
-    assert with_address.column(Meaning.OFFSET) is not None
-    assert without.column(Meaning.OFFSET) is None
-    address = without.column(Meaning.ADDRESS)
-    assert address is not None
-    assert address.index == 1
-
-
-def test_of_two_columns_of_a_meaning_the_second_is_unused() -> None:
+def test_of_two_columns_of_a_meaning_the_first_counts() -> None:
     sheet = find_sheet("address,type,data type,colour\n", "map.csv")
-    assert sheet.unused == ("data type", "colour")
+    assert [column.heading for column in sheet.columns] == ["address", "type"]
 
 
-def test_a_heading_that_is_known_whole_counts_before_one_that_is_not() -> None:
-    sheet = find_sheet("address,input type of it,data type\n", "map.csv")
-    column = sheet.column(Meaning.TYPE)
-    assert column is not None
-    assert column.heading == "data type"
-    assert sheet.unused == ("input type of it",)
+def test_a_column_that_is_named_is_the_only_one_of_its_meaning() -> None:
+    named = {Meaning.ADDRESS: "number", Meaning.TYPE: "DATA  TYPE"}
+    sheet = find_sheet("address,type,data type,number\n", "map.csv", named)
+    assert {column.meaning: (column.heading, column.is_named) for column in sheet.columns} == {
+        Meaning.TYPE: ("data type", True),
+        Meaning.ADDRESS: ("number", True),
+    }
+
+
+def test_the_row_of_headings_is_the_one_that_has_the_named_ones() -> None:
+    text = "address,name,type\nNummer,Wert\n1,a\n"
+    assert find_sheet(text, "map.csv", {Meaning.ADDRESS: "Nummer"}).heading_row == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "named", "said"),
+    [
+        ("", {}, "is empty"),
+        ("\n\n", {}, "is empty"),
+        ("a,b\n1,2\n", {}, "--column address=HEADING; row 1 has 'a', 'b'"),
+        (
+            "address,name\n",
+            {Meaning.TYPE: "typ"},
+            "no column is headed 'typ'; row 1 has 'address', 'name'",
+        ),
+        ("address,name,name\n", {Meaning.NAME: "name"}, "2 columns are headed 'name'"),
+        (
+            "address,register\n",
+            {},
+            "'address' and 'register' may be columns of addresses; say which",
+        ),
+    ],
+)
+def test_columns_that_are_not_there_or_not_clear_are_told(
+    text: str, named: dict[Meaning, str], said: str
+) -> None:
+    with pytest.raises(UsageError, match=re.escape(said)):
+        find_sheet(text, "map.csv", named)
 
 
 def test_headings_are_looked_for_in_the_first_rows_only() -> None:

@@ -12,17 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbtool.core.errors import ProfileError, UsageError
-from mbtool.devices.importing.addresses import Counting
 from mbtool.devices.importing.columns import Meaning
-from mbtool.devices.importing.placing import ImportOptions
+from mbtool.devices.importing.options import AddressStyle, ImportOptions, Scaling
 from mbtool.devices.importing.register_list import (
     MAX_BYTES,
     MAX_ROWS,
-    Imported,
-    WrongCellsError,
+    BadRowsError,
+    ImportedList,
     import_register_list,
 )
-from mbtool.devices.importing.rows import MAX_COMPLAINTS, Scaling
+from mbtool.devices.importing.report import MAX_PROBLEMS
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, ByteOrder, Point, PointType, Radix, WordOrder
 from mbtool.modbus.tables import Table
@@ -65,7 +64,14 @@ Set point\tHolding register\t10\tuint32\tbig-endian word swap
 """
 
 
-def imported(text: str, file: str = "map.csv", **options: Any) -> Imported:
+NAMED: dict[str, dict[str, Any]] = {
+    METER: {"columns": {Meaning.ADDRESS: "Address"}},
+    TELEMETRY: {"columns": {Meaning.ADDRESS: "Offset"}},
+}
+"""What the user has to say of a list."""
+
+
+def imported(text: str, file: str = "map.csv", **options: Any) -> ImportedList:
     return import_register_list(text.encode(), file, ImportOptions(**options))
 
 
@@ -73,8 +79,8 @@ def points(text: str, **options: Any) -> dict[str, Point]:
     return {point.name: point for point in imported(text, **options).profile.points}
 
 
-def complaints(text: str, **options: Any) -> list[str]:
-    with pytest.raises(WrongCellsError) as caught:
+def problems(text: str, **options: Any) -> list[str]:
+    with pytest.raises(BadRowsError) as caught:
         imported(text, **options)
     return caught.value.lines
 
@@ -93,7 +99,7 @@ def test_a_european_list_with_semicolons_commas_and_bits() -> None:
     assert found["Zustand"].note == "wird beim Start geprüft"
     assert found["Durchfluss"].type is PointType.FLOAT32
     assert found["Durchfluss"].word_order is WordOrder.LOW_FIRST
-    assert found["Motor 1 zu"].bits == {0: "Motor 1 zu heiß", 3: "Motor 1 zu kalt"}
+    assert found["40010"].bits == {0: "Motor 1 zu heiß", 3: "Motor 1 zu kalt"}
     assert found["Seriennummer"].length == 8
     assert list(profile.functions) == ["03", "06", "10"]
 
@@ -109,44 +115,31 @@ def test_a_list_of_an_inverter_with_gains_that_divide() -> None:
     assert (found["Time zone"].minimum, found["Time zone"].maximum) == (-720, 840)
 
 
-def test_numbers_that_cannot_be_references_are_addresses_and_that_is_said() -> None:
-    (said,) = (one for one in imported(INVERTER).remarks if "zero-based" in one)
-    assert said == (
-        'the numbers of "Address" are zero-based, since nothing says otherwise: '
-        "30000 is address 30000 on the wire (--addresses says otherwise)"
-    )
+def test_numbers_that_cannot_be_references_are_addresses_and_that_is_told() -> None:
+    assert (
+        "addresses are zero-based, as nothing says otherwise: 30000 is address 30000 on the wire "
+        "(--addresses says otherwise)"
+    ) in imported(INVERTER).remarks
 
 
 def test_a_gain_can_be_said_to_multiply() -> None:
     assert points(INVERTER, scaling=Scaling.MULTIPLY)["Phase A voltage"].scale == 10
 
 
-def test_two_columns_of_addresses_tell_the_wires_from_the_vendors() -> None:
-    found = imported(METER)
-    assert found.profile.points[0].address == 0x0BB7
-    assert found.profile.areas[0].reference(0x0BB7) == "3000"
-    assert found.remarks[0] == (
-        "two columns have addresses: 3000 in the one is 2999 in the other, "
-        "so address 2999 on the wire"
+def test_of_two_columns_of_addresses_the_user_says_which_counts() -> None:
+    with pytest.raises(UsageError, match="'Address' and 'Register' may be columns of addresses"):
+        imported(METER)
+    by_wire = imported(METER, columns={Meaning.ADDRESS: "Address"})
+    by_number = imported(
+        METER, columns={Meaning.ADDRESS: "Register"}, addresses=AddressStyle.ONE_BASED
     )
-
-
-def test_a_row_whose_two_addresses_disagree_is_a_complaint() -> None:
-    assert complaints(METER.replace("3002", "3003")) == [
-        "map.csv: row 3, column \"Address\": 'BB9' and 3003 do not go together as in other rows"
-    ]
-
-
-def test_references_beside_numbers_from_1_and_from_0() -> None:
-    rows = "\n40001,{},a\n40002,{},b\n"
-    one = points("Reference,Address,Name" + rows.format(1, 2))
-    zero = points("Reference,Address,Name" + rows.format(0, 1))
-    assert [point.address for point in one.values()] == [0, 1]
-    assert [point.address for point in zero.values()] == [0, 1]
+    assert [one.address for one in by_wire.profile.points] == [0x0BB7, 0x0BB9, 0x0C83]
+    assert [one.address for one in by_number.profile.points] == [0x0BB7, 0x0BB9, 0x0C83]
+    assert by_number.profile.areas[0].reference(0x0BB7) == "3000"
 
 
 def test_a_list_with_all_four_tables() -> None:
-    profile = imported(TELEMETRY).profile
+    profile = imported(TELEMETRY, **NAMED[TELEMETRY]).profile
     assert [(point.name, point.table, point.address) for point in profile.points] == [
         ("Pump on", Table.COILS, 0),
         ("Door", Table.DISCRETE_INPUTS, 3),
@@ -165,18 +158,27 @@ def test_a_heading_between_the_rows_names_the_table() -> None:
     assert found["Set point"].table is Table.HOLDING_REGISTERS
 
 
-def test_a_type_column_may_be_the_table() -> None:
-    found = points("address,name,type\n0,Level,Input Register\n1,Valve,Coil\n")
+def test_a_type_column_that_names_tables_is_told_and_can_be_said() -> None:
+    text = "address,name,type\n0,Level,Input Register\n1,Valve,Coil\n"
+    assert problems(text) == [
+        "map.csv: row 2, column \"type\": 'Input Register' is a table, not a type; "
+        "--column table=HEADING says that the column has tables"
+    ]
+    found = points(text, columns={Meaning.TABLE: "type"})
     assert found["Level"].table is Table.INPUT_REGISTERS
     assert found["Valve"].type is PointType.BIT
 
 
 @pytest.mark.parametrize(
-    ("counting", "address"),
-    [(Counting.ZERO_BASED, 40001), (Counting.ONE_BASED, 40000), (Counting.REFERENCES, 0)],
+    ("style", "address"),
+    [
+        (AddressStyle.ZERO_BASED, 40001),
+        (AddressStyle.ONE_BASED, 40000),
+        (AddressStyle.REFERENCES, 0),
+    ],
 )
-def test_what_numbers_are_can_be_said(counting: Counting, address: int) -> None:
-    assert points("register,name\n40001,a\n", counting=counting)["a"].address == address
+def test_what_numbers_are_can_be_said(style: AddressStyle, address: int) -> None:
+    assert points("register,name\n40001,a\n", addresses=style)["a"].address == address
 
 
 def test_the_table_of_rows_that_name_none_can_be_said() -> None:
@@ -226,10 +228,18 @@ def test_a_row_of_several_values_is_a_series() -> None:
     assert (point.name, point.count, point.stride) == ("Phase {n}", 3, 2)
 
 
-def test_sizes_in_bits_or_bytes_are_noticed() -> None:
-    for sizes in ((16, 32), (2, 4)):
-        text = "address,name,type,size\n0,a,UINT16,{}\n1,b,UINT32,{}\n".format(*sizes)
-        assert [point.type for point in points(text).values()] == ["uint16", "uint32"]
+@pytest.mark.parametrize(
+    ("meaning", "sizes"), [(Meaning.LENGTH_IN_BITS, (16, 32)), (Meaning.LENGTH_IN_BYTES, (2, 4))]
+)
+def test_lengths_count_registers_unless_the_user_says_otherwise(
+    meaning: Meaning, sizes: tuple[int, int]
+) -> None:
+    text = "address,name,type,size\n0,a,UINT16,{}\n1,b,UINT32,{}\n".format(*sizes)
+    assert problems(text) == [
+        f"map.csv: row 3: '1' overlaps row 2, \"a\", which takes {sizes[0]} registers"
+    ]
+    found = points(text, columns={meaning: "size"})
+    assert [point.type for point in found.values()] == ["uint16", "uint32"]
 
 
 def test_both_orders_of_a_value_are_kept() -> None:
@@ -250,7 +260,9 @@ def test_limits_of_a_scaled_value_are_a_note_since_lists_do_not_say_of_what() ->
     found = points("address,name,scale,min,max,default\n0,a,1,0,10,5\n1,b,0.1,0,10,5\n")
     assert (found["a"].minimum, found["a"].maximum, found["a"].default) == (0, 10, 5)
     assert found["b"].minimum is None
-    assert found["b"].note == "range in the list: 0..10; default in the list: 5"
+    assert found["b"].note == (
+        "minimum in the list: 0; maximum in the list: 10; default in the list: 5"
+    )
 
 
 def test_a_value_only_for_writing_is_that() -> None:
@@ -264,20 +276,26 @@ def test_functions_of_a_list_are_those_of_the_profile() -> None:
     assert [point.access for point in profile.points] == [None, Access.READ]
 
 
-def test_every_wrong_cell_is_told_with_row_and_column() -> None:
+def test_every_wrong_row_is_told_with_its_columns() -> None:
     text = (
         "register,name,type,scale,access,word order,function\n"
         "40001,a,FLOTE,0.1,R,ABCD,3\n"
         "x!,b,INT16,nil0,RX,XYZW,77\n"
         "40002,c,INT16,0,R,ABCD,3\n"
-        "40003,d,INT16,1,R,ABCD,4\n"
+        "40003,d,INT16,1,RX,XYZW,77\n"
+        "40005,d,FLOTE,1,R,ABCD,3\n"
     )
-    assert complaints(text) == [
-        "map.csv: row 2, column \"type\": 'FLOTE' is no type; UINT16, INT32, FLOAT32, BCD, BOOL, "
-        "STRING[16] and their like are",
-        "map.csv: row 3, column \"register\": 'x!' is no address; 40001, 4x0001, 12, 0x0102, 0102H "
-        "and HR12 are",
-        "map.csv: row 4, column \"scale\": '0' is no factor; 0.1, /10, x0.1 and their like are",
+    assert problems(text) == [
+        "map.csv: rows 2, 6, column \"type\": 'FLOTE' is no type, as UINT16, INT32, FLOAT32, BCD, "
+        "BOOL or STRING[16] are",
+        "map.csv: row 3, column \"register\": 'x!' is no address, as 40001, 4x0001, 12, 0x0102, "
+        "0102H and HR12 are",
+        "map.csv: row 4, column \"scale\": '0' is no factor, as 0.1, /10 or x0.1 are",
+        "map.csv: row 5, column \"function\": '77' names no table, as holding register, 4x, HR, "
+        "03, FC04 or coil do",
+        "map.csv: row 5, column \"word order\": 'XYZW' is no order, as ABCD, CDAB, low word first "
+        "or big-endian word swap are",
+        "map.csv: row 5, column \"access\": 'RX' is no access, as R, W or RW are",
     ]
 
 
@@ -291,29 +309,29 @@ def test_what_cannot_be_together_is_told_too() -> None:
         "40011,e,UINT32,R,\n"
         "40012,f,UINT32,R,\n"
     )
-    assert complaints(text) == [
-        'map.csv: row 3, column "register": \'40002\' lies on row 2, "a", which takes 2 registers',
+    assert problems(text) == [
+        "map.csv: row 3: '40002' overlaps row 2, \"a\", which takes 2 registers",
         "map.csv: row 4, column \"register\": '30001' is in input_registers, which cannot be "
         "written, but its row says rw",
-        "map.csv: row 5, column \"register\": '40010.17' : a register has bits 0 to 15",
-        'map.csv: row 7, column "register": \'40012\' lies on row 6, "e", which takes 2 registers',
+        "map.csv: row 5: '40010.17' names no bit from 0 to 15",
+        "map.csv: row 7: '40012' overlaps row 6, \"e\", which takes 2 registers",
     ]
 
 
 def test_no_register_has_a_bit_below_0() -> None:
-    assert complaints("address,bit\n0,-1\n")[0].endswith(": a register has bits 0 to 15")
+    assert problems("address,bit\n0,-1\n")[0].endswith("names no bit from 0 to 15")
 
 
 def test_number_and_row_must_agree_on_the_table() -> None:
-    assert complaints("address,name,table\n4x0001,a,coil\n") == [
-        "map.csv: row 2, column \"address\": '4x1' is in holding_registers by its number, "
+    assert problems("address,name,table\n4x0001,a,coil\n") == [
+        "map.csv: row 2, column \"address\": '4x0001' is in holding_registers by its number, "
         "but in coils by its row"
     ]
 
 
-def test_a_delimiter_within_a_cell_is_a_complaint_and_not_a_shift() -> None:
-    assert complaints("address,name,scale,unit\n0,a,0,1,V\n1,b,1,A\n") == [
-        "map.csv: row 2: 'V' stands behind the last of 4 headings; "
+def test_a_delimiter_within_a_cell_is_a_problem_and_not_a_shift() -> None:
+    assert problems("address,name,scale,unit\n0,a,0,1,V\n1,b,1,A\n") == [
+        "map.csv: row 2: 'V' stands behind the last heading; "
         "a delimiter within a cell needs quotes around it"
     ]
 
@@ -323,17 +341,34 @@ def test_a_column_without_a_heading_is_told() -> None:
     assert "columns without a heading, so not used: number 3" in said
 
 
-def test_complaints_are_bounded_and_counted() -> None:
-    text = "address,name,type\n" + "".join(f"{at},n{at},FLOTE\n" for at in range(150))
-    with pytest.raises(WrongCellsError, match=r"150 cells are wrong \(50 more not shown\)") as one:
-        imported(text)
-    assert len(one.value.lines) == MAX_COMPLAINTS
+def test_problems_are_bounded_and_every_row_is_named() -> None:
+    rows = "".join(f"{at},n{at},FLOTE{at}\n" for at in range(150))
+    with pytest.raises(BadRowsError, match="150 rows are wrong, so no profile was made") as caught:
+        imported(f"address,name,type\n{rows}")
+    assert len(caught.value.lines) == MAX_PROBLEMS + 1
+    assert caught.value.lines[-1] == "map.csv: rows 102-151: other problems like these"
+
+
+def test_rows_that_are_wrong_can_be_left_out_and_are_told() -> None:
+    text = "register,name,type\n40001,a,UINT16\n40002,b,DATETIME\n40001,c,UINT16\n"
+    found = imported(text, skip_bad=True)
+    assert [point.name for point in found.profile.points] == ["a"]
+    assert [one for one in found.remarks if one.startswith("left out")] == [
+        "left out: row 3, column \"type\": 'DATETIME' is no type, as UINT16, INT32, FLOAT32, BCD, "
+        "BOOL or STRING[16] are",
+        "left out: row 4: '40001' overlaps row 2, \"a\"",
+    ]
+
+
+def test_a_list_of_wrong_rows_makes_no_profile() -> None:
+    with pytest.raises(UsageError, match="no row below its headings"):
+        imported("register,name,type\n40002,b,DATETIME\n", skip_bad=True)
 
 
 def test_rows_that_are_reserved_are_left_out_and_that_is_said() -> None:
     found = imported("address,name\n1,a\n2,Reserved\n3,(spare)\n")
     assert [point.name for point in found.profile.points] == ["a"]
-    assert "rows called reserved or unused, so left out: 3, 4" in found.remarks
+    assert "rows 3-4: reserved or unused, left out" in found.remarks
 
 
 def test_a_factor_that_another_register_holds_is_a_note() -> None:
@@ -345,16 +380,16 @@ def test_a_factor_that_another_register_holds_is_a_note() -> None:
 def test_what_is_left_out_is_said() -> None:
     text = "Pump 7,,\naddress,name,colour\n1,a,red\n,see page 4,\naddress,name,colour\n2,b,blue\n"
     said = imported(text).remarks
-    assert "rows 1 to 1, above the headings, are left out" in said
-    assert "row without an address, so left out: 4" in said
-    assert "row repeating the headings, so left out: 5" in said
+    assert "row 2 is taken for the headings, and the rows above it are left out" in said
+    assert "row 4: no address, left out" in said
+    assert "row 5: the headings again, left out" in said
     assert 'columns that are not used: "colour"' in said
 
 
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"", "no row of headings"),
+        (b"", "is empty"),
         (b"a,b\n1,2\n", "no row of headings"),
         (b"address,name\n", 'no row below its headings has an address in "address"'),
         (b"PK\x03\x04 and so on", "a spreadsheet; export it as CSV"),
@@ -379,7 +414,7 @@ def test_the_encodings_of_spreadsheets_are_read(encoding: str) -> None:
 
 @pytest.mark.parametrize("text", [EUROPEAN, INVERTER, METER, TELEMETRY])
 def test_the_text_loads_as_the_profile(text: str, tmp_path_factory: pytest.TempPathFactory) -> None:
-    found = imported(text)
+    found = imported(text, **NAMED.get(text, {}))
     path = tmp_path_factory.mktemp("lists") / "map.toml"
     path.write_text(found.text, encoding="utf-8")
     assert load_profile(str(path)) == found.profile
@@ -432,7 +467,8 @@ CELLS = st.sampled_from(
             "0=off,1=on",
             "0 to 100",
         ),
-        "0=a;70000=b",
+        *("0=a;70000=b", "0: off 1: on", "Bit0: a, Bit1: b", "Bit 17 = c", "FC 04", "FC 03/04"),
+        *("Spulen", "UINT32 (low word first)", "DATETIME", "Bit 3", "1,000"),
     ]
 )
 
@@ -451,12 +487,12 @@ def lists(draw: st.DrawFn) -> str:
     return out.getvalue()
 
 
-@settings(max_examples=300)
-@given(lists())
-def test_any_list_becomes_a_profile_or_complaints(text: str) -> None:
+@settings(max_examples=300, deadline=None)
+@given(lists(), st.booleans())
+def test_any_list_becomes_a_profile_or_problems(text: str, skip_bad: bool) -> None:
     try:
-        found = imported(text)
-    except ProfileError as error:  # What a profile may not be is to be told as a cell.
+        found = imported(text, skip_bad=skip_bad)
+    except ProfileError as error:  # What a profile may not be is to be told as a row.
         raise AssertionError(str(error)) from error
     except UsageError:
         return
@@ -466,16 +502,15 @@ def test_any_list_becomes_a_profile_or_complaints(text: str) -> None:
 def test_what_becomes_of_a_text_without_a_length_is_said() -> None:
     text = "Address,Name,Type\n0,Model,STRING\n10,Serial,STRING[8]\n"
     assert points(text)["Model"].length == 1
-    assert "row with a text without a length, taken as 1 register: 2" in imported(text).remarks
+    assert "row 2: a text without a length, taken as 1 register" in imported(text).remarks
 
 
 def test_what_becomes_of_bits_in_several_registers_is_said() -> None:
     text = "Address,Name,Type\n0,State,bitfield16\n2,Faults,bitfield32\n4,More,BITMAP64\n"
     assert points(text)["Faults"].type is PointType.UINT32
-    assert (
-        "rows with bits in several registers, taken as a whole number, since only one register "
-        "can have named bits: 3, 4"
-    ) in imported(text).remarks
+    assert ("rows 3-4: bits in several registers cannot have names, so a whole number") in imported(
+        text
+    ).remarks
 
 
 def test_what_becomes_of_the_range_of_a_scaled_value_is_said() -> None:
@@ -483,11 +518,10 @@ def test_what_becomes_of_the_range_of_a_scaled_value_is_said() -> None:
         "Address,Name,Type,Scale,Min,Max,Default\n"
         "0,Flow,U16,0.1,0,100,\n1,Count,U16,1,0,100,5\n2,Level,U16,0.1,,,7\n3,T,U16,0.1,,,\n"
     )
-    assert points(text)["Flow"].note == "range in the list: 0..100"
+    assert points(text)["Flow"].note == "minimum in the list: 0; maximum in the list: 100"
     assert points(text)["Count"].maximum == 100
     assert (
-        "rows with a range or default that is kept as a note, since the list does not say whether "
-        "it is before or after scaling: 2, 4"
+        "rows 2, 4: range or default kept as a note: it may be before or after scaling"
     ) in imported(text).remarks
 
 
@@ -500,10 +534,7 @@ def test_values_with_their_meaning_in_a_column_of_ranges_are_texts() -> None:
     assert (found["Betrieb"].texts, found["Betrieb"].note) == ({0: "Aus", 1: "Heizen"}, None)
     assert found["Druck"].maximum == 100
     assert found["Art"].note == "range: nach Modell"
-    assert (
-        "row with a range or values that cannot be read, kept as a note: 4"
-        in imported(text).remarks
-    )
+    assert "row 4: range or values in words, kept as a note" in imported(text).remarks
 
 
 def test_meanings_in_both_columns_are_both_kept() -> None:
@@ -512,9 +543,9 @@ def test_meanings_in_both_columns_are_both_kept() -> None:
     assert (mode.texts, mode.note) == ({0: "Aus", 1: "Ein"}, "range: 0=off, 1=on")
 
 
-def test_what_the_user_says_of_addresses_is_given_as_the_reason() -> None:
-    said = imported("Address,Name\n5,a\n", counting=Counting.ONE_BASED).remarks
-    assert any("are one-based, since you said so: 5 is address 4" in one for one in said)
+def test_what_the_user_says_of_addresses_is_no_guess() -> None:
+    said = imported("Address,Name\n5,a\n", addresses=AddressStyle.ONE_BASED).remarks
+    assert not any("on the wire" in one for one in said)
 
 
 def test_control_characters_of_a_list_come_to_nothing() -> None:

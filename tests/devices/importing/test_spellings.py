@@ -68,7 +68,21 @@ def test_registers_decide_where_the_spelling_does_not(
 
 @pytest.mark.parametrize(
     "spelling",
-    ["", "FLOTE", "u4", "16", "x", "uint", "s", "INT24", "FLOAT16", "date time", "int3264"],
+    [
+        "",
+        "FLOTE",
+        "u4",
+        "16",
+        "x",
+        "uint",
+        "s",
+        "INT24",
+        "FLOAT16",
+        "DATETIME",
+        "U16x2",
+        "date time",
+        "int3264",
+    ],
 )
 def test_what_is_not_known_whole_is_no_type(spelling: str) -> None:
     known = {"uint": "uint16", "s": None}
@@ -98,6 +112,10 @@ def test_a_string_may_say_its_length(spelling: str, length: int, is_registers: b
         ("INT32 word swap", "int32", LOW_HIGH),
         ("UINT32 byte-swap", "uint32", HIGH_SWAPPED),
         ("float inverse", "float32", LOW_HIGH),
+        ("UINT32 (big-endian, word swapped)", "uint32", LOW_HIGH),
+        ("UINT32 (low word first)", "uint32", LOW_HIGH),
+        ("INT32, high word first", "int32", HIGH_LOW),
+        ("UINT32 (niederwertiges Wort zuerst)", "uint32", LOW_HIGH),
     ],
 )
 def test_a_type_may_bring_its_order_along(spelling: str, type_: str, order: Order) -> None:

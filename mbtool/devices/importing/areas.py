@@ -1,0 +1,79 @@
+"""Makes areas of the points of a register list."""
+
+# Areas are the ranges that the list names. If fewer than MAX_HOLE addresses between two rows are
+# not listed the area goes on, since masters read over such holes and most devices let them.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from mbtool.devices.model import Access, Area, FunctionRule, Point
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from mbtool.devices.importing.points import RowPoint
+
+MAX_HOLE = 16
+"""An area ends before a hole of this many addresses that the list leaves out."""
+
+_READ_FUNCTIONS = {
+    known.table: code
+    for code, known in FUNCTIONS.items()
+    if known.table is not None and not known.writes
+}
+_WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
+
+
+def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
+    """The areas, the points with the rights that differ from their area's, and the functions.
+
+    Functions are those that the list names, and those by which its tables are read and written.
+    """
+    runs: list[list[RowPoint]] = []
+    for one in made:
+        if runs and _goes_on(runs[-1][-1], one):
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    areas: list[Area] = []
+    points: list[Point] = []
+    codes: set[int] = set()
+    for run in runs:
+        area = _area(run, {each.name for each in areas})
+        areas.append(area)
+        for one in run:
+            access = one.area.access if one.area.access is not area.access else None
+            points.append(replace(one.point, access=access))
+        codes |= _functions(run, area)
+    return areas, points, {f"{code:02X}": FunctionRule() for code in sorted(codes)}
+
+
+def _goes_on(last: RowPoint, one: RowPoint) -> bool:
+    same = last.area.table is one.area.table and last.area.notation == one.area.notation
+    return same and one.point.address - last.end < MAX_HOLE
+
+
+def _area(run: Sequence[RowPoint], taken: Collection[str]) -> Area:
+    """The area of a run; a name that is taken, since numbers repeat, has the address behind it."""
+    rights = {one.area.access for one in run}
+    access = rights.pop() if len(rights) == 1 else Access.READ_WRITE
+    area = replace(run[0].area, last=run[-1].end - 1, access=access)
+    words = area.table.value.replace("_", " ")
+    name = words if area.last > area.first else words.removesuffix("s")
+    name = f"{name} {area.span(area.first, area.last)}"
+    return replace(area, name=f"{name}, from address {area.first}" if name in taken else name)
+
+
+def _functions(run: Sequence[RowPoint], area: Area) -> set[int]:
+    cells = [one.row.table for one in run]
+    codes = {code for cell in cells if cell is not None for code in cell.functions}
+    if area.access.allows(writing=False):
+        codes.add(_READ_FUNCTIONS[area.table])
+    if area.access.allows(writing=True) and not any(FUNCTIONS[code].writes for code in codes):
+        codes.update(_WRITE_FUNCTIONS[area.table])
+    return codes

@@ -1,0 +1,125 @@
+"""Gives each row of a register list its table, its address on the wire and its notation."""
+
+# A row's table is what its number says (4x0001, HR1, 40001), else what its own column or the
+# heading above it says, else what the user says. If none of them tells, registers are holding
+# registers, and a yes or no is a coil. What number and row say must agree.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.devices.importing.addresses import decide_style, table_and_base
+from mbtool.devices.importing.options import AddressStyle, ImportOptions
+from mbtool.devices.model import Access, Area
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.devices.importing.columns import Column
+    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.rows import ListRow
+
+_READ_WRITE_REGISTERS = 0x17
+
+
+class LocatedRow(NamedTuple):
+    """A row whose table and address on the wire are known."""
+
+    row: ListRow
+    area: Area
+    """An area of this one address, which says how the list writes it."""
+
+
+def locate_rows(
+    rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
+) -> list[LocatedRow]:
+    """Locate the rows; one that has no place is a problem. `column` has the addresses."""
+    style = _style(rows, column, options, report)
+    digits: dict[object, set[int]] = {}
+    for row in rows:
+        digits.setdefault(row.address.notation, set()).add(row.address.digits)
+    located: list[LocatedRow] = []
+    for row in rows:
+        try:
+            table, base = _place(row, style, options.table)
+        except ValueError as problem:
+            report.add_problem(row.row, column.heading, row.address.text, str(problem))
+            continue
+        if table is None:
+            table = _usual_table(row)
+            report.tell(f"no table named, taken as {table} (--table says otherwise)", row.row)
+        access = row.access or _usual_access(row, table)
+        if access is Access.READ_WRITE and row.access is None and not _functions(row):
+            report.tell("no access named, taken as read and write", row.row)
+        shown, at = row.address, row.address.number - base
+        width = shown.digits if digits[shown.notation] == {shown.digits} else 0
+        area = Area(
+            name="", table=table, first=at, last=at, access=access,
+            prefix=shown.prefix, base=base, radix=shown.radix, suffix=shown.suffix,
+            width=width if shown.prefix or not shown.is_decimal else 0,
+        )  # fmt: skip
+        located.append(LocatedRow(row, area))
+    return located
+
+
+def _style(
+    rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
+) -> AddressStyle:
+    """What the decimal addresses of the list are."""
+    decimal = [
+        (row.address, _said_table(row, options.table))
+        for row in rows
+        if row.address.is_decimal and not row.address.counts_from_1_always
+    ]
+    if options.addresses is not None or not decimal:
+        return options.addresses or AddressStyle.ZERO_BASED
+    style, why = decide_style(decimal, column.hint)
+    first = decimal[0][0]
+    _, base = table_and_base(first, style)
+    report.tell(
+        f"addresses are {style}, as {why}: {first.text} is address "
+        f"{first.number - base} on the wire (--addresses says otherwise)"
+    )
+    return style
+
+
+def _said_table(row: ListRow, table: Table | None) -> Table | None:
+    return row.table.table if row.table is not None else table
+
+
+def _place(row: ListRow, style: AddressStyle, table: Table | None) -> tuple[Table | None, int]:
+    """The table, if anything tells, and the number of address 0. Raises ValueError if none fits."""
+    by_number, base = table_and_base(row.address, style)
+    address = row.address.number - base
+    if not 0 <= address <= 0xFFFF:
+        raise ValueError(f"would be address {address} on the wire; addresses are 0 to 65535")
+    by_row = _said_table(row, table)
+    if by_number is not None and by_row is not None and by_number is not by_row:
+        raise ValueError(f"is in {by_number} by its number, but in {by_row} by its row")
+    found = by_number or by_row
+    if found is not None and not found.is_writable and row.access not in (None, Access.READ):
+        raise ValueError(f"is in {found}, which cannot be written, but its row says {row.access}")
+    return found, base
+
+
+def _usual_table(row: ListRow) -> Table:
+    if row.type is None or not row.type.is_switch:
+        return Table.HOLDING_REGISTERS
+    return Table.DISCRETE_INPUTS if row.access is Access.READ else Table.COILS
+
+
+def _functions(row: ListRow) -> tuple[int, ...]:
+    return row.table.functions if row.table is not None else ()
+
+
+def _usual_access(row: ListRow, table: Table) -> Access:
+    """What a master may do with a row that does not say it: by its functions, else its table."""
+    functions = _functions(row)
+    if not table.is_writable:
+        return Access.READ
+    if not functions or _READ_WRITE_REGISTERS in functions:
+        return Access.READ_WRITE
+    writes = {FUNCTIONS[code].writes for code in functions}
+    return Access.READ_WRITE if len(writes) > 1 else Access("w" if writes.pop() else "r")

@@ -1,0 +1,69 @@
+"""What the user says of a register list, so that it need not be guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from mbtool.core.errors import UsageError
+from mbtool.devices.importing.columns import SYNONYMS, Meaning
+from mbtool.devices.model import WordOrder
+from mbtool.modbus.tables import Table
+
+
+class AddressStyle(StrEnum):
+    """What the numbers in the column of addresses are."""
+
+    ZERO_BASED = "zero-based"
+    """Addresses on the wire, counted from 0."""
+    ONE_BASED = "one-based"
+    """Numbers counted from 1, one more than the address on the wire."""
+    REFERENCES = "references"
+    """40001 or 300012: the first digit stands for the table, the others count from 1."""
+    HEXADECIMAL = "hexadecimal"
+    """Addresses on the wire, written in hexadecimal digits without a sign that they are."""
+
+
+class Scaling(StrEnum):
+    """What the numbers in a column of factors are for."""
+
+    MULTIPLY = "multiply"
+    DIVIDE = "divide"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportOptions:
+    """What the user says of the list; None where it is left to the list."""
+
+    columns: Mapping[Meaning, str] = field(default_factory=dict)
+    """The heading of the column that holds a meaning."""
+    addresses: AddressStyle | None = None
+    table: Table | None = None
+    """The table of rows that name none."""
+    scaling: Scaling | None = None
+    word_order: WordOrder | None = None
+    """The word order of values that name none."""
+    skip_bad: bool = False
+    """True to leave out rows that cannot be read, False to make no profile then."""
+
+
+def parse_columns(said: Sequence[str]) -> dict[Meaning, str]:
+    """Read `address=Modbus-Adresse` and its like. Raises UsageError."""
+    columns: dict[Meaning, str] = {}
+    for one in said:
+        word, equals, heading = (part.strip() for part in one.partition("="))
+        if not equals or not heading:
+            raise UsageError(f"--column {one}: is not MEANING=HEADING, as address=Register is")
+        meaning = SYNONYMS.get(word) or next((each for each in Meaning if each == word), None)
+        if meaning is None:
+            raise UsageError(f"--column {one}: '{word}' is no meaning; these are: {_MEANINGS}")
+        if meaning in columns:
+            raise UsageError(f"--column {one}: '{columns[meaning]}' is named for {meaning} already")
+        if heading in columns.values():
+            raise UsageError(f"--column {one}: '{heading}' is named for another meaning already")
+        columns[meaning] = heading
+    return columns
+
+
+_MEANINGS = ", ".join(sorted({*Meaning, *SYNONYMS}))

@@ -1,0 +1,59 @@
+"""Collects what an import tells the user: what it took for granted, and which rows are wrong."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+MAX_PROBLEMS = 100
+"""How many different problems have a line of their own; one more line names all other rows."""
+
+_SHOWN = 40
+"""How many characters of a cell are shown."""
+
+
+class ImportReport:
+    """The remarks on one list, and the problems of its rows."""
+
+    def __init__(self) -> None:
+        self._remarks: dict[str, list[int]] = {}
+        self._problems: dict[str, set[int]] = {}
+        self.bad_rows: set[int] = set()
+
+    def tell(self, remark: str, row: int | None = None) -> None:
+        """Note a remark on the list or on a row; the rows of equal remarks are told together."""
+        self._remarks.setdefault(remark, []).extend(() if row is None else (row,))
+
+    def add_problem(self, row: int, heading: str | None, text: str, problem: str) -> None:
+        """Note what is wrong with a cell, so that no profile is made of its row."""
+        self.bad_rows.add(row)
+        shown = " ".join(text.split())
+        shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
+        where = f', column "{heading}"' if heading is not None else ""
+        self._problems.setdefault(f"{where}: {shown!r} {problem}", set()).add(row)
+
+    @property
+    def remarks(self) -> list[str]:
+        return [f"{_rows(rows)}: {one}" if rows else one for one, rows in self._remarks.items()]
+
+    @property
+    def problem_lines(self) -> list[str]:
+        """The problems in the order of their rows; every bad row is named."""
+        known = sorted(self._problems.items(), key=lambda one: min(one[1]))
+        lines = [f"{_rows(rows)}{problem}" for problem, rows in known[:MAX_PROBLEMS]]
+        others = set[int]().union(*(rows for _, rows in known[MAX_PROBLEMS:]))
+        return [*lines, f"{_rows(others)}: other problems like these"] if others else lines
+
+
+def _rows(numbers: Iterable[int]) -> str:
+    """`row 2`, or `rows 2, 5-8`."""
+    runs: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    parts = [str(first) if first == last else f"{first}-{last}" for first, last in runs]
+    return f"row{'s' if parts != [str(runs[0][0])] else ''} {', '.join(parts)}"
