@@ -169,10 +169,15 @@ class BusModel:
 
         `inside_ns` is the longest silence in it.
         """
-        role, state = classification.direction, self.state
-        self._learn(state, classification, unit, pdu, start_ns)
+        role, state, history = classification.direction, self.state, self.history
+        is_sure = classification.confidence >= SURE
+        if role is Direction.REQUEST:
+            if is_sure:
+                history.learn_request(state, unit, pdu, classification.by is DirectionBy.FORM)
+        elif history.trusts_silences and state.pending and state.pending.fits(unit, pdu):
+            history.learn_latency(state.pending, pdu, start_ns, is_sure)
         if state.settles_silence(role, start_ns, inside_ns):
-            self.history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
+            history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
         frame = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
         if len(self.states) == 1 and classification.confidence >= NO_RIVAL_CONFIDENCE:
@@ -185,20 +190,6 @@ class BusModel:
             rivals = self._states_after(unit, pdu, other, start_ns, end_ns, inside_ns, by_form)
             states += [(bits + extra, rival) for bits, rival in rivals]
         self.states = most_likely(states)
-
-    def _learn(
-        self, state: BusState, classification: Classification, unit: int, pdu: bytes, start_ns: int
-    ) -> None:
-        is_sure = classification.confidence >= SURE
-        if classification.direction is Direction.REQUEST:
-            if is_sure:
-                by_form = classification.by is DirectionBy.FORM
-                self.history.learn_request(state, unit, pdu, by_form=by_form)
-        elif self.history.trusts_silences:
-            pending = state.pending
-            if pending is not None and pending.fits(unit, pdu):
-                latency_ns = start_ns - pending.awaited_from_ns
-                self.history.learn_latency(pending, pdu, latency_ns, is_sure=is_sure)
 
     def _states_after(
         self,

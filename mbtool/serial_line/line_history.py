@@ -45,7 +45,7 @@ class LineHistory:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
-    def learn_request(self, state: BusState, unit: int, pdu: bytes, *, by_form: bool) -> None:
+    def learn_request(self, state: BusState, unit: int, pdu: bytes, by_form: bool) -> None:
         """Learn from a request that came in a bus state. `by_form`: it can be nothing else."""
         self.functions.add((unit, pdu[0]))
         self.units.add(unit)
@@ -60,9 +60,10 @@ class LineHistory:
             self.retry.learn(pending is not None and pending.is_same(unit, pdu))
 
     def learn_latency(
-        self, pending: PendingRequest, pdu: bytes, latency_ns: int, *, is_sure: bool
+        self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
     ) -> None:
-        """Learn how long the response to a request took."""
+        """Learn how long the response took that began at `start_ns`."""
+        latency_ns = start_ns - pending.awaited_from_ns
         if pdu != pending.pdu and is_sure:
             self.latency.learn(latency_ns)
         elif latency_ns < LatencyStatistics.MIN_RETRY_NS:  # Otherwise it may have been a retry.
