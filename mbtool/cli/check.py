@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Protocol, TextIO
 
 import typer
 
+from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
-    LineOption,
-    PortOption,
     RawOption,
-    RtuPortOption,
-    T15Option,
-    T35Option,
+    TimedSourceOptions,
 )
 
 if TYPE_CHECKING:
@@ -38,11 +35,13 @@ _SUFFIXES = {
 }
 
 
+@takes_groups
 def check(
     files: Annotated[
         list[str],
         typer.Argument(metavar="FILE", help="Captures and logs, as for decode."),
     ],
+    *,
     device: DeviceOption = None,
     select: Annotated[
         list[str] | None,
@@ -78,11 +77,7 @@ def check(
         bool, typer.Option("--all", help="In a table, a line for each finding, not for each code.")
     ] = False,
     raw: RawOption = False,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
-    t1_5: T15Option = None,
-    t3_5: T35Option = None,
+    source: TimedSourceOptions,
 ) -> None:
     """Find what breaks a rule of Modbus or of a device's manual.
 
@@ -90,7 +85,6 @@ def check(
     1 means that there are findings, 0 that there are none. docs/findings.md explains each code.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.options import reading_options
     from mbtool.cli.output import (
         demand_other_file,
         format_by_name,
@@ -102,9 +96,7 @@ def check(
     from mbtool.core import InputError
     from mbtool.workflows.check import Checking, Selection
 
-    options = reading_options(
-        device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
-    )
+    options = source.read(device, raw=raw)
     checking = Checking(files, options, Selection.parse(select or (), ignore or ()))
     checking.demand_selection()
     demand_other_file(files, output)

@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EventsOption,
     Format,
-    LineOption,
-    PortOption,
     RawOption,
-    RtuPortOption,
-    T15Option,
-    T35Option,
+    TimedSourceOptions,
     WhereOption,
 )
 from mbtool.cli.progress import with_progress
@@ -35,6 +32,7 @@ _LOOK_AGAIN_S = 0.2
 """How often --follow looks whether the log has grown."""
 
 
+@takes_groups
 def decode(
     files: Annotated[
         list[str],
@@ -45,6 +43,7 @@ def decode(
             "captures are read as parts of one.",
         ),
     ],
+    *,
     device: DeviceOption = None,
     where: WhereOption = None,
     format_: Annotated[
@@ -67,28 +66,22 @@ def decode(
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
     ] = False,
     raw: RawOption = False,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
-    t1_5: T15Option = None,
-    t3_5: T35Option = None,
+    source: TimedSourceOptions,
     events: EventsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
-    from mbtool.cli.options import condition, reading_options
+    from mbtool.cli.options import condition
     from mbtool.cli.output import demand_other_file, open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError, UsageError
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading, followed
 
-    if follow and (raw or link is not None or len(files) > 1):
+    if follow and (raw or source.link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
     demand_other_file(files, output)
     wanted = condition(where)
-    options = reading_options(
-        device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
-    )
+    options = source.read(device, raw=raw)
     reading = Reading(files, options)
 
     def profile_for(one: NamedTransaction) -> Profile | None:

@@ -14,7 +14,8 @@ from typer.core import TyperGroup
 
 from mbtool.cli.command import Command
 from mbtool.cli.devices_own import draft, export, import_, new, schema
-from mbtool.cli.options import LineOption, PortOption, RtuPortOption
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import SourceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,8 +59,10 @@ devices.command("schema", cls=Command)(schema)
 
 
 @devices.callback(invoke_without_command=True)
+@takes_groups
 def _devices(
     context: typer.Context,
+    *,
     matched: Annotated[
         str | None,
         typer.Option(
@@ -72,14 +75,11 @@ def _devices(
     format_: Annotated[
         MatchFormat, typer.Option("--format", help="How to print what --match says.")
     ] = MatchFormat.TABLE,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
+    source: SourceOptions,
 ) -> None:
-    from mbtool.cli.options import reading_options
     from mbtool.core import UsageError
 
-    is_about_match = port or rtu_port or link or format_ is not MatchFormat.TABLE
+    is_about_match = source != SourceOptions() or format_ is not MatchFormat.TABLE
     if matched is None:
         if is_about_match:
             raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
@@ -88,7 +88,7 @@ def _devices(
         return
     if context.invoked_subcommand not in (None, _SHOW):
         raise UsageError(f"--match does not go with {context.invoked_subcommand}")
-    options = reading_options(port=port, rtu_port=rtu_port, link=link)
+    options = source.read()
     if context.invoked_subcommand is None:
         _match(matched, (), options, format_)
     else:

@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
+from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
-    LineOption,
-    PortOption,
     RawOption,
-    RtuPortOption,
+    SourceOptions,
     WhereOption,
 )
 
@@ -24,11 +23,13 @@ class DiffFormat(StrEnum):
     JSON = "json"
 
 
+@takes_groups
 def diff(
     a: Annotated[
         str, typer.Argument(metavar="A", help="A log or a capture, as for decode: how it was.")
     ],
     b: Annotated[str, typer.Argument(metavar="B", help="The one that is held against it.")],
+    *,
     device: DeviceOption = None,
     where: WhereOption = None,
     ignore: Annotated[
@@ -47,9 +48,7 @@ def diff(
         DiffFormat, typer.Option("--format", help="How to print.")
     ] = DiffFormat.TABLE,
     raw: RawOption = False,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
+    source: SourceOptions,
 ) -> None:
     """Compare two captures by meaning; exit 1 when they differ.
 
@@ -61,13 +60,13 @@ def diff(
 
     from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.options import condition, reading_options
+    from mbtool.cli.options import condition
     from mbtool.cli.talk import say
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.diff import DiffOptions, compare
 
     options = DiffOptions(
-        reading=reading_options(device=device, port=port, rtu_port=rtu_port, link=link, raw=raw),
+        reading=source.read(device, raw=raw),
         wanted=condition(where),
         ignore=ignore or (),
         latency=latency,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,6 +17,9 @@ if TYPE_CHECKING:
     from mbtool.devices import Assignments
     from mbtool.query.where import Where
     from mbtool.workflows.shared.reading import ReadingOptions
+
+
+_TCP_PORTS = range(1, 0x10000)
 
 
 class Format(StrEnum):
@@ -116,30 +122,42 @@ RemoteOption = Annotated[
 ]
 
 
-def reading_options(
-    *,
-    device: Sequence[str] | None = None,
-    port: Sequence[str] | None = None,
-    rtu_port: Sequence[str] | None = None,
-    link: str | None = None,
-    t1_5: str | None = None,
-    t3_5: str | None = None,
-    raw: bool = False,
-) -> ReadingOptions:
-    """How files are read, by the options of those names. Raises UsageError, ProfileError."""
-    from mbtool.workflows.shared.reading import ReadingOptions
+@dataclass(frozen=True, slots=True)
+class SourceOptions(OptionGroup):
+    """How captures and logs are read."""
 
-    ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
-    return ReadingOptions(
-        assignments=assignments(device),
-        ports=ports,
-        rtu_ports=rtu_ports,
-        any_port=any_port,
-        line=file_line(link),
-        t1_5=silence("--t1-5", t1_5),
-        t3_5=silence("--t3-5", t3_5),
-        raw=raw,
-    )
+    port: PortOption = None
+    rtu_port: RtuPortOption = None
+    link: LineOption = None
+
+    def read(self, device: Sequence[str] | None = None, *, raw: bool = False) -> ReadingOptions:
+        """With --device and --raw of the same command. Raises UsageError, ProfileError."""
+        from mbtool.workflows.shared.reading import ReadingOptions
+
+        ports, rtu_ports, any_port = tcp_ports(self.port, self.rtu_port)
+        return ReadingOptions(
+            assignments=assignments(device),
+            ports=ports,
+            rtu_ports=rtu_ports,
+            any_port=any_port,
+            line=file_line(self.link),
+            raw=raw,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TimedSourceOptions(SourceOptions):
+    """The same, and the silences of serial lines."""
+
+    t1_5: T15Option = None
+    t3_5: T35Option = None
+
+    def read(self, device: Sequence[str] | None = None, *, raw: bool = False) -> ReadingOptions:
+        return replace(
+            SourceOptions.read(self, device, raw=raw),
+            t1_5=silence("--t1-5", self.t1_5),
+            t3_5=silence("--t3-5", self.t3_5),
+        )
 
 
 def tcp_ports(
@@ -160,14 +178,10 @@ def tcp_ports(
     return ports, rtu_ports, "any" in texts
 
 
-def _tcp_port(option: str, text: str, other: str = "") -> int:
-    from mbtool.core import UsageError
+def _tcp_port(option: str, text: str, others: str = "") -> int:
+    from mbtool.core.numbers import parse_number
 
-    if text.isascii() and text.isdecimal() and len(text) <= 5 and 0 < int(text) < 1 << 16:
-        return int(text)
-    raise UsageError(
-        f"Invalid value for '{option}': {text!r}; write a number from 1 to 65535{other}"
-    )
+    return parse_number(text, "TCP port", _TCP_PORTS, f"Invalid value for '{option}'", others)
 
 
 def assignments(devices: Sequence[str] | None) -> Assignments:

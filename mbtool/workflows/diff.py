@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.core import InputError, WireEvent
 from mbtool.devices import Difference, NamedTransaction, Span, parse_span
 from mbtool.replay import Ignored, Traffic, differences
+from mbtool.workflows.shared.read_all import read_all
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -70,15 +71,13 @@ def compare(
 def _traffic(
     path: str, reading: Reading, options: DiffOptions, on_remark: Callable[[str], None]
 ) -> Traffic:
+    def say(remark: str) -> None:
+        on_remark(remark if path in remark else f"{path}: {remark}")
+
     traffic = Traffic()
-    try:
-        for record in reading.records():
-            if not isinstance(record, WireEvent) and options.wanted(record):
-                traffic.add(record)
-    except (CutError, DamageError) as error:
-        on_remark(f"{error}; comparing what is there")
-    for remark in reading.remarks:
-        on_remark(f"{path}: {remark}" if path not in remark else remark)
+    for record in read_all(reading, say, "{error}; comparing what is there"):
+        if not isinstance(record, WireEvent) and options.wanted(record):
+            traffic.add(record)
     return traffic
 
 

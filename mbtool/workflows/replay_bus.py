@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
-from fractions import Fraction
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialLink, UsageError
-from mbtool.devices import NamedTransaction
 from mbtool.ports.serial_opening import open_port, port_in_use
-from mbtool.replay import BusPlayer, PlayClock, Steering, TimeRange
+from mbtool.replay import BusPlayer, PlayClock, Steering
 from mbtool.workflows.shared.bus_recording import read_pieces
-from mbtool.workflows.shared.reading import ReadingOptions
-from mbtool.workflows.shared.recorded import unwatched
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import PlayOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.replay import PlayerControls
-    from mbtool.workflows.shared.recorded import Watch
+    from mbtool.workflows.shared.read_all import Watch
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
@@ -28,15 +27,10 @@ _LOOK_NS = 30_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BusOptions:
+class BusOptions(PlayOptions):
     """How a recording is played as the bus."""
 
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
-    rate: Fraction | None = Fraction(1)
-    """Recorded time for each real time; None: as fast as the line carries it."""
     is_loop: bool = False
-    window: TimeRange = field(default_factory=TimeRange)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +69,7 @@ class BusRun:
         """Read the recording. Raises InputError where there is nothing to play, UsageError."""
         self._options = options
         self._link = link
-        self.pieces = read_pieces(
-            path, options.reading, options.wanted, options.window, link, on_remark, watch
-        )
+        self.pieces = read_pieces(path, options, link, on_remark, watch)
 
     @property
     def length_ns(self) -> int:

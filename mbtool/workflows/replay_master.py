@@ -6,13 +6,12 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import CutError, DamageError, InputError
-from mbtool.devices import Difference, NamedTransaction, Span, parse_span, write_reference
+from mbtool.core import InputError
+from mbtool.devices import Difference, Span, parse_span, write_reference
 from mbtool.master.links import open_master
 from mbtool.replay import (
     Conductor,
@@ -23,17 +22,16 @@ from mbtool.replay import (
     Script,
     Steering,
     Step,
-    TimeRange,
     Tolerance,
 )
 from mbtool.views.junit import Case, junit_xml
-from mbtool.workflows.shared.reading import ReadingOptions
-from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none, within
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none, within
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.devices import Profile
-    from mbtool.workflows.shared.recorded import Watch
+    from mbtool.workflows.shared.read_all import Watch
 
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
@@ -43,15 +41,10 @@ _STEERED_NS = 30_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MasterOptions:
+class MasterOptions(PlayOptions):
     """How a recording is played as the master."""
 
-    reading: ReadingOptions
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
-    rate: Fraction | None = Fraction(1)
-    """Recorded time for each real time; None: as fast as answers come."""
     is_loop: bool = False
-    window: TimeRange = field(default_factory=TimeRange)
     timeout_ns: int = _NS
     ignore: Sequence[str] = ()
     """Ranges of registers whose values may differ."""
@@ -97,10 +90,7 @@ class MasterRun:
         self._on_remark = on_remark
         self._options = options
 
-        def on_cut(error: CutError | DamageError) -> None:
-            on_remark(f"mbtool: {error}; playing what is there")
-
-        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
+        recorded = read_recorded(path, options, on_remark, watch)
         profiles = recorded.assignments.profiles
         self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
         self.script = Script.of(within(recorded.transactions, options.window))

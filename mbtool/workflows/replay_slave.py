@@ -6,14 +6,12 @@ import random
 import re
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, SerialLink, UsageError
-from mbtool.devices import NamedTransaction
 from mbtool.modbus import Transport
 from mbtool.replay import (
     FixedLatency,
@@ -25,22 +23,24 @@ from mbtool.replay import (
     RecordedSlave,
     Recording,
     SampledLatency,
-    TimeRange,
 )
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
-from mbtool.workflows.shared.reading import ReadingOptions
-from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none
 
 if TYPE_CHECKING:
-    from mbtool.core import CutError, DamageError, LinkSpec, TcpLink
+    from collections.abc import Callable
+
+    from mbtool.core import LinkSpec, TcpLink
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response, Table
     from mbtool.replay import Control, Progress
     from mbtool.slave.shells import Shell
-    from mbtool.workflows.shared.recorded import Recorded, Watch
+    from mbtool.workflows.shared.read_all import Watch
+    from mbtool.workflows.shared.recorded import Recorded
 
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
@@ -51,17 +51,12 @@ _SEED = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlaveOptions:
+class SlaveOptions(PlayOptions):
     """How a recording is played as the slave."""
 
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
     match: MatchStrategy = MatchStrategy.AUTO
     on_miss: OnMiss = OnMiss.IMAGE
     on_end: OnEnd = OnEnd.LAST
-    rate: Fraction | None = Fraction(1)
-    """Recorded time for each real time; None: without latencies."""
-    window: TimeRange = field(default_factory=TimeRange)
     latency: str = RECORDED
     """Or none, sampled, or a time such as 5ms."""
     with_damage: bool = False
@@ -90,11 +85,7 @@ class SlaveRun:
             )
         self._fixed_ns = _fixed_latency_ns(options.latency)
         self._options = options
-
-        def on_cut(error: CutError | DamageError) -> None:
-            on_remark(f"mbtool: {error}; playing what is there")
-
-        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
+        recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events)
         # What else was read is let go: it is several times as much.

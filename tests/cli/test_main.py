@@ -146,7 +146,10 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["slave", "pump", "--on", "tcp:127.0.0.1:0"], "profile 'pump'"),
         (["slave", "fa3-at1m8x", "--on", "tcp:0.0.0.0:0"], "add --allow-remote"),
         (["slave", "fa3-at1m8x", "--on", "net:lo"], "link net:lo: a slave needs rtu:PORT"),
-        (["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0", "--unit", "256"], "--unit '256'"),
+        (
+            ["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0", "--unit", "256"],
+            "--unit: '256' is no unit",
+        ),
         (["replay", "a", "--on", "tcp:127.0.0.1:0"], "say which side to play: --as-slave"),
         (["replay", "a", "--as-slave", "--on", "tcp:x:y:z"], "is no address; write HOST:PORT"),
         (

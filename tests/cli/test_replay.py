@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.cli.replay import EndChoice, MatchChoice, MissChoice
+from mbtool.cli.replay_options import EndChoice, MatchChoice, MissChoice
 from mbtool.master.poll import TcpPoller
 from mbtool.modbus import rtu_adu
 from mbtool.replay import MatchStrategy, OnEnd, OnMiss

@@ -112,12 +112,12 @@ def test_a_device_has_its_own_rules_for_connections() -> None:
 
 
 def test_exchanges_are_told() -> None:
-    exchanges = SlaveMonitor(TOUCH, LOOPBACK)
-    shell = device_slave(TOUCH, LOOPBACK, 7, exchanges=exchanges)
+    monitor = SlaveMonitor(TOUCH, LOOPBACK)
+    shell = device_slave(TOUCH, LOOPBACK, 7, monitor=monitor)
     assert isinstance(shell, TcpSlave)
     with shell, TcpPoller(shell.endpoint) as master:
         master.ask(7, READ)
-    (transaction,) = exchanges.records()
+    (transaction,) = monitor.records()
     assert isinstance(transaction, NamedTransaction)
     assert transaction.reference == "HR400001"
 
@@ -155,9 +155,14 @@ def test_a_broadcast_on_a_line_reaches_every_device(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("link", "name", "unit", "says"),
     [
-        ("rtu:/dev/absent@9600", "chino-lt830", 100, "chino-lt830 can be 1 to 99"),
-        ("rtu:/dev/absent@9600", "idec-ft1a-touch", 0, "unit 0: on a line .* can be 1 to 247"),
-        ("rtu+tcp:127.0.0.1:0", "idec-ft1a-smartaxis", 248, "can be 1 to 247"),
+        ("rtu:/dev/absent@9600", "chino-lt830", 100, "chino-lt830 can be unit 1 to 99"),
+        (
+            "rtu:/dev/absent@9600",
+            "idec-ft1a-touch",
+            0,
+            "unit 0: on a serial line .* can be unit 1 to 247",
+        ),
+        ("rtu+tcp:127.0.0.1:0", "idec-ft1a-smartaxis", 248, "can be unit 1 to 247"),
     ],
 )
 def test_a_unit_that_a_device_cannot_be_is_refused(

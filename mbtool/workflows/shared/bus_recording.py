@@ -30,16 +30,18 @@ from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
 from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
-from mbtool.replay import ByteRun, TimeRange
+from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
-from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import read_recorded, where_none
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.devices import NamedTransaction
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
-    from mbtool.workflows.shared.recorded import Watch
+    from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
 """No piece is longer, so that a port takes it at once."""
@@ -55,9 +57,7 @@ class Begun(NamedTuple):
 
 def read_pieces(
     path: str,
-    options: ReadingOptions,
-    wanted: Callable[[NamedTransaction], bool],
-    window: TimeRange,
+    options: PlayOptions,
     link: SerialLink,
     on_remark: Callable[[str], None],
     watch: Watch = unwatched,
@@ -66,15 +66,12 @@ def read_pieces(
 
     Raises InputError where there is nothing, UsageError.
     """
-
-    def on_cut(error: CutError | DamageError) -> None:
-        on_remark(f"mbtool: {error}; playing what is there")
-
-    transactions = read_recorded(path, options, wanted, on_cut, on_remark, watch).transactions
+    window = options.window
+    transactions = read_recorded(path, options, on_remark, watch).transactions
     lines = {one.link for one in transactions if one.transport.is_serial}
     _demand_one_line(path, lines, transactions)
     if lines:
-        begun = _of_line(path, options, lines.pop(), link, on_remark)
+        begun = _of_line(path, options.reading, lines.pop(), link, on_remark)
     else:
         begun = _framed(transactions, is_ascii=link.ascii)
         if any(one.unit == 0 and one.response_raw is not None for one in transactions):

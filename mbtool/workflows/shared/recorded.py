@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import CutError, DamageError, UsageError, WireEvent
+from mbtool.core import UsageError, WireEvent
+from mbtool.devices import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.replay import TimeRange
 from mbtool.replay.damaged import DAMAGED_KINDS
+from mbtool.workflows.shared.read_all import Watch, read_all, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from mbtool.decode.decoder import Record
-    from mbtool.devices import Assignments, NamedTransaction
-
-Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
-"""Passes records on, and may show how far their reading has come."""
+    from mbtool.devices import Assignments
 
 
-def unwatched(_: Reading, records: Iterator[Record]) -> Iterator[Record]:
-    return records
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlayOptions:
+    """What is played of a recording, and how fast: the same for each side."""
+
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    rate: Fraction | None = Fraction(1)
+    """Recorded seconds for each real second; None plays as fast as the link allows."""
+    window: TimeRange = field(default_factory=TimeRange)
 
 
 class Recorded(NamedTuple):
@@ -35,32 +42,24 @@ class Recorded(NamedTuple):
 
 def read_recorded(
     path: str,
-    options: ReadingOptions,
-    wanted: Callable[[NamedTransaction], bool],
-    on_cut: Callable[[CutError | DamageError], None],
+    options: PlayOptions,
     on_remark: Callable[[str], None] = lambda _: None,
     watch: Watch = unwatched,
 ) -> Recorded:
     """The transactions of a capture or a log, in the order in which they ended.
 
-    Of a file that is cut or damaged what is there is given, and `on_cut` is told; `on_remark` is
-    told what else there is to know of it. Raises InputError, and UsageError for a unit that is on
-    several links.
+    `on_remark` gets a line where the file is cut or damaged; what could be read is played. Raises
+    InputError, and UsageError for a unit that is on several links.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
-    reading = Reading([path], options)
-    try:
-        for record in watch(reading, reading.records()):
-            if isinstance(record, WireEvent):
-                if record.kind in DAMAGED_KINDS:
-                    damage.append(record)
-            elif wanted(record):
-                transactions.append(record)
-    except (CutError, DamageError) as error:
-        on_cut(error)
-    for remark in reading.remarks:
-        on_remark(remark)
+    reading = Reading([path], options.reading)
+    for record in read_all(reading, on_remark, "mbtool: {error}; playing what is there", watch):
+        if isinstance(record, WireEvent):
+            if record.kind in DAMAGED_KINDS:
+                damage.append(record)
+        elif options.wanted(record):
+            transactions.append(record)
     _demand_one_slave_each(path, transactions)
     return Recorded(transactions, reading.assignments, damage)
 

@@ -14,6 +14,7 @@ from mbtool.query.where import parse_where
 from mbtool.replay import ByteRun, TimeRange
 from mbtool.workflows.shared.bus_recording import MAX_PIECE, read_pieces
 from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.recorded import PlayOptions
 from tests.packets.building import Talk, pcap
 from tests.workflows.evidence import READ, VALUES, capture_file
 
@@ -44,9 +45,9 @@ def _pieces(
     told: list[str] = []
     pieces = read_pieces(
         str(path),
-        options or ReadingOptions(),
-        wanted,
-        window or TimeRange(),
+        PlayOptions(
+            reading=options or ReadingOptions(), wanted=wanted, window=window or TimeRange()
+        ),
         link or _line(),
         told.append,
     )
