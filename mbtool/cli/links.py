@@ -33,9 +33,10 @@ def links(
     the command against it. Nothing is opened, and nothing is changed.
     """
     from mbtool.cli.talk import say
-    from mbtool.workflows.listing import links_here
+    from mbtool.ports.local_ports import local_ports
+    from mbtool.sources.local_interfaces import local_interfaces
 
-    ports, interfaces = links_here()
+    ports, interfaces = local_ports(), local_interfaces()
     if format_ is LinksFormat.JSONL:
         _print_json_lines(ports, interfaces)
     else:

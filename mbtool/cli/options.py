@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -134,12 +134,10 @@ class SourceOptions(OptionGroup):
         """With --device and --raw of the same command. Raises UsageError, ProfileError."""
         from mbtool.workflows.shared.reading import ReadingOptions
 
-        ports, rtu_ports, any_port = tcp_ports(self.port, self.rtu_port)
+        ports = tcp_ports(self.port, self.rtu_port)
         return ReadingOptions(
+            **ports._asdict(),
             assignments=assignments(device),
-            ports=ports,
-            rtu_ports=rtu_ports,
-            any_port=any_port,
             line=file_line(self.link),
             raw=raw,
         )
@@ -160,10 +158,19 @@ class TimedSourceOptions(SourceOptions):
         )
 
 
-def tcp_ports(
-    port: Sequence[str] | None, rtu_port: Sequence[str] | None = None
-) -> tuple[list[int], list[int], bool]:
-    """The ports that --port and --rtu-port name, and whether --port says any. Raises UsageError."""
+class TcpPorts(NamedTuple):
+    """The TCP ports on which Modbus is looked for."""
+
+    ports: list[int]
+    """Ports of Modbus/TCP."""
+    rtu_ports: list[int]
+    """Ports of RTU over TCP."""
+    any_port: bool
+    """True if both are looked for on all other ports, too."""
+
+
+def tcp_ports(port: Sequence[str] | None, rtu_port: Sequence[str] | None = None) -> TcpPorts:
+    """The ports that --port and --rtu-port name. Raises UsageError."""
     from mbtool.core import UsageError
 
     texts = port or ()
@@ -175,7 +182,7 @@ def tcp_ports(
             f"port {both[0]} is named by --port, for Modbus/TCP, and by --rtu-port, for RTU over "
             "TCP; name it by the one that is right"
         )
-    return ports, rtu_ports, "any" in texts
+    return TcpPorts(ports, rtu_ports, "any" in texts)
 
 
 def _tcp_port(option: str, text: str, others: str = "") -> int:

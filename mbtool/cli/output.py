@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.printers import printer_for
 from mbtool.cli.talk import say
-from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
-from mbtool.workflows.shared.tally import CONNECTION_EVENTS, Tally
+from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
+from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,6 +27,18 @@ _STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
 
 F = TypeVar("F")
+
+CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
+"""Events that are no trouble."""
+
+_WORDS = {
+    Outcome.OK: "ok",
+    Outcome.EXCEPTION: "exception",
+    Outcome.NO_ANSWER: "without answer",
+    Outcome.UNSOLICITED: "unsolicited",
+    Outcome.BROADCAST: "broadcast",
+    Outcome.MALFORMED: "malformed",
+}
 
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
@@ -239,3 +253,42 @@ def told_as_lost(name: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts records by what they are."""
+
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    events: Counter[EventKind] = field(default_factory=Counter)
+    ambiguous: int = 0
+
+    def add(self, record: Record) -> None:
+        if isinstance(record, WireEvent):
+            self.events[record.kind] += 1
+        else:
+            self.outcomes[record.outcome] += 1
+            self.ambiguous += Verdict.AMBIGUOUS in record.verdicts
+
+    @property
+    def transactions(self) -> int:
+        return self.outcomes.total()
+
+    def sentence(self) -> str:
+        """`12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
+        text = f"{self.transactions} transaction{'' if self.transactions == 1 else 's'}"
+        parts = [
+            f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
+        ]
+        if parts:
+            text += ": " + ", ".join(parts)
+        if self.ambiguous:
+            text += f" ({self.ambiguous} ambiguous)"
+        troubles = {
+            kind: count for kind, count in self.events.items() if kind not in CONNECTION_EVENTS
+        }
+        if troubles:
+            total = sum(troubles.values())
+            text += f"; {total} event{'' if total == 1 else 's'}: "
+            text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
+        return text

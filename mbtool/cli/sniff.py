@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import partial
+from math import inf
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EventsOption,
@@ -16,18 +19,22 @@ from mbtool.cli.options import (
     T35Option,
     WhereOption,
 )
-from mbtool.cli.tls_options import (
-    TlsCaOption,
-    TlsCertOption,
-    TlsKeyOption,
-    TlsTargetCaOption,
-    TlsTargetCertOption,
-    TlsTargetKeyOption,
-    TlsTargetNameOption,
-    TlsTargetUnverifiedOption,
-)
+from mbtool.cli.tls_options import TlsOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mbtool.cli.options import TcpPorts
+    from mbtool.cli.output import RecordOutput
+    from mbtool.cli.talk import Interrupt
+    from mbtool.core import LinkSpec
+    from mbtool.decode.line_timing import LineTiming
+    from mbtool.devices import Assignments
+    from mbtool.logs import LogWriter, RotatingLog, Rotation
+    from mbtool.workflows.sniff import Sniffer
 
 
+@takes_groups
 def sniff(
     links: Annotated[
         list[str],
@@ -38,6 +45,7 @@ def sniff(
             "side, the slaves' side. rtutap:PORT@...=PORT relays between the ends of a cut line.",
         ),
     ],
+    *,
     write: Annotated[
         str | None,
         typer.Option("--write", "-w", metavar="FILE.mcap", help="Log all that is heard."),
@@ -69,98 +77,39 @@ def sniff(
     t3_5: T35Option = None,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     events: EventsOption = None,
-    tls_cert: TlsCertOption = None,
-    tls_key: TlsKeyOption = None,
-    tls_ca: TlsCaOption = None,
-    tls_target_ca: TlsTargetCaOption = None,
-    tls_target_unverified: TlsTargetUnverifiedOption = False,
-    tls_target_cert: TlsTargetCertOption = None,
-    tls_target_key: TlsTargetKeyOption = None,
-    tls_target_name: TlsTargetNameOption = None,
+    tls: TlsOptions,
 ) -> None:
     """Listen on links, show each transaction as it ends, and log it.
 
     Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
     shown; the log gets everything.
     """
-    from functools import partial
-    from math import inf
-
-    from mbtool.cli.options import assignments, condition, silence, tcp_ports
+    from mbtool.cli.options import assignments, condition, silence
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
-    from mbtool.cli.tls_options import listen_tls, target_tls, with_tls
-    from mbtool.core import InterfaceLink, UsageError, parse_link
+    from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
-    from mbtool.decode.decoder import Decoder
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.devices import Namer
     from mbtool.logs import Rotation
-    from mbtool.logs.opening import begin_log, demand_log
-    from mbtool.ports.clock import now_ns
-    from mbtool.ports.tls import why_outdated
-    from mbtool.workflows.settling import settled
-    from mbtool.workflows.shared.model_hints import ModelHints
-    from mbtool.workflows.shared.reading import DEFAULT_PORT
-    from mbtool.workflows.sniff import Sniffer, serial_lines
+    from mbtool.logs.opening import demand_log
+    from mbtool.workflows.sniff import serial_lines, with_settings
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
-    specs = with_tls(
-        [parse_link(link, HEARD) for link in links],
-        listen_tls(tls_cert, tls_key, tls_ca),
-        target_tls(
-            tls_target_ca,
-            tls_target_cert,
-            tls_target_key,
-            tls_target_name,
-            unverified=tls_target_unverified,
-        ),
-    )
-    for option, cert in (("--tls-cert", tls_cert), ("--tls-target-cert", tls_target_cert)):
-        if cert is not None and (why := why_outdated(option, cert)) is not None:
-            say(f"mbtool: {why}")
+    specs = tls.on_taps([parse_link(link, HEARD) for link in links])
+    for warning in tls.warnings():
+        say(f"mbtool: {warning}")
     devices, wanted = assignments(device), condition(where)
-    ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
-    ports = ports or [DEFAULT_PORT]
-    if port and not any_port and not any(isinstance(one, InterfaceLink) for one in specs):
-        say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
+    ports = _ports(specs, port, rtu_port)
     timing = LineTiming(devices, silence("--t1-5", t1_5), silence("--t3-5", t3_5))
     rotation = None if rotate is None else Rotation.parse(rotate)
-    # To find settings may take minutes: what cannot be done is said before.
+    # Finding the settings of a line may take minutes, so errors are raised before it begins.
     serial_lines(specs)
     if write is not None:
         demand_log(write, overwrite=overwrite)
-    specs = timing.given(settled(specs, say))
-    sniffer = Sniffer(
-        specs,
-        Decoder(
-            Namer(devices),
-            lines=serial_lines(specs),
-            timing=timing,
-            ports=ports,
-            rtu_ports=rtu_ports,
-            any_port=any_port,
-        ),
-        begin_log=None
-        if write is None
-        else partial(
-            begin_log,
-            write,
-            specs,
-            devices,
-            ports=ports,
-            rtu_ports=rtu_ports,
-            any_port=any_port,
-            rotation=rotation,
-            overwrite=overwrite,
-        ),
-        ports=[] if any_port else [*ports, *rtu_ports],
-        on_lost=lambda error: say(f"mbtool: {error}"),
-        on_discarded=lambda event: say(f"mbtool: {event.link}: {event.message}"),
-        on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),
-    )
-    hints = ModelHints(devices.profile_for)
+    specs = timing.given(with_settings(specs, say))
+    log = None if write is None else _LogOptions(write, rotation, overwrite)
+    sniffer = _sniffer(specs, timing, ports, log)
     with (
         interruptible() as interrupt,
         sniffer,
@@ -175,18 +124,87 @@ def sniff(
         ) as out,
     ):
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
-        end_ns = inf if duration is None else now_ns() + duration * 1e9
-
-        def stop(at_ns: int) -> bool:
-            out.wait()
-            return interrupt.asked or out.is_full or at_ns >= end_ns
-
-        for record in sniffer.records(stop):
-            if (hint := hints.note(record)) is not None:
-                say(f"mbtool: {hint}")
-            if not out.is_full:
-                out.add(record)
+        _show(sniffer, out, devices, _end(interrupt, out, duration))
     if write is not None:
         say(f"log: {write}")
     if interrupt.asked:
         raise KeyboardInterrupt
+
+
+class _LogOptions(NamedTuple):
+    path: str
+    rotation: Rotation | None
+    overwrite: bool
+
+
+def _ports(
+    links: Sequence[LinkSpec], port: Sequence[str] | None, rtu_port: Sequence[str] | None
+) -> TcpPorts:
+    """The TCP ports of --port and --rtu-port, 502 where there are none. Raises UsageError."""
+    from mbtool.cli.options import tcp_ports
+    from mbtool.cli.talk import say
+    from mbtool.core import InterfaceLink
+    from mbtool.workflows.shared.reading import DEFAULT_PORT
+
+    given = tcp_ports(port, rtu_port)
+    if port and not given.any_port and not any(isinstance(one, InterfaceLink) for one in links):
+        say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
+    return given if given.ports else given._replace(ports=[DEFAULT_PORT])
+
+
+def _sniffer(
+    links: Sequence[LinkSpec], timing: LineTiming, ports: TcpPorts, log: _LogOptions | None
+) -> Sniffer:
+    """A sniffer that tells a person what goes wrong while it runs."""
+    from mbtool.cli.talk import say
+    from mbtool.decode.decoder import Decoder
+    from mbtool.devices import Namer
+    from mbtool.logs.opening import begin_log
+    from mbtool.workflows.sniff import Sniffer, serial_lines
+
+    devices, by_name = timing.assignments, ports._asdict()
+
+    def begin(log: _LogOptions) -> LogWriter | RotatingLog:
+        return begin_log(
+            log.path, links, devices, rotation=log.rotation, overwrite=log.overwrite, **by_name
+        )
+
+    return Sniffer(
+        links,
+        Decoder(Namer(devices), lines=serial_lines(links), timing=timing, **by_name),
+        begin_log=None if log is None else partial(begin, log),
+        ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
+        on_lost=lambda error: say(f"mbtool: {error}"),
+        on_discarded=lambda event: say(f"mbtool: {event.link}: {event.message}"),
+        on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),
+    )
+
+
+def _end(
+    interrupt: Interrupt, out: RecordOutput, duration_s: float | None
+) -> Callable[[int], bool]:
+    """A function that is given the time (ns) and tells whether the run ends now."""
+    from mbtool.ports.clock import now_ns
+
+    end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
+
+    def ends(at_ns: int) -> bool:
+        out.wait()
+        return interrupt.asked or out.is_full or at_ns >= end_ns
+
+    return ends
+
+
+def _show(
+    sniffer: Sniffer, out: RecordOutput, devices: Assignments, ends: Callable[[int], bool]
+) -> None:
+    """Print records as they come, and say which devices tell their model."""
+    from mbtool.cli.talk import say
+    from mbtool.workflows.shared.model_hints import ModelHints
+
+    hints = ModelHints(devices.profile_for)
+    for record in sniffer.records(ends):
+        if (hint := hints.note(record)) is not None:
+            say(f"mbtool: {hint}")
+        if not out.is_full:
+            out.add(record)

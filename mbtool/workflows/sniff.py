@@ -9,13 +9,23 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self, TypeGuard
 
-from mbtool.core import Chunk, EventKind, LinkError, Packet, SerialLink, UsageError, WireEvent
+from mbtool.core import (
+    AutoLink,
+    Chunk,
+    EventKind,
+    LinkError,
+    Packet,
+    SerialLink,
+    UsageError,
+    WireEvent,
+)
+from mbtool.modbus import Outcome
 from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import Accepting, live_source
-from mbtool.workflows.refusals import Refusals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,7 +36,9 @@ if TYPE_CHECKING:
     from mbtool.sources.live import LiveSource
 
 POLL_S = 0.1
-"""How long the loop waits for an item before it looks at the clock."""
+"""The longest wait for an item before the loop looks at the clock."""
+MAX_REASONS = 64
+"""Different reasons of refusals that are told for one link. A master can send any text as one."""
 
 
 class Log(Protocol):
@@ -167,3 +179,54 @@ def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
         if names.count(name) > 1:
             raise UsageError(f"two links are called {name!r}; listen to each in a run of its own")
     return {link.name: link for link in links if isinstance(link, SerialLink)}
+
+
+def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
+    """The links; for those without settings they are found by listening, for up to minutes.
+
+    `on_remark` gets a line before and after each search. Raises LinkError.
+    """
+    return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
+
+
+def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
+    on_remark(f"finding the settings of {link.name} by listening")
+    found, sentence = guess_line(link)
+    on_remark(sentence)
+    return found
+
+
+class Refusals:
+    """Picks the refusals of a tap that are to be told: a reason once, until a master is served.
+
+    A master that is turned away usually tries again and again. It is served when a connection
+    that opened after the refusal brings a response. A connection that was open before shows
+    nothing; an opened one alone neither, as a slave with TLS 1.3 may refuse right after it.
+
+    Holds, for each link that refused and has not served since, at most MAX_REASONS reasons, and the
+    masters' ends of the connections that opened since.
+    """
+
+    def __init__(self) -> None:
+        self._reasons: dict[str, set[str]] = {}
+        self._open: dict[str, set[str]] = {}
+
+    def is_news(self, record: Record) -> TypeGuard[WireEvent]:
+        """Take the next record. True if it is a refusal for a reason that was not told yet."""
+        link = record.link
+        if not isinstance(record, WireEvent):
+            is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION)
+            if is_answered and record.source in self._open.get(link, ()):
+                del self._reasons[link], self._open[link]
+            return False
+        if record.kind is EventKind.REFUSED:
+            reasons = self._reasons.setdefault(link, set())
+            if record.message in reasons or len(reasons) >= MAX_REASONS:
+                return False
+            reasons.add(record.message)
+            return True
+        if record.kind is EventKind.OPENED and link in self._reasons:
+            self._open.setdefault(link, set()).add(record.source)
+        elif record.kind is EventKind.CLOSED and link in self._open:
+            self._open[link].discard(record.source)
+        return False

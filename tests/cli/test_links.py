@@ -9,7 +9,6 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
-from mbtool.workflows import listing
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -29,8 +28,8 @@ INTERFACE = LocalInterface(name="eth0", is_up=False)
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with one of each."""
-    monkeypatch.setattr(listing, "local_ports", lambda: [PORT])
-    monkeypatch.setattr(listing, "local_interfaces", lambda: [INTERFACE])
+    monkeypatch.setattr("mbtool.ports.local_ports.local_ports", lambda: [PORT])
+    monkeypatch.setattr("mbtool.sources.local_interfaces.local_interfaces", lambda: [INTERFACE])
 
 
 @pytest.mark.usefixtures("machine")
@@ -84,8 +83,8 @@ def test_json_lines_leave_out_what_is_not_known(mbtool: CommandLine) -> None:
 def test_without_a_port_it_says_how_to_do_without(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, format_: str
 ) -> None:
-    monkeypatch.setattr(listing, "local_ports", list)
-    monkeypatch.setattr(listing, "local_interfaces", lambda: [INTERFACE])
+    monkeypatch.setattr("mbtool.ports.local_ports.local_ports", list)
+    monkeypatch.setattr("mbtool.sources.local_interfaces.local_interfaces", lambda: [INTERFACE])
     told = mbtool("links", "--format", format_)
     assert told.code == exit_codes.DONE
     assert told.err == (
@@ -98,9 +97,9 @@ def test_without_a_port_it_says_how_to_do_without(
 def test_a_name_that_is_no_text_is_told_nevertheless(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listing, "local_ports", list)
+    monkeypatch.setattr("mbtool.ports.local_ports.local_ports", list)
     odd = [LocalInterface(name="eth\udcff")]
-    monkeypatch.setattr(listing, "local_interfaces", lambda: odd)
+    monkeypatch.setattr("mbtool.sources.local_interfaces.local_interfaces", lambda: odd)
     assert json.loads(mbtool("links", "--format", "jsonl").out)["name"] == "eth\udcff"
     assert "net:eth?" in mbtool("links").out
 
