@@ -26,7 +26,7 @@ from mbtool.core import (
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
 from mbtool.logs.opening import begin_log
-from mbtool.master.poll import Poller, TcpPoller
+from mbtool.master.links import MasterLink, open_master
 from mbtool.modbus import Table, encode_pdu
 from mbtool.replay import RecordedSlave, Recording
 from mbtool.slave.device import RegisterImage, units_on
@@ -112,7 +112,7 @@ class Demo:
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
         slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
-        with slave, TcpPoller(slave.endpoint) as master:
+        with slave, open_master(TcpLink(slave.endpoint)) as master:
             answers = [master.ask(unit, pdu) for unit, pdu, _ in self._exchanges]
         differences = tuple(
             (unit, pdu, answer)
@@ -123,13 +123,13 @@ class Demo:
 
     def _ask_all(self, serial: SerialLink, tap: Endpoint) -> None:
         try:
-            with Poller(serial) as rtu, TcpPoller(tap) as tcp:
+            with open_master(serial) as rtu, open_master(TcpLink(tap)) as tcp:
                 self._ask(tcp, MODULE_UNIT, module_requests())
                 self._ask(rtu, TOUCH_UNIT, touch_requests())
         except Exception as error:
             self._failure = error
 
-    def _ask(self, master: Poller, unit: int, requests: Sequence[bytes]) -> None:
+    def _ask(self, master: MasterLink, unit: int, requests: Sequence[bytes]) -> None:
         for pdu in requests:
             answer = master.ask(unit, pdu)
             if answer is None:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.master.poll import TcpPoller
+from mbtool.core import TcpLink
+from mbtool.master.links import open_master
 from tests.cli.program import PATIENCE_S, CommandLine, endpoint_in
 from tests.workflows.evidence import READ, VALUES
 
@@ -74,7 +75,7 @@ def test_it_can_be_paused_and_ended_with_keys(capture: Path) -> None:
     )
     said = terminal.await_shown("Ctrl-C ends")
     terminal.await_shown("waiting")
-    with TcpPoller(endpoint_in(said)) as master:
+    with open_master(TcpLink(endpoint_in(said))) as master:
         assert master.ask(1, READ) == VALUES
     terminal.await_shown("playing")
     terminal.type(" ")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink, UsageError, parse_link
-from mbtool.master.links import Answered, MasterLink, SerialMaster, open_master
+from mbtool.master.links import MasterLink, ReceivedResponse, SerialMaster, open_master
 from mbtool.modbus import Response, mbap_adu, rtu_adu
 from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
@@ -28,9 +28,9 @@ def _answers(unit: int, pdu: bytes) -> Response | None:
     return Response({READ: VALUES}.get(pdu, pdu)) if unit else None
 
 
-def _received(master: MasterLink, count: int = 1) -> list[Answered]:
+def _received(master: MasterLink, count: int = 1) -> list[ReceivedResponse]:
     """So many answers, or fails when they do not come."""
-    answers: list[Answered] = []
+    answers: list[ReceivedResponse] = []
     until = time.monotonic() + PATIENCE_S
     while len(answers) < count:
         assert time.monotonic() < until

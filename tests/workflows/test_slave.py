@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InputError, SerialFormat, UsageError, parse_link
+from mbtool.core import InputError, SerialFormat, TcpLink, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import NamedTransaction, load_profile
-from mbtool.master.poll import TcpPoller
+from mbtool.master.links import open_master
 from mbtool.modbus import rtu_adu
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import SerialSlave, TcpSlave
@@ -35,15 +35,14 @@ def test_a_device_answers_as_its_unit_with_its_start_values(tmp_path: Path) -> N
     image.write_text("HR400001 = 4660\n")
     shell = device_slave(TOUCH, LOOPBACK, 7, image)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         assert master.ask(7, READ) == bytes.fromhex("03 02 1234")
 
 
-def test_other_units_get_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbtool.master.poll.TIMEOUT_S", 0.2)
+def test_other_units_get_no_answer() -> None:
     shell = device_slave(TOUCH, LOOPBACK, 7)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint), 200_000_000) as master:
         assert master.ask(8, READ) is None
 
 
@@ -97,7 +96,7 @@ def test_what_a_device_keeps_outlasts_its_slave(tmp_path: Path) -> None:
     for request in (write, read):
         shell = device_slave(module, LOOPBACK, state_file=state)
         assert isinstance(shell, TcpSlave)
-        with shell, TcpPoller(shell.endpoint) as master:
+        with shell, open_master(TcpLink(shell.endpoint)) as master:
             answer = master.ask(0, request)
     assert answer == bytes.fromhex("03 02 0007")
 
@@ -115,23 +114,20 @@ def test_exchanges_are_told() -> None:
     monitor = SlaveMonitor(TOUCH, LOOPBACK)
     shell = device_slave(TOUCH, LOOPBACK, 7, monitor=monitor)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         master.ask(7, READ)
     (transaction,) = monitor.records()
     assert isinstance(transaction, NamedTransaction)
     assert transaction.reference == "HR400001"
 
 
-def test_several_devices_share_a_link_and_others_units_get_silence(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("mbtool.master.poll.TIMEOUT_S", 0.2)
+def test_several_devices_share_a_link_and_others_units_get_silence(tmp_path: Path) -> None:
     image = tmp_path / "other.toml"
     image.write_text("40001 = 7\n")
     others = {3: Station(load_profile("chino-lt830"), image), 4: Station(TOUCH)}
     shell = device_slave(TOUCH, LOOPBACK, 7, others=others)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint), 200_000_000) as master:
         assert master.ask(3, READ) == bytes.fromhex("03 02 0007")
         assert master.ask(7, READ) == master.ask(4, READ) == bytes.fromhex("03 02 0000")
         assert master.ask(5, READ) is None
@@ -189,7 +185,7 @@ def test_values_that_move_and_faults_are_played(tmp_path: Path) -> None:
     fault.write_text('[[faults]]\nkind = "exception"\ncode = 6\nnth = 2\ntimes = 1\n')
     shell = device_slave(TOUCH, LOOPBACK, 1, image, fault_file=fault)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         answers = [master.ask(1, READ) for _ in range(3)]
     assert answers == [bytes.fromhex(each) for each in ("03 02 0007", "83 06", "03 02 0007")]
 
