@@ -13,7 +13,8 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     RawOption,
-    TimedSourceOptions,
+    SilenceOptions,
+    SourceOptions,
 )
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ def check(
         bool, typer.Option("--all", help="In a table, a line for each finding, not for each code.")
     ] = False,
     raw: RawOption = False,
-    source: TimedSourceOptions,
+    source: SourceOptions,
+    silences: SilenceOptions,
 ) -> None:
     """Find what breaks a rule of Modbus or of a device's manual.
 
@@ -90,13 +92,13 @@ def check(
         format_by_name,
         named_file,
         opened,
+        say_if_empty,
         told_as_lost,
     )
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import InputError
+    from mbtool.cli.talk import interruptible
     from mbtool.workflows.check import Checking, Selection
 
-    options = source.read(device, raw=raw)
+    options = source.read(device, raw=raw, silences=silences)
     checking = Checking(files, options, Selection.parse(select or (), ignore or ()))
     checking.demand_selection()
     demand_other_file(files, output)
@@ -110,10 +112,7 @@ def check(
     ):
         for placed in interrupt.breakable(checking.findings()):
             printer.add(placed)
-    if checking.reading.why_unread is not None:
-        raise InputError(checking.reading.why_unread)
-    if checking.reading.why_empty is not None:
-        say(checking.reading.why_empty)
+    say_if_empty(checking.reading)
     if checking.counts:
         raise typer.Exit(exit_codes.NO)
 

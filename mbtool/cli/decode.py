@@ -1,4 +1,4 @@
-"""mbtool decode: what is in a capture or a log."""
+"""mbtool decode: print the transactions of captures and logs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from mbtool.cli.options import (
     EventsOption,
     Format,
     RawOption,
-    TimedSourceOptions,
+    SilenceOptions,
+    SourceOptions,
     WhereOption,
 )
 from mbtool.cli.progress import with_progress
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
-"""How often --follow looks whether the log has grown."""
+"""Time between two looks of --follow for more in the log."""
 
 
 @takes_groups
@@ -66,14 +67,15 @@ def decode(
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
     ] = False,
     raw: RawOption = False,
-    source: TimedSourceOptions,
+    source: SourceOptions,
+    silences: SilenceOptions,
     events: EventsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.options import condition
-    from mbtool.cli.output import demand_other_file, open_output
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import InputError, UsageError
+    from mbtool.cli.output import demand_other_file, open_output, say_if_empty
+    from mbtool.cli.talk import interruptible
+    from mbtool.core import UsageError
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading, followed
 
@@ -81,7 +83,7 @@ def decode(
         raise UsageError("--follow goes with one log, and not with --raw or --link")
     demand_other_file(files, output)
     wanted = condition(where)
-    options = source.read(device, raw=raw)
+    options = source.read(device, raw=raw, silences=silences)
     reading = Reading(files, options)
 
     def profile_for(one: NamedTransaction) -> Profile | None:
@@ -104,12 +106,12 @@ def decode(
             records = followed(files[0], options, wait)
         else:
             records = interrupt.breakable(reading.records())
-        # A pipe may bring a live capture: each line is wanted at once, by a program, too.
-        is_watched = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
+        # A pipe may bring a live capture, so each line is printed at once, also for a program.
+        is_live = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
         for record in records if follow or out.on_terminal else with_progress(reading, records):
             hints.note(record)
             out.add(record)
-            if is_watched:
+            if is_live:
                 out.wait()
             if out.is_full:
                 break
@@ -117,15 +119,12 @@ def decode(
             raise KeyboardInterrupt
     if follow:
         return
-    if reading.why_unread is not None:
-        raise InputError(reading.why_unread)
-    if reading.why_empty is not None:
-        say(reading.why_empty)
+    say_if_empty(reading)
 
 
 @contextmanager
 def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
-    """Say at the end, however it comes, what there is to know of the files."""
+    """Say what a user should know of the files when reading ends, also by an error."""
     from mbtool.cli.talk import say
 
     try:
@@ -136,8 +135,8 @@ def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
 
 
 def _is_piped() -> bool:
-    """Whether standard input is no file."""
+    """True if standard input is not a regular file, such as a pipe."""
     try:
         return not stat.S_ISREG(os.fstat(0).st_mode)
-    except OSError:  # It is closed, which opening it tells.
+    except OSError:  # It is closed; the error comes when it is opened.
         return False

@@ -190,9 +190,8 @@ def schema() -> None:
 def survey(
     file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
 ) -> ObservedSlaves:
-    """Read a capture or log to its end, and say what there is to know of it."""
+    """Read a capture or log to its end, and say what a user should know of it."""
     from mbtool.cli.talk import interruptible, say
-    from mbtool.core import InputError
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
     from mbtool.workflows.shared.reading import Reading
 
@@ -204,8 +203,7 @@ def survey(
     finally:
         for remark in reading.remarks:
             say(remark)
-    if reading.why_unread is not None:
-        raise InputError(reading.why_unread)
+    reading.demand_readable()
     return found
 
 

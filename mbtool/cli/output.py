@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
+    from mbtool.workflows.shared.reading import Reading
 
 _STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
@@ -194,6 +195,13 @@ def _demand_standard_output() -> None:
         raise OutputError(
             f"{_STANDARD_OUTPUT_NAME}: closed, so what goes there is lost; redirect it to a file"
         )
+
+
+def say_if_empty(reading: Reading) -> None:
+    """Say why a whole pass gave nothing. Raises InputError where the capture is unreadable."""
+    reading.demand_readable()
+    if reading.why_empty is not None:
+        say(reading.why_empty)
 
 
 def demand_other_file(files: Sequence[str], output: str | None) -> None:

@@ -13,10 +13,8 @@ from mbtool.cli.options import (
     DeviceOption,
     EventsOption,
     Format,
-    PortOption,
-    RtuPortOption,
-    T15Option,
-    T35Option,
+    PortOptions,
+    SilenceOptions,
     WhereOption,
 )
 from mbtool.cli.tls_options import TlsOptions
@@ -71,10 +69,8 @@ def sniff(
             help="Go on in a next file when the log has this size or age.",
         ),
     ] = None,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    t1_5: T15Option = None,
-    t3_5: T35Option = None,
+    ports: PortOptions,
+    silences: SilenceOptions,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     events: EventsOption = None,
     tls: TlsOptions,
@@ -84,7 +80,7 @@ def sniff(
     Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
     shown; the log gets everything.
     """
-    from mbtool.cli.options import assignments, condition, silence
+    from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError, parse_link
@@ -100,8 +96,8 @@ def sniff(
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
     devices, wanted = assignments(device), condition(where)
-    ports = _ports(specs, port, rtu_port)
-    timing = LineTiming(devices, silence("--t1-5", t1_5), silence("--t3-5", t3_5))
+    tcp_ports = _tcp_ports(specs, ports)
+    timing = LineTiming(devices, *silences.read())
     rotation = None if rotate is None else Rotation.parse(rotate)
     # Finding the settings of a line may take minutes, so errors are raised before it begins.
     serial_lines(specs)
@@ -109,7 +105,7 @@ def sniff(
         demand_log(write, overwrite=overwrite)
     specs = timing.given(with_settings(specs, say))
     log = None if write is None else _LogOptions(write, rotation, overwrite)
-    sniffer = _sniffer(specs, timing, ports, log)
+    sniffer = _sniffer(specs, timing, tcp_ports, log)
     with (
         interruptible() as interrupt,
         sniffer,
@@ -137,17 +133,18 @@ class _LogOptions(NamedTuple):
     overwrite: bool
 
 
-def _ports(
-    links: Sequence[LinkSpec], port: Sequence[str] | None, rtu_port: Sequence[str] | None
-) -> TcpPorts:
-    """The TCP ports of --port and --rtu-port, 502 where there are none. Raises UsageError."""
-    from mbtool.cli.options import tcp_ports
+def _tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
+    """The TCP ports of --port and --rtu-port; 502 if --port names none. Raises UsageError."""
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
     from mbtool.workflows.shared.reading import DEFAULT_PORT
 
-    given = tcp_ports(port, rtu_port)
-    if port and not given.any_port and not any(isinstance(one, InterfaceLink) for one in links):
+    given = options.tcp_ports()
+    if (
+        options.port
+        and not given.any_port
+        and not any(isinstance(one, InterfaceLink) for one in links)
+    ):
         say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
     return given if given.ports else given._replace(ports=[DEFAULT_PORT])
 

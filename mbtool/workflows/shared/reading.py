@@ -149,12 +149,10 @@ class Reading:
             "name other ports with --port, for RTU over TCP with --rtu-port"
         )
 
-    @property
-    def why_unread(self) -> str | None:
-        """One line where all that a pass brought is that the capture cannot be looked into."""
-        if self._unread is None or self._has_read or self._done < len(self._paths):
-            return None
-        return f"{self._names}: nothing in it could be read: {self._unread}"
+    def demand_readable(self) -> None:
+        """Raise InputError where a whole pass gave only events of what cannot be decoded."""
+        if self._unread is not None and not self._has_read and self._done == len(self._paths):
+            raise InputError(f"{self._names}: nothing in it could be read: {self._unread}")
 
     @property
     def _names(self) -> str:
