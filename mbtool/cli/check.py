@@ -1,4 +1,4 @@
-"""mbtool check: what in a capture breaks a rule."""
+"""mbtool check: find what breaks a rule in captures and logs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mbtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from mbtool.workflows.check import Checking, FileFinding
+    from mbtool.workflows.check import CheckRun, FileFinding
 
 
 class CheckFormat(StrEnum):
@@ -96,48 +96,48 @@ def check(
         told_as_lost,
     )
     from mbtool.cli.talk import interruptible
-    from mbtool.workflows.check import Checking, Selection
+    from mbtool.workflows.check import CheckRun, CodeFilter
 
     options = source.read(device, raw=raw, silences=silences)
-    checking = Checking(files, options, Selection.parse(select or (), ignore or ()))
-    checking.demand_selection()
+    run = CheckRun(files, options, CodeFilter.parse(select or (), ignore or ()))
+    run.demand_codes()
     demand_other_file(files, output)
     path = named_file(output)
     chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
     with (
-        opened(path, checking.reading.demand_files) as (file, name),
+        opened(path, run.reading.demand_files) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
-        _finished(file, _printer(chosen, file, each=each), checking, path) as printer,
+        _finished(file, _printer(chosen, file, each=each), run, path) as printer,
     ):
-        for placed in interrupt.breakable(checking.findings()):
+        for placed in interrupt.breakable(run.findings()):
             printer.add(placed)
-    say_if_empty(checking.reading)
-    if checking.counts:
+    say_if_empty(run.reading)
+    if run.counts:
         raise typer.Exit(exit_codes.NO)
 
 
 @contextmanager
 def _finished(
-    file: TextIO, printer: _Printer, checking: Checking, path: str | None
+    file: TextIO, printer: _Printer, run: CheckRun, path: str | None
 ) -> Iterator[_Printer]:
-    """A printer whose output is whole at the end, however that comes, and is talked about."""
+    """The printer; at the end, also by an error, its output is completed and summed up."""
     from mbtool.cli.talk import say
 
     try:
         yield printer
     finally:
-        printer.end(checking)
+        printer.end(run)
         file.flush()
-        for remark in checking.remarks:
+        for remark in run.remarks:
             say(remark)
-        say(_sentence(checking) + ("" if path is None else f" -> {path}"))
+        say(_sentence(run) + ("" if path is None else f" -> {path}"))
 
 
 class _Printer(Protocol):
     def add(self, placed: FileFinding) -> None: ...
 
-    def end(self, checking: Checking) -> None: ...
+    def end(self, run: CheckRun) -> None: ...
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
@@ -156,7 +156,7 @@ class _FindingsTablePrinter:
     def add(self, placed: FileFinding) -> None:
         self._summaries.add(placed.finding)
 
-    def end(self, checking: Checking) -> None:
+    def end(self, run: CheckRun) -> None:
         from mbtool.cli.console import PipeConsole
         from mbtool.views.findings_table import print_summaries
 
@@ -174,7 +174,7 @@ class _EachPrinter:
 
         self._console.print(finding_line(placed.finding), soft_wrap=True)
 
-    def end(self, checking: Checking) -> None:
+    def end(self, run: CheckRun) -> None:
         pass
 
 
@@ -190,18 +190,20 @@ class _DocumentPrinter:
         file.write(self._document.begin())
 
     def add(self, placed: FileFinding) -> None:
-        self._file.write(self._document.add(placed.finding, placed.place))
+        self._file.write(self._document.add(placed.finding, placed.file))
 
-    def end(self, checking: Checking) -> None:
-        self._file.write(self._document.end(checking.transactions))
+    def end(self, run: CheckRun) -> None:
+        self._file.write(self._document.end(run.transactions))
 
 
-def _sentence(checking: Checking) -> str:
-    """`14 findings of 3 codes in 8120 transactions; docs/findings.md explains them`."""
-    number, codes = checking.counts.total(), len(checking.counts)
-    transactions = f"{checking.transactions} transaction{'' if checking.transactions == 1 else 's'}"
+def _sentence(run: CheckRun) -> str:
+    """For example `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
+    from mbtool.core.counting import plural
+
+    number, codes = run.counts.total(), len(run.counts)
+    transactions = f"{run.transactions} {plural(run.transactions, 'transaction')}"
     if not number:
         return f"no findings in {transactions}"
-    findings = "1 finding" if number == 1 else f"{number} findings"
-    kinds = "" if number == 1 else f" of {codes} code{'' if codes == 1 else 's'}"
-    return f"{findings}{kinds} in {transactions}; docs/findings.md explains each code"
+    of_codes = "" if number == 1 else f" of {codes} {plural(codes, 'code')}"
+    findings = f"{number} {plural(number, 'finding')}{of_codes}"
+    return f"{findings} in {transactions}; docs/findings.md explains each code"

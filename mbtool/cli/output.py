@@ -14,6 +14,7 @@ from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.printers import printer_for
 from mbtool.cli.talk import say
 from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
+from mbtool.core.counting import plural
 from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -284,7 +285,7 @@ class Tally:
 
     def sentence(self) -> str:
         """`12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
-        text = f"{self.transactions} transaction{'' if self.transactions == 1 else 's'}"
+        text = f"{self.transactions} {plural(self.transactions, 'transaction')}"
         parts = [
             f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
         ]
@@ -297,6 +298,6 @@ class Tally:
         }
         if troubles:
             total = sum(troubles.values())
-            text += f"; {total} event{'' if total == 1 else 's'}: "
+            text += f"; {total} {plural(total, 'event')}: "
             text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
         return text

@@ -11,6 +11,7 @@ from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.serve import serve
 from mbtool.cli.talk import say
+from mbtool.core.counting import plural
 from mbtool.slave.shells import slave_link
 from mbtool.workflows.replay_slave import SlaveRun
 
@@ -21,18 +22,18 @@ if TYPE_CHECKING:
 
 def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remote: bool) -> None:
     """Answer until Ctrl-C."""
-    slave_link(on)  # A link that is none is told before a long recording is read.
+    slave_link(on)  # A link that no slave can use is an error before a long recording is read.
     run = SlaveRun(file, options, say, with_progress)
     played = run.on(on, allow_remote=allow_remote)
-    with keyboard() as desk:
+    with keyboard() as keys:
 
         def look() -> None:
-            if desk is None:
+            if keys is None:
                 return
-            for control in desk.controls():
+            for control in keys.controls():
                 played.control(control)
-            desk.show(played.progress())
-            if desk.has_quit:
+            keys.show(played.progress())
+            if keys.has_quit:
                 raise typer.Exit(exit_codes.INTERRUPTED)
 
         serve(played.shell, _what_is_played(file, run), look)
@@ -41,5 +42,5 @@ def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, *, allow_remot
 def _what_is_played(file: str, run: SlaveRun) -> str:
     count = len(run.recording.answers)
     requests = "1 request" if count == 1 else f"{count:,} different requests"
-    units = "unit" if len(run.recording.units) == 1 else "units"
-    return f"{file}: {requests} to {units} {', '.join(map(str, sorted(run.recording.units)))}"
+    units = sorted(run.recording.units)
+    return f"{file}: {requests} to {plural(len(units), 'unit')} {', '.join(map(str, units))}"

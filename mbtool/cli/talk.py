@@ -1,4 +1,4 @@
-"""What commands say to a person beside their data: on standard error, and when to stop."""
+"""Messages to the user on standard error, and how a user stops a command."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ T = TypeVar("T")
 
 
 _wipes: list[Callable[[], None]] = []
-"""What takes away a line that is drawn over and over."""
+"""Functions that erase the lines that are redrawn in place."""
 
 
 def say(text: str) -> None:
-    """Tell something that is no data, if anyone still listens."""
+    """Print a message to standard error, if it is still open."""
     for wipe in _wipes:
         wipe()
     with suppress(OSError):
@@ -29,8 +29,8 @@ def say(text: str) -> None:
 
 
 @contextmanager
-def drawn_line(wipe: Callable[[], None]) -> Iterator[None]:
-    """While one line is drawn over and over, take it away before something is said."""
+def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
+    """While a line is redrawn in place, erase it before each message."""
     _wipes.append(wipe)
     try:
         yield
@@ -39,39 +39,40 @@ def drawn_line(wipe: Callable[[], None]) -> Iterator[None]:
 
 
 class Interrupt:
-    """Whether someone asked the command to stop."""
+    """Knows whether the user asked the command to stop."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
-        self._at_once = False
+        self._is_waiting = False
+        """True while a signal ends the program at once, as nothing is half done."""
 
     @property
     def asked(self) -> bool:
         return self._event.is_set()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until someone asks, at most so long; the answer is whether someone has."""
+        """Wait until the user asks or the time is over. True if the user has asked."""
         return self._event.wait(timeout_s)
 
     def ask(self, _signal: int, _frame: FrameType | None) -> None:
         """Note the first signal; a second one ends the program at once."""
-        if self.asked or self._at_once:
+        if self.asked or self._is_waiting:
             raise KeyboardInterrupt
         self._event.set()
 
     def breakable(self, items: Iterator[T]) -> Iterator[T]:
-        """Give items; the wait for one, which may be long, is broken off by KeyboardInterrupt.
+        """Give items; a signal raises KeyboardInterrupt while the next one is waited for.
 
-        What is done with an item is not: a line half written would be lost.
+        It does not while the caller works on an item, which could leave a line half written.
         """
         while True:
-            self._at_once = True
+            self._is_waiting = True
             try:
                 if self.asked:
                     raise KeyboardInterrupt
                 item = next(items, None)
             finally:
-                self._at_once = False
+                self._is_waiting = False
             if item is None:
                 return
             yield item
@@ -79,7 +80,7 @@ class Interrupt:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """Turn Ctrl-C and SIGTERM into a wish that the command grants when it is ready."""
+    """Note Ctrl-C and SIGTERM, so that the command can end when it is ready."""
     interrupt = Interrupt()
     before = {
         number: signal.signal(number, interrupt.ask) for number in (signal.SIGINT, signal.SIGTERM)

@@ -12,7 +12,7 @@ from mbtool.ports.serial_opening import open_port, port_in_use
 from mbtool.replay import BusPlayer, PlayClock, Steering
 from mbtool.workflows.shared.bus_recording import read_pieces
 from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.recorded import PlayOptions
+from mbtool.workflows.shared.recorded import PlayOptions, lateness_p99_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,7 +80,7 @@ class BusRun:
         return self.pieces[-1].place_ns
 
     def play(
-        self, *, stops: Callable[[], bool] = lambda: False, desk: PlayerControls | None = None
+        self, *, stops: Callable[[], bool] = lambda: False, controls: PlayerControls | None = None
     ) -> BusReport:
         """Send every byte. `stops` is asked again and again whether to end early.
 
@@ -101,8 +101,8 @@ class BusRun:
             steering.begin(time.monotonic_ns())
             while not player.has_ended and not stops():
                 now_ns = time.monotonic_ns()
-                if desk is not None:
-                    steering.attend(desk, now_ns, f"{player.bytes:,} bytes")
+                if controls is not None:
+                    steering.attend(controls, now_ns, f"{player.bytes:,} bytes")
                 piece = player.next_piece(now_ns)
                 if piece is not None:
                     port.write(piece.data)
@@ -121,10 +121,9 @@ def _let_pass(player: BusPlayer) -> None:
 
 
 def _report(player: BusPlayer, options: BusOptions) -> BusReport:
-    late = sorted(player.lateness.values)
     return BusReport(
         pieces=player.sent,
         bytes=player.bytes,
         held=player.held if options.rate else 0,
-        lateness_p99_ns=late[len(late) * 99 // 100] if late and options.rate else None,
+        lateness_p99_ns=lateness_p99_ns(player.lateness, options),
     )

@@ -26,7 +26,13 @@ from mbtool.replay import (
 )
 from mbtool.views.junit import Case, junit_xml
 from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none, within
+from mbtool.workflows.shared.recorded import (
+    PlayOptions,
+    lateness_p99_ns,
+    read_recorded,
+    where_none,
+    within,
+)
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
@@ -106,7 +112,7 @@ class MasterRun:
         *,
         stops: Callable[[], bool] = lambda: False,
         on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
-        desk: PlayerControls | None = None,
+        controls: PlayerControls | None = None,
     ) -> Report:
         """Ask all that was recorded, and compare the answers.
 
@@ -127,13 +133,13 @@ class MasterRun:
         with open_master(link, options.timeout_ns, self._on_remark) as master:
             conductor = Conductor(self.script, clock, judge, master.limits)
             steering = Steering(clock, conductor.let_go)
-            look_ns = _LOOK_NS if desk is None else _STEERED_NS
+            look_ns = _LOOK_NS if controls is None else _STEERED_NS
             steering.begin(time.monotonic_ns())
             while not conductor.has_ended and not stops():
                 now_ns = time.monotonic_ns()
-                if desk is not None:
+                if controls is not None:
                     done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
-                    steering.attend(desk, now_ns, done)
+                    steering.attend(controls, now_ns, done)
                 for number in master.lost():
                     for gone, is_right in conductor.give_up(number, now_ns):
                         on_answer(gone, None, is_right)
@@ -153,14 +159,13 @@ class MasterRun:
         return self._report(link, conductor, judge)
 
     def _report(self, link: LinkSpec, conductor: Conductor, judge: Judge) -> Report:
-        late = sorted(conductor.lateness.values)
         return Report(
             recording=self._path,
             link=str(link),
             requests=conductor.sent,
             different=judge.wrong,
             unsolicited=conductor.strays,
-            lateness_p99_ns=late[len(late) * 99 // 100] if late and self._options.rate else None,
+            lateness_p99_ns=lateness_p99_ns(conductor.lateness, self._options),
             asked=judge.requests(),
             differences=judge.differences(),
             learned=[_written(span) for _, span in judge.learned()] if self._options.learns else [],

@@ -118,7 +118,7 @@ class Reading:
         """The profiles in use: those of the options, and those of the log that is being read."""
         self.captures = 0
         """How many captures came to their end before the last record; parts of one are one."""
-        self.place = ""
+        self.file = ""
         """The file that the last record came from."""
         self.is_log = False
         """Whether the last record stood in a log as it is."""
@@ -339,7 +339,7 @@ class Reading:
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
                 f"{self._current.name if self._current is not None else ''}: begins before "
-                f"{self.place} ends, so it is taken for another capture; "
+                f"{self.file} ends, so it is taken for another capture; "
                 "parts of one are named in the order of their times"
             )
 
@@ -354,7 +354,7 @@ class Reading:
 
     def _enter(self, *, is_log: bool = False) -> None:
         """What comes next comes from the file that is open."""
-        self.place = self._current.name if self._current is not None else ""
+        self.file = self._current.name if self._current is not None else ""
         self.is_log = is_log
 
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:

@@ -18,6 +18,7 @@ from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
     from mbtool.devices import Assignments
+    from mbtool.replay.traffic import Sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +63,12 @@ def read_recorded(
             transactions.append(record)
     _demand_one_slave_each(path, transactions)
     return Recorded(transactions, reading.assignments, damage)
+
+
+def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
+    """The 99th percentile of how late things were sent; None if no time was to be kept."""
+    late = sorted(sample.values)
+    return late[len(late) * 99 // 100] if late and options.rate else None
 
 
 def within(transactions: list[NamedTransaction], window: TimeRange) -> list[NamedTransaction]:
