@@ -76,8 +76,9 @@ def decode(
     from mbtool.cli.output import demand_other_file, open_output, say_if_empty
     from mbtool.cli.talk import interruptible
     from mbtool.core import UsageError
+    from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
-    from mbtool.workflows.shared.reading import Reading, followed
+    from mbtool.workflows.shared.reading import Reading
 
     if follow and (raw or source.link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
@@ -103,7 +104,7 @@ def decode(
             return not interrupt.wait(_LOOK_AGAIN_S)
 
         if follow:
-            records = followed(files[0], options, wait)
+            records = followed(files[0], options.assignments, wait)
         else:
             records = interrupt.breakable(reading.records())
         # A pipe may bring a live capture, so each line is printed at once, also for a program.

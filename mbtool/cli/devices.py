@@ -1,8 +1,8 @@
 """mbtool devices: the device profiles, and profiles of the user's own."""
 
-# `mbtool devices` lists, `mbtool devices NAME` shows one: a word that is none of the commands below
-# is the name of a profile, or its path, and goes to the hidden command "show". A file that is
-# called as a command is can be shown by its path, ./new.toml. The commands are in devices_own.py.
+# `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is not one of
+# the commands below is the name or path of a profile and goes to the hidden command "show". A file
+# with the name of a command can be shown by its path: ./new. The commands are in devices_own.py.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SHOW = "show"
 
 
 class _ShowsByDefault(TyperGroup):
-    """A group in which every other word is the name of a profile."""
+    """A group in which a word that is not a command is the name of a profile."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands or args[0] == _SHOW:

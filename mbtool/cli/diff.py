@@ -1,4 +1,4 @@
-"""mbtool diff: two captures compared by meaning."""
+"""mbtool diff: compare two captures by meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""mbtool links: what there is to open here."""
+"""mbtool links: list the serial ports and interfaces of this machine."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _print_tables(ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalIn
 def _print_json_lines(
     ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalInterface]
 ) -> None:
-    """One object to a line, without what does not apply or is not known."""
+    """One object in each line, without the fields that are empty or unknown."""
     for port in ports:
         _print_json({"kind": "serial", "link": port.link, **_fields(port)})
     for one in interfaces:
@@ -82,5 +82,5 @@ def _fields(here: LocalSerialPort | LocalInterface) -> dict[str, Any]:
 
 
 def _print_json(record: dict[str, Any]) -> None:
-    # Not by msgspec: a name that is no UTF-8, which an interface may have, must not fail here.
+    # Not with msgspec, which fails on the name of an interface that is not UTF-8.
     typer.echo(json.dumps(record, separators=(",", ":")))

@@ -1,4 +1,4 @@
-"""Prints records in a format: a table, JSON lines or CSV."""
+"""Prints records as a table, JSON lines or CSV."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 
 
 class Printer(Protocol):
-    """Writes records to a file. Its methods raise OSError where the file takes no more."""
+    """Writes records to a file. Its methods raise OSError if the file cannot be written."""
 
     def print(self, record: Record, number: int) -> None:
         """Print a record; `number` counts the transactions."""
 
     def pause(self) -> None:
-        """Print what was held back, while more may come."""
+        """Print buffered rows, while more may come."""
 
     def flush(self) -> None:
-        """Print what was held back, at the end."""
+        """Print buffered rows, at the end."""
 
 
 def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Printer:
-    """What prints to a file in a format; `profile_for` says whose figures a finding has."""
+    """A printer to a file in a format; `profile_for` gives the device profile of a transaction."""
     match format_:
         case Format.TABLE:
             return _TablePrinter(file, profile_for)

@@ -20,34 +20,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """What is compared, and what is not."""
+    """What is compared."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
     ignore: Sequence[str] = ()
-    """Ranges of registers whose values may differ, as the devices or mbtool write them."""
+    """Ranges of registers whose values may differ, as the device's manual or mbtool writes them."""
     latency: bool = True
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Two captures, how much they hold, and in what they differ."""
+    """Two captures, the number of their transactions, and how they differ."""
 
     a: str
     b: str
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """Whether all was compared: False where a bound left something out (replay/traffic.py)."""
+    """False if a limit of replay/traffic.py left something out."""
     differences: list[Difference]
 
 
 def compare(
     a: str, b: str, options: DiffOptions, on_remark: Callable[[str], None] = lambda _: None
 ) -> Comparison:
-    """Read both and compare them. Of a file that is cut or damaged what is there is compared.
+    """Read both files and compare them; one that is cut or damaged as far as it can be read.
 
-    `on_remark` is told what there is to know of the files. Raises InputError where one cannot be
-    read or has no transactions, UsageError for a range that no device has.
+    `on_remark` gets a line for each thing a user should know of the files. Raises InputError for a
+    file that cannot be read or has no transaction, UsageError for a range that no device has.
     """
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
+"""Pause between two rounds of --loop."""
 _LOOK_NS = 30_000_000
-"""How often the player looks whether it shall stop, and who steers it."""
+"""The longest time between two looks for keys and for the end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,18 +36,18 @@ class BusOptions(PlayOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """What came of it."""
+    """The result of a run."""
 
     pieces: int
     bytes: int
     held: int
-    """How many pieces the line delayed."""
+    """Pieces that were sent late because the line was still busy."""
     lateness_p99_ns: int | None
-    """How much later than its time a piece left, where the line did not delay it."""
+    """How late pieces were sent, of those that the line did not delay."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:
-    """The same link, if a bus can be played on it. Raises UsageError."""
+    """The link, if it is a serial line with one port. Raises UsageError."""
     if not isinstance(link, SerialLink):
         raise UsageError(
             f"link {link}: a bus is a serial line: rtu:PORT@19200-8E1 or ascii:PORT@9600-7E1"
@@ -56,7 +57,7 @@ def line_link(link: LinkSpec) -> SerialLink:
 
 
 class BusRun:
-    """A recording that was read, ready to be played on a line."""
+    """A recording, read and ready to be played on a serial line."""
 
     def __init__(
         self,
@@ -66,14 +67,14 @@ class BusRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Raises InputError where there is nothing to play, UsageError."""
+        """Read the recording. Raises InputError if there is nothing to play, UsageError."""
         self._options = options
         self._link = link
         self.pieces = read_pieces(path, options, link, on_remark, watch)
 
     @property
     def length_ns(self) -> int:
-        """Until the last piece begins, or the window ends."""
+        """From the beginning of the window to its end, or to the last piece."""
         window = self._options.window
         if window.end_ns is not None:
             return window.end_ns - window.start_ns
@@ -82,7 +83,7 @@ class BusRun:
     def play(
         self, *, stops: Callable[[], bool] = lambda: False, controls: PlayerControls | None = None
     ) -> BusReport:
-        """Send every byte. `stops` is asked again and again whether to end early.
+        """Send every byte, until `stops` returns True; `controls` pauses, steps and so on.
 
         Raises LinkError.
         """
@@ -115,7 +116,7 @@ class BusRun:
 
 
 def _let_pass(player: BusPlayer) -> None:
-    """Wait until the last byte has left the port, which closing it could cut off."""
+    """Wait until the last byte has left the port: closing it could discard bytes."""
     if player.passed_ns is not None:
         time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
 

@@ -1,4 +1,4 @@
-"""Plays a recording as the master, and compares what a slave answers with what was recorded."""
+"""Plays a recording as the master, and compares the responses with the recorded ones."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
-"""How often a player looks whether it shall stop, while nothing happens."""
+"""The longest time between two looks for the end."""
 _STEERED_NS = 30_000_000
-"""The same where someone steers it."""
+"""The same if there are keys, which a person expects to work at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,31 +55,31 @@ class MasterOptions(PlayOptions):
     ignore: Sequence[str] = ()
     """Ranges of registers whose values may differ."""
     learns: bool = False
-    """Note which registers differ, in place of telling it as a difference."""
+    """Take registers that differ as ones that may differ, and report them as learned."""
     tolerance: Tolerance | None = None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What came of it."""
+    """The result of a run."""
 
     recording: str
     link: str
     requests: int
-    """How many were sent."""
+    """Requests that were sent."""
     different: int
-    """How many answers were not as recorded."""
+    """Responses that were not as recorded."""
     unsolicited: int
-    """Answers that no open request was for."""
+    """Responses that belong to no pending request."""
     lateness_p99_ns: int | None
-    """How much later than its recorded time a request left, where it waited for nothing else."""
+    """How late requests were sent, of those that did not have to wait for a response."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
-    """Registers that differed, as --ignore takes them, where the run was to learn them."""
+    """Ranges of registers that differed, as --ignore takes them; empty without --learn."""
 
 
 class MasterRun:
-    """A recording that was read, ready to be played on a link."""
+    """A recording, read and ready to be played on a link."""
 
     def __init__(
         self,
@@ -88,9 +88,9 @@ class MasterRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Of a file that is cut or damaged what is there is played.
+        """Read the recording; one that is cut or damaged as far as it can be read.
 
-        Raises InputError where there is nothing to ask, UsageError.
+        Raises InputError if there is no request in it, UsageError.
         """
         self._path = path
         self._on_remark = on_remark
@@ -114,10 +114,10 @@ class MasterRun:
         on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
         controls: PlayerControls | None = None,
     ) -> Report:
-        """Ask all that was recorded, and compare the answers.
+        """Send all recorded requests, and compare the responses.
 
-        `stops` is asked again and again whether to end early; `on_answer` gets each step, its
-        answer or None, and whether that is right; at the `desk` someone steers. Raises LinkError,
+        Ends early when `stops` returns True. `on_answer` gets each step, its response or None, and
+        True if that is as recorded. `controls` pauses, steps and so on. Raises LinkError,
         UsageError.
         """
         options = self._options
@@ -175,7 +175,7 @@ class MasterRun:
 def junit(report: Report) -> str:
     """The report as JUnit XML: a case for each request, and one for each register that differs.
 
-    A request fails where one of its answers was not as recorded, be it by a value only.
+    The case of a request fails if one of its responses was not as recorded.
     """
     told = defaultdict(list)
     for each in report.differences:
@@ -207,5 +207,5 @@ def _told(difference: Difference) -> str:
 
 
 def _written(span: Span) -> str:
-    """A range in the neutral notation, which means the same with any profile and without one."""
+    """A range in the notation that does not depend on a profile, such as `holding 9..19`."""
     return write_reference(None, span.table, span.first, span.last - span.first + 1)

@@ -1,4 +1,4 @@
-"""Plays a recording's slaves."""
+"""Plays the slaves of a recording."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ if TYPE_CHECKING:
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
 MAX_LATENCY_NS = 1_000_000_000_000
+"""The longest --latency, 1000 s: no master waits that long."""
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
-"""What is drawn by chance is the same in each run."""
+"""Each run draws the same latencies for --latency sampled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,14 +59,14 @@ class SlaveOptions(PlayOptions):
     on_miss: OnMiss = OnMiss.IMAGE
     on_end: OnEnd = OnEnd.LAST
     latency: str = RECORDED
-    """Or none, sampled, or a time such as 5ms."""
+    """`recorded`, `none`, `sampled`, or a time such as `5ms`."""
     with_damage: bool = False
-    """Answers that were damaged are played, too."""
+    """True to play damaged responses, too."""
     fault_file: Path | None = None
 
 
 class SlaveRun:
-    """A recording that was read, ready to answer on a link."""
+    """A recording, read and ready to answer on a link."""
 
     def __init__(
         self,
@@ -74,21 +75,21 @@ class SlaveRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Of a file that is cut or damaged what is there is played.
+        """Read the recording; one that is cut or damaged as far as it can be read.
 
-        Raises InputError where there is nothing to answer, UsageError.
+        Raises InputError if there is no answered request in it, UsageError.
         """
         if options.rate is None and options.match.by_clock:
             raise UsageError(
-                f"--match {options.match} goes by the recording's clock, which cannot be "
-                "as fast as can be; give --speed a number"
+                f"--match {options.match} goes by the recording's clock, and --speed max has "
+                "none; give --speed a number"
             )
         self._fixed_ns = _fixed_latency_ns(options.latency)
         self._options = options
         recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events)
-        # What else was read is let go: it is several times as much.
+        # The transactions are not kept: they take several times the memory of the recording.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
         if not self.recording.answers:
@@ -128,7 +129,7 @@ class SlaveRun:
 
 
 class PlayedSlave:
-    """A recording's slaves on a link: answered in the shell's thread, steered from another."""
+    """The slaves of a recording on a link. The shell's thread answers, another one controls."""
 
     def __init__(
         self,
@@ -145,11 +146,11 @@ class PlayedSlave:
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:
-            # One clock for whoever asks and whoever steers.
+            # Requests and keys go by the same clock.
             return self._spoilt.respond(unit, pdu, time.monotonic_ns())
 
     def control(self, control: Control) -> None:
-        """Do what someone at the keyboard wants."""
+        """Do what a key asks for."""
         with self._lock:
             self._slave.control(control, time.monotonic_ns())
 
@@ -159,7 +160,10 @@ class PlayedSlave:
 
 
 class RecordedDevice:
-    """A device that answers what its recording does not know, in step with what it does."""
+    """A device by its profile. It answers requests that are not in the recording.
+
+    It learns the values of the recording as they are played.
+    """
 
     def __init__(self, profile: Profile) -> None:
         self._image = RegisterImage.of(profile)
@@ -173,7 +177,7 @@ class RecordedDevice:
 
 
 def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
-    """The profile of each unit that has one."""
+    """The profiles by unit, for units that have one."""
     profiles: dict[int, Profile] = {}
     for transaction in recorded.transactions:
         profile = recorded.assignments.profile_for(transaction)
@@ -189,7 +193,7 @@ def _transport(link: SerialLink | TcpLink) -> Transport:
 
 
 def _fixed_latency_ns(text: str) -> int | None:
-    """What --latency says where it is a time; None for a word. Raises UsageError."""
+    """The time that --latency gives; None for `recorded` and `sampled`. Raises UsageError."""
     if text in (RECORDED, SAMPLED):
         return None
     if text == NONE:

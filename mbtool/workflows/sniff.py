@@ -1,10 +1,11 @@
-"""Listens on links, decodes what is heard, and logs both."""
+"""Listens on links, decodes what comes, and logs both."""
 
-# One loop for all sources: an item goes into the log as evidence before it is decoded, and what is
-# decoded follows it into the log before anyone sees it. The log is begun when all sources are open,
-# so that a link which is not there leaves no log behind, and before a tap lets anybody in, so that
-# callers cannot take the files that the log needs. When the run ends, sources are closed
-# first, then all that they had heard is decoded, and last the log is made whole.
+# One loop serves all sources. Each item (bytes, a packet, a mark) is written to the log before it
+# is decoded, and each record is written to the log before the caller gets it.
+#
+# Order at the start: open all sources, begin the log, let taps accept connections. So a link that
+# cannot be opened leaves no log behind, and connections cannot use up the file descriptors that the
+# log needs. Order at the end: close the sources, decode what they had received, complete the log.
 
 from __future__ import annotations
 
@@ -42,19 +43,19 @@ MAX_REASONS = 64
 
 
 class Log(Protocol):
-    """What sniffing needs of a log."""
+    """The part of a log writer that a Sniffer uses."""
 
     def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Learn the time, so that nothing stays in memory for long."""
+        """Take the time, so that buffered items are written after a while."""
 
     def close(self, final: Mapping[str, str]) -> None:
-        """Complete it, with what only the end of a run shows."""
+        """Complete the log; `final` holds values that are known at the end of a run only."""
 
 
 class Sniffer:
-    """Runs sources until told to stop; a context manager whose exit leaves the log complete."""
+    """Runs sources until told to stop. A context manager whose exit completes the log."""
 
     def __init__(
         self,
@@ -67,11 +68,11 @@ class Sniffer:
         on_refused: Callable[[WireEvent], None] = lambda _event: None,
         on_discarded: Callable[[WireEvent], None] = lambda _event: None,
     ) -> None:
-        """`on_lost` is told when a link goes away while others stay.
+        """`on_lost` is called when a link is lost while others remain open.
 
-        `on_refused` is told when a tap turns a master away: once for each reason, until a master
-        was served again. `on_discarded` is told when bytes or packets that a source has heard, or
-        should have, are not in the log.
+        `on_refused` is called when a tap turns a master away: once for each reason, until a master
+        was served again. `on_discarded` is called when a source lost bytes or packets, so that
+        they are missing in the log.
         """
         self._links = links
         self._decoder = decoder
@@ -89,15 +90,15 @@ class Sniffer:
         self._open = 0
         self._discarded_packets = 0
         self._discarded_bytes = 0
-        """What sources lost: those of packets that the kernel dropped are not known."""
+        """Lost by sources. The bytes of packets that the kernel dropped are not counted."""
 
     @property
     def places(self) -> list[str]:
-        """The links as opened."""
+        """The links as opened, with the ports that taps really listen at."""
         return [source.place for source in self.sources]
 
     def __enter__(self) -> Self:
-        """Raises LinkError, and what beginning the log raises."""
+        """Open the links and begin the log. Raises LinkError, and what `begin_log` raises."""
         with ExitStack() as opened:
             for link in self._links:
                 source = live_source(link, self._inbox, ports=self._ports)
@@ -114,7 +115,7 @@ class Sniffer:
     def __exit__(self, *_: object) -> None:
         try:
             for _record in self._rest():
-                pass  # Nobody looks any more, but the log wants it.
+                pass  # Nobody takes the record, but it is written to the log.
         finally:
             if self._log is not None:
                 self._log.close(
@@ -125,9 +126,10 @@ class Sniffer:
                 )
 
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
-        """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
+        """Give records as they are decoded, until `stop` returns True or all links are lost.
 
-        Raises LinkError when the last link is lost, OutputError when the log takes no more.
+        `stop` is called with the time (ns) at least ten times a second. Raises LinkError when the
+        last link is lost, OutputError when the log cannot be written.
         """
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):
@@ -156,7 +158,7 @@ class Sniffer:
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
-        """Close the sources and give what they had still heard; a second time, what is left."""
+        """Close the sources, and give the records of what they had received. May be repeated."""
         self._open_sources.close()
         while (item := self._inbox.get(0)) is not None:
             if not isinstance(item, Ended):
@@ -173,7 +175,7 @@ class Sniffer:
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
-    """The serial links by the names that their bytes carry. Raises UsageError."""
+    """The serial links by name, as chunks refer to them. Raises UsageError for equal names."""
     names = [link.name for link in links]
     for name in names:
         if names.count(name) > 1:

@@ -1,14 +1,15 @@
-"""Reads a recording into the pieces of a line that is to be played: every byte of both sides."""
+"""Reads a recording as pieces of bytes to be sent to a serial line: every byte of both sides."""
 
-# A serial line's bytes come from the evidence as they were captured, with the silences between
-# reads; what a read brought in one go began so many characters before its time. Where there was
-# the silence that parts frames, there will be one, however fast it is played. A network's
-# messages are framed for the line, each transaction's answer behind its request, since a line
-# carries one at a time: the next request waits for the answer, also where a master had several
-# requests open.
+# Recorded on a serial line: the bytes are sent as they were captured, with the silences between
+# reads. The time of a read is that of its last byte, so the piece begins as many character times
+# earlier as it has bytes. A silence of t3.5 between two pieces is kept at any speed.
 #
-# One line at a time can be played; --where 'link == ...' chooses it. What else --where leaves out
-# is left out of a network's messages only: a line's bytes are played whole.
+# Recorded on a network: each PDU is framed for the line, the response of a transaction right after
+# its request. The next request comes after the response, also if the master did not wait for it,
+# because a serial line carries one transaction at a time.
+#
+# Only one line can be played; --where 'link == ...' chooses it. Other conditions of --where leave
+# out transactions of a network only: the bytes of a serial line are always all sent.
 
 from __future__ import annotations
 
@@ -44,11 +45,11 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
-"""No piece is longer, so that a port takes it at once."""
+"""Bytes in a piece at most, so that a port takes it at once: the longest RTU ADU."""
 
 
 class Begun(NamedTuple):
-    """Bytes and when the first of them began."""
+    """Bytes, and when the first of them began."""
 
     begin_ns: int
     data: bytes
@@ -62,9 +63,9 @@ def read_pieces(
     on_remark: Callable[[str], None],
     watch: Watch = unwatched,
 ) -> list[ByteRun]:
-    """What a link is to carry, in order of time, from the window's beginning on.
+    """The pieces to send to a link, in order of time, counted from the beginning of the window.
 
-    Raises InputError where there is nothing, UsageError.
+    Raises InputError if there are none, UsageError.
     """
     window = options.window
     transactions = read_recorded(path, options, on_remark, watch).transactions
@@ -121,7 +122,7 @@ def _of_line(
     link: SerialLink,
     on_remark: Callable[[str], None],
 ) -> list[Begun]:
-    """The bytes of a line as they were captured."""
+    """The bytes of a serial line as they were captured."""
     if path == STANDARD_INPUT:
         raise UsageError("standard input: the bytes of a line are read twice; name a file")
     pieces: list[_Heard] = []
@@ -136,11 +137,11 @@ def _of_line(
             untimed = untimed or chunk.stamp is Stamp.UNKNOWN
             pieces += _cut(chunk, line.format)
     except (CutError, DamageError):
-        pass  # It was told when the transactions were read.
+        pass  # The user was told when the transactions were read.
     if untimed:
         on_remark(f"{path}: says nothing of when its bytes came: they follow without a silence")
-    # By their ends: where the rate is taken for too low, a long piece seems to begin before the one
-    # that it follows.
+    # Sorted by their ends: if the assumed baud rate is too low, a long piece seems to begin before
+    # the piece ahead of it.
     pieces.sort(key=lambda one: one.end_ns)
     begun: list[Begun] = []
     end_ns: int | None = None
@@ -153,7 +154,7 @@ def _of_line(
 
 
 class _Heard(NamedTuple):
-    """Bytes, from when to when they passed, and what parted frames on that line."""
+    """Bytes, their first and last moment, and the shortest silence between frames (t3.5)."""
 
     begin_ns: int
     end_ns: int
@@ -162,7 +163,7 @@ class _Heard(NamedTuple):
 
 
 def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
-    """A chunk in pieces that are not too long."""
+    """Cut a chunk into pieces of at most MAX_PIECE bytes."""
     character_ns = line.character_ns
     begin_ns = chunk.ts_ns
     if chunk.stamp is not Stamp.AT_ONCE:
@@ -174,14 +175,14 @@ def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
 
 
 def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings, Chunk]]:
-    """The serial bytes of a file, and of which line they are."""
+    """The serial bytes of a file, each with the settings of its line."""
     given = options.line or LineSettings(SerialFormat())
     with open_capture(path, options.line) as capture:
         if capture.kind is CaptureKind.MCAP:
             log = LogReader(capture.stream, capture.name)
             lines: dict[str, LineSettings | None] = {}
             for item in log.evidence():
-                if item.link not in lines:  # Here, since links may be told behind the first item.
+                if item.link not in lines:  # Looked up late: a log may name a link after its items.
                     lines[item.link] = _settings(log.links.get(item.link, {}).get(SPEC))
                 line = lines[item.link]
                 if isinstance(item, Chunk) and line is not None:
@@ -200,6 +201,6 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
 
 
 def _settings(spec: str | None) -> LineSettings | None:
-    """What a log's link is like; None where it is no line."""
+    """The settings of a link in a log; None if it is not a serial line."""
     link = None if spec is None else parse_link(spec)
     return LineSettings(link.format, link.ascii) if isinstance(link, SerialLink) else None

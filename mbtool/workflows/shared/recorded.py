@@ -1,4 +1,4 @@
-"""Reads the transactions of a recording that is to be played."""
+"""Reads the transactions of a recording that is to be played, and what is to be played of them."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class PlayOptions:
 
 
 class Recorded(NamedTuple):
-    """What is to be played, and the devices in it."""
+    """The transactions to be played, and the profiles of their devices."""
 
     transactions: list[NamedTransaction]
     assignments: Assignments
     damage: list[WireEvent]
-    """Bytes that could not be read."""
+    """Events about damaged frames."""
 
 
 def read_recorded(
@@ -72,7 +72,7 @@ def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
 
 
 def within(transactions: list[NamedTransaction], window: TimeRange) -> list[NamedTransaction]:
-    """Those that begin in a window, which counts from the first request."""
+    """The transactions that begin in a window, whose time counts from the first request."""
     first_ns = min(
         (one.request_ns for one in transactions if one.request_ns is not None), default=0
     )
@@ -80,14 +80,17 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """Where there is nothing to play, and what helps; for a message."""
+    """The end of the message `nothing to play ...`: where, and what the user can do."""
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"
 
 
 def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> None:
-    """A unit that several recorded slaves share could only be played as a mixture of them."""
+    """See that no unit is on several links, as one unit cannot play two slaves.
+
+    Raises UsageError.
+    """
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:
         if one.outcome not in (Outcome.BROADCAST, Outcome.UNSOLICITED):

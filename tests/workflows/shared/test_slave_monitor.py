@@ -12,7 +12,7 @@ from mbtool.modbus.adu import Adu
 from mbtool.modbus.distortion import ConnectionEnding, Distortion
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
-from mbtool.workflows.shared.slave_monitor import MAX_WAITING, SlaveMonitor
+from mbtool.workflows.shared.slave_monitor import MAX_PENDING, SlaveMonitor
 
 TOUCH = load_profile("idec-ft1a-touch")
 READ = bytes.fromhex("03 0000 0001")
@@ -97,11 +97,11 @@ def test_unit_0_is_a_broadcast_on_a_line_only() -> None:
 
 def test_what_nobody_takes_is_bounded_and_counted() -> None:
     monitor = _tcp()
-    for _ in range(MAX_WAITING + 3):
+    for _ in range(MAX_PENDING + 3):
         monitor.take(_request(), Response(VALUE))
     assert monitor.missed() == 3
     assert monitor.missed() == 0
-    assert len(_transactions(monitor)) == MAX_WAITING
+    assert len(_transactions(monitor)) == MAX_PENDING
 
 
 def test_outputs_are_told_when_they_change() -> None:
