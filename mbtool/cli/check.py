@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Protocol, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
@@ -110,8 +111,8 @@ def check(
         interruptible() as interrupt,
         _finished(file, _printer(chosen, file, each=each), run, path) as printer,
     ):
-        for placed in interrupt.breakable(run.findings()):
-            printer.add(placed)
+        for found in interrupt.breakable(run.findings()):
+            printer.add(found)
     say_if_empty(run.reading)
     if run.counts:
         raise typer.Exit(exit_codes.NO)
@@ -134,10 +135,12 @@ def _finished(
         say(_sentence(run) + ("" if path is None else f" -> {path}"))
 
 
-class _Printer(Protocol):
-    def add(self, placed: FileFinding) -> None: ...
+class _Printer(ABC):
+    @abstractmethod
+    def add(self, found: FileFinding) -> None: ...
 
-    def end(self, run: CheckRun) -> None: ...
+    def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
+        """Print what was collected."""
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
@@ -146,15 +149,15 @@ def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
     return _DocumentPrinter(file, format_)
 
 
-class _FindingsTablePrinter:
+class _FindingsTablePrinter(_Printer):
     def __init__(self, file: TextIO) -> None:
         from mbtool.views.findings_table import Summaries
 
         self._file = file
         self._summaries = Summaries()
 
-    def add(self, placed: FileFinding) -> None:
-        self._summaries.add(placed.finding)
+    def add(self, found: FileFinding) -> None:
+        self._summaries.add(found.finding)
 
     def end(self, run: CheckRun) -> None:
         from mbtool.cli.console import PipeConsole
@@ -163,22 +166,19 @@ class _FindingsTablePrinter:
         print_summaries(PipeConsole(file=self._file), self._summaries)
 
 
-class _EachPrinter:
+class _EachPrinter(_Printer):
     def __init__(self, file: TextIO) -> None:
         from mbtool.cli.console import PipeConsole
 
         self._console = PipeConsole(file=file)
 
-    def add(self, placed: FileFinding) -> None:
+    def add(self, found: FileFinding) -> None:
         from mbtool.views.findings_table import finding_line
 
-        self._console.print(finding_line(placed.finding), soft_wrap=True)
-
-    def end(self, run: CheckRun) -> None:
-        pass
+        self._console.print(finding_line(found.finding), soft_wrap=True)
 
 
-class _DocumentPrinter:
+class _DocumentPrinter(_Printer):
     def __init__(self, file: TextIO, format_: CheckFormat) -> None:
         from mbtool import __version__
         from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
@@ -189,8 +189,8 @@ class _DocumentPrinter:
         )
         file.write(self._document.begin())
 
-    def add(self, placed: FileFinding) -> None:
-        self._file.write(self._document.add(placed.finding, placed.file))
+    def add(self, found: FileFinding) -> None:
+        self._file.write(self._document.add(found.finding, found.file))
 
     def end(self, run: CheckRun) -> None:
         self._file.write(self._document.end(run.transactions))

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,7 +14,7 @@ from typer.core import TyperGroup
 from mbtool.cli.command import Command
 from mbtool.cli.devices_own import draft, export, import_, new, schema
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import SourceOptions
+from mbtool.cli.options import ListFormat, SourceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,13 +36,6 @@ class _ShowsByDefault(TyperGroup):
         formatter.write_usage(ctx.command_path, "[NAME]")
         formatter.write_usage(ctx.command_path, "--match FILE [NAME]...")
         formatter.write_usage(ctx.command_path, "COMMAND [ARGS]...")
-
-
-class MatchFormat(StrEnum):
-    """How matches are printed."""
-
-    TABLE = "table"
-    JSONL = "jsonl"
 
 
 devices = typer.Typer(
@@ -73,13 +65,13 @@ def _devices(
         ),
     ] = None,
     format_: Annotated[
-        MatchFormat, typer.Option("--format", help="How to print what --match says.")
-    ] = MatchFormat.TABLE,
+        ListFormat, typer.Option("--format", help="How to print what --match says.")
+    ] = ListFormat.TABLE,
     source: SourceOptions,
 ) -> None:
     from mbtool.core import UsageError
 
-    is_about_match = source != SourceOptions() or format_ is not MatchFormat.TABLE
+    is_about_match = source != SourceOptions() or format_ is not ListFormat.TABLE
     if matched is None:
         if is_about_match:
             raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
@@ -121,7 +113,7 @@ def _list() -> None:
     PipeConsole().print(profile_list([load_profile(one) for one in builtin_profiles()]))
 
 
-def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: MatchFormat) -> None:
+def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: ListFormat) -> None:
     import json
 
     from mbtool.cli.console import PipeConsole
@@ -134,7 +126,7 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Ma
     profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]
     found = survey(file, options)
     verdicts = [match(one, profiles) for one in found.slaves]
-    if format_ is MatchFormat.JSONL:
+    if format_ is ListFormat.JSONL:
         for verdict in verdicts:
             typer.echo(json.dumps(verdict_record(verdict), separators=(",", ":")))
     else:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from mbtool.cli.options import ListFormat
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,17 +16,10 @@ if TYPE_CHECKING:
     from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 
 
-class LinksFormat(StrEnum):
-    """How ports and interfaces are printed."""
-
-    TABLE = "table"
-    JSONL = "jsonl"
-
-
 def links(
     format_: Annotated[
-        LinksFormat, typer.Option("--format", help="How to print.")
-    ] = LinksFormat.TABLE,
+        ListFormat, typer.Option("--format", help="How to print.")
+    ] = ListFormat.TABLE,
 ) -> None:
     """List serial ports and interfaces, and what is in their way.
 
@@ -37,7 +31,7 @@ def links(
     from mbtool.sources.local_interfaces import local_interfaces
 
     ports, interfaces = local_ports(), local_interfaces()
-    if format_ is LinksFormat.JSONL:
+    if format_ is ListFormat.JSONL:
         _print_json_lines(ports, interfaces)
     else:
         _print_tables(ports, interfaces)

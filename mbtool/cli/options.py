@@ -30,6 +30,13 @@ class Format(StrEnum):
     CSV = "csv"
 
 
+class ListFormat(StrEnum):
+    """How the rows of a list are printed."""
+
+    TABLE = "table"
+    JSONL = "jsonl"
+
+
 class EventChoice(StrEnum):
     """Which wire events are printed."""
 

@@ -171,9 +171,7 @@ def _sniffer(
         Decoder(Namer(devices), lines=serial_lines(links), timing=timing, **by_name),
         begin_log=None if log is None else partial(begin, log),
         ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
-        on_lost=lambda error: say(f"mbtool: {error}"),
-        on_discarded=lambda event: say(f"mbtool: {event.link}: {event.message}"),
-        on_refused=lambda event: say(f"mbtool: a master was turned away: {event.message}"),
+        on_remark=lambda text: say(f"mbtool: {text}"),
     )
 
 

@@ -64,24 +64,20 @@ class Sniffer:
         *,
         begin_log: Callable[[], Log] | None = None,
         ports: Sequence[int] = (),
-        on_lost: Callable[[LinkError], None] = lambda _error: None,
-        on_refused: Callable[[WireEvent], None] = lambda _event: None,
-        on_discarded: Callable[[WireEvent], None] = lambda _event: None,
+        on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """`on_lost` is called when a link is lost while others remain open.
+        """`on_remark` gets a line for the user in three cases.
 
-        `on_refused` is called when a tap turns a master away: once for each reason, until a master
-        was served again. `on_discarded` is called when a source lost bytes or packets, so that
-        they are missing in the log.
+        A link is lost while others remain open; a source lost bytes or packets, so that they are
+        missing in the log; a tap turns a master away (once for each reason, until a master was
+        served again).
         """
         self._links = links
         self._decoder = decoder
         self._begin_log = begin_log
         self._log: Log | None = None
         self._ports = ports
-        self._on_lost = on_lost
-        self._on_refused = on_refused
-        self._on_discarded = on_discarded
+        self._on_remark = on_remark
         self._refusals = Refusals()
         self._inbox = Inbox()
         self._open_sources = ExitStack()
@@ -138,7 +134,7 @@ class Sniffer:
                 self._open -= 1
                 lost = item.error or lost
                 if item.error is not None and self._open:
-                    self._on_lost(item.error)
+                    self._on_remark(str(item.error))
             elif item is not None:
                 yield from self._take(item)
             if self._log is not None:
@@ -154,7 +150,7 @@ class Sniffer:
             self._discarded_packets += item.packets
             self._discarded_bytes += item.missing
             if item.packets or item.missing:
-                self._on_discarded(item)
+                self._on_remark(f"{item.link}: {item.message}")
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
@@ -170,7 +166,7 @@ class Sniffer:
             if self._log is not None:
                 self._log.write(record)
             if self._refusals.is_news(record):
-                self._on_refused(record)
+                self._on_remark(f"a master was turned away: {record.message}")
         yield from records
 
 
