@@ -39,8 +39,8 @@ def links(
         say("no serial ports here; without hardware, mbtool line lays a virtual serial line")
     elif ports[0].unseen_processes:
         say(
-            f"processes that could not be asked what they hold: {ports[0].unseen_processes}; "
-            "sudo shows more"
+            f"processes that could not be examined: {ports[0].unseen_processes}; "
+            "sudo shows the ports that they hold"
         )
 
 

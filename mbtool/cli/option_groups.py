@@ -44,7 +44,7 @@ def takes_groups(command: Callable[..., None]) -> Callable[..., None]:
         }
         command(**values, **objects)
 
-    # What typer reads. The annotations are in the signature, so there are none to be looked up.
+    # typer reads the signature, and looks up annotations only if the function has any.
     ungrouped.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     ungrouped.__annotations__ = {}
     return ungrouped

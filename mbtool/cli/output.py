@@ -171,7 +171,8 @@ def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F
         return suffixes[Path(path).suffix.lower()]
     except KeyError:
         raise UsageError(
-            f"{path}: its name says no format; let it end in {', '.join(suffixes)}, or add --format"
+            f"{path}: its suffix names no format; let it end in {', '.join(suffixes)}, "
+            "or add --format"
         ) from None
 
 
@@ -210,7 +211,7 @@ def demand_other_file(files: Sequence[str], output: str | None) -> None:
     for file in files:
         if output is not None and _is_same(file, output):
             raise UsageError(
-                f"{output}: it is read, and would be written over; name another --output"
+                f"{output}: is an input and would be overwritten; name another --output"
             )
 
 

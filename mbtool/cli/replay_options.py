@@ -27,11 +27,11 @@ AS_SLAVE, AS_MASTER, AS_BUS = "--as-slave", "--as-master", "--as-bus"
 _MAX_S = 1e9
 """The largest --start and --end in seconds: 31 years."""
 _MAX_SPEED_CHARACTERS = 20
-"""A longer number takes long to be divided by."""
+"""Times are divided by the speed, exactly; a longer number would make that slow."""
 
 
 class MatchChoice(StrEnum):
-    """The values of replay.Match, which would bring the protocol into every --help."""
+    """The values of replay.MatchStrategy. To import that would make every --help slow."""
 
     AUTO = "auto"
     SEQUENCE = "sequence"
@@ -41,7 +41,7 @@ class MatchChoice(StrEnum):
 
 
 class MissChoice(StrEnum):
-    """The values of replay.OnMiss, likewise."""
+    """The values of replay.OnMiss."""
 
     IMAGE = "image"
     EXCEPTION = "exception"
@@ -49,7 +49,7 @@ class MissChoice(StrEnum):
 
 
 class EndChoice(StrEnum):
-    """The values of replay.OnEnd, likewise."""
+    """The values of replay.OnEnd."""
 
     LAST = "last"
     LOOP = "loop"
@@ -254,7 +254,7 @@ class PaceOptions(OptionGroup):
             if seconds is not None and not 0 <= seconds <= _MAX_S:  # NaN is outside, too.
                 raise UsageError(f"{option} {seconds:g}: write seconds, such as 2.5")
         if self.end is not None and self.end <= self.start:
-            raise UsageError(f"--end {self.end:g}: is not behind --start {self.start:g}")
+            raise UsageError(f"--end {self.end:g}: is not after --start {self.start:g}")
         end_ns = None if self.end is None else round(self.end * 1e9)
         return TimeRange(round(self.start * 1e9), end_ns)
 

@@ -90,7 +90,9 @@ def slave(
     from mbtool.workflows.slave import Station, device_slave
 
     if len(on) > 1:
-        raise UsageError(f"--on {on[1]}: it answers on {on[0]} already; start another slave there")
+        raise UsageError(
+            f"--on {on[1]}: a slave has one link, here {on[0]}; start another slave for it"
+        )
     link = parse_link(on[0], ANSWERED)
     device = load_profile(profile)
     own, names = _units(unit or ())
@@ -130,7 +132,7 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
         out.add(record)
     out.wait()
     if missed := monitor.missed():
-        say(f"mbtool: {missed} more not shown: they come faster than they can be shown")
+        say(f"mbtool: {missed} requests not shown: they come faster than they can be printed")
     if changed := monitor.changed_outputs():
         say("outputs: " + ", ".join(f"{one.name} {one.text}" for one in changed))
 

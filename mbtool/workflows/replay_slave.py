@@ -115,10 +115,10 @@ class SlaveRun:
             transport=_transport(where),
             with_damage=options.with_damage,
         )
-        spoilt: Responder = slave
+        responder: Responder = slave
         if options.fault_file is not None:
-            spoilt = faulty(slave, options.fault_file, where, self._profiles)
-        return PlayedSlave(slave, spoilt, where, allow_remote=allow_remote)
+            responder = faulty(slave, options.fault_file, where, self._profiles)
+        return PlayedSlave(slave, responder, where, allow_remote=allow_remote)
 
     def _latency(self) -> LatencyModel:
         if self._fixed_ns is not None:
@@ -134,20 +134,20 @@ class PlayedSlave:
     def __init__(
         self,
         slave: RecordedSlave,
-        spoilt: Responder,
+        responder: Responder,
         link: SerialLink | TcpLink,
         *,
         allow_remote: bool,
     ) -> None:
         self._slave = slave
-        self._spoilt = spoilt
+        self._responder = responder
         self._lock = threading.Lock()
         self.shell: Shell = open_shell(link, self, allow_remote=allow_remote)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:
             # Requests and keys go by the same clock.
-            return self._spoilt.respond(unit, pdu, time.monotonic_ns())
+            return self._responder.respond(unit, pdu, time.monotonic_ns())
 
     def control(self, control: Control) -> None:
         """Do what a key asks for."""

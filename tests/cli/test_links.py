@@ -38,7 +38,9 @@ def test_the_table_goes_to_standard_output_and_what_was_not_seen_beside_it(
 ) -> None:
     told = mbtool("links")
     assert told.code == exit_codes.DONE
-    assert told.err == "processes that could not be asked what they hold: 3; sudo shows more\n"
+    assert (
+        told.err == "processes that could not be examined: 3; sudo shows the ports that they hold\n"
+    )
     assert [line.rstrip() for line in told.lines] == [
         "port     what it is  driver    timing       low latency  held by",
         "ttyUSB0  -           ftdi_sio  timer 16 ms  -            picocom (412)",

@@ -92,7 +92,7 @@ def test_it_can_be_paused_and_ended_with_keys(capture: Path) -> None:
     [
         (["--match", "time", "--speed", "max"], "--match time goes by the recording's clock"),
         (["--loop", "--on-end", "last"], "--loop is --on-end loop; leave it out for --on-end last"),
-        (["--start", "2", "--end", "1"], "--end 1: is not behind --start 2"),
+        (["--start", "2", "--end", "1"], "--end 1: is not after --start 2"),
         (["--start", "nan"], "--start nan: write seconds, such as 2.5"),
         (["--start", "-1"], "--start -1: write seconds, such as 2.5"),
         (["--end", "nan"], "--end nan: write seconds, such as 2.5"),

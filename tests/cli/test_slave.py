@@ -94,7 +94,7 @@ def test_faults_of_a_file_are_shown_on_purpose(tmp_path: Path) -> None:
     [
         (
             ["--on", "tcp:127.0.0.1:1"],
-            "--on tcp:127.0.0.1:1: it answers on tcp:127.0.0.1:0 already",
+            "--on tcp:127.0.0.1:1: a slave has one link, here tcp:127.0.0.1:0",
         ),
         (["--unit", "256"], "--unit: '256' is no unit; write a number from 0 to 255, or 3=PROFILE"),
         (["--unit", "x"], "--unit: 'x' is no unit; write a number"),

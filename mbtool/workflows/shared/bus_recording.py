@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import (
@@ -30,9 +31,10 @@ from mbtool.core import (
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
-from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
+from mbtool.packets import serial_pieces
 from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
+from mbtool.workflows.shared.heard_line import serial_types
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import read_recorded, where_none
 
@@ -77,8 +79,8 @@ def read_pieces(
         begun = _framed(transactions, is_ascii=link.ascii)
         if any(one.unit == 0 and one.response_raw is not None for one in transactions):
             on_remark(
-                f"{path}: unit 0 answers in it, and on a line unit 0 is a broadcast: "
-                "listeners take its answers for unasked ones"
+                f"{path}: unit 0 answers in it, but on a serial line unit 0 is a broadcast: "
+                "listeners take its responses for unsolicited ones"
             )
     first_ns = begun[0].begin_ns if begun else 0
     pieces = [
@@ -124,7 +126,7 @@ def _of_line(
 ) -> list[Begun]:
     """The bytes of a serial line as they were captured."""
     if path == STANDARD_INPUT:
-        raise UsageError("standard input: the bytes of a line are read twice; name a file")
+        raise UsageError("standard input: a recording of a serial line is read twice; name a file")
     pieces: list[_Heard] = []
     untimed = False
     try:
@@ -133,13 +135,13 @@ def _of_line(
                 continue
             if line.ascii != link.ascii:
                 right = f"{'ascii' if line.ascii else 'rtu'}:{link.port}@{line.format}"
-                raise UsageError(f"{path}: {line} is what was recorded; play it on {right}")
+                raise UsageError(f"{path}: was recorded as {line}; play it on {right}")
             untimed = untimed or chunk.stamp is Stamp.UNKNOWN
             pieces += _cut(chunk, line.format)
     except (CutError, DamageError):
         pass  # The user was told when the transactions were read.
     if untimed:
-        on_remark(f"{path}: says nothing of when its bytes came: they follow without a silence")
+        on_remark(f"{path}: has no times of its bytes: they are sent without a silence")
     # Sorted by their ends: if the assumed baud rate is too low, a long piece seems to begin before
     # the piece ahead of it.
     pieces.sort(key=lambda one: one.end_ns)
@@ -188,11 +190,11 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
                 if isinstance(item, Chunk) and line is not None:
                     yield line, item
         elif capture.kind in PACKET_KINDS:
-            types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if options.line is not None else set())
-            for packet in capture.packets():
-                for piece in serial_pieces(packet) if packet.link_type in types else ():
-                    if isinstance(piece, Chunk):
-                        yield given, piece
+            types = serial_types(options.line)
+            packets = (packet for packet in capture.packets() if packet.link_type in types)
+            for piece in chain.from_iterable(map(serial_pieces, packets)):
+                if isinstance(piece, Chunk):
+                    yield given, piece
         else:
             settings, pieces = capture.serial(options.line)
             for piece in pieces:

@@ -37,9 +37,9 @@ def faulty(
 def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
     """Why a link cannot have a fault, and which fault it can have; None if it can."""
     if kind is FaultKind.BAD_CRC and not isinstance(link, SerialLink) and not link.rtu:
-        return "Modbus/TCP has no checksum; truncated or extra-bytes spoil an answer there"
+        return "Modbus/TCP has no checksum; use truncated or extra-bytes"
     if kind is FaultKind.WRONG_ID and (isinstance(link, SerialLink) or link.rtu):
-        return "only Modbus/TCP has transaction ids; wrong-unit is much the same here"
+        return "only Modbus/TCP has transaction ids; use wrong-unit"
     if kind in _ENDINGS and isinstance(link, SerialLink):
-        return "a serial line has no connection to end; no-answer is what it can do"
+        return "a serial line has no connection to end; use no-answer"
     return None

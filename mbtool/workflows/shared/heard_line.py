@@ -14,9 +14,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk
+from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES
 
 if TYPE_CHECKING:
-    from mbtool.core import SerialFormat
+    from collections.abc import Set as AbstractSet
+
+    from mbtool.core import LineSettings, SerialFormat
+
+
+def serial_types(line: LineSettings | None) -> AbstractSet[int]:
+    """The link types of packets that hold serial bytes; more if the user names the line."""
+    return SERIAL_LINK_TYPES if line is None else SERIAL_LINK_TYPES | USER_LINK_TYPES
 
 
 class HeardLine:

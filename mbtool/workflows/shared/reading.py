@@ -43,11 +43,11 @@ from mbtool.logs.links import (
     ports_of,
     serial_lines,
 )
-from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
+from mbtool.packets import serial_pieces
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
-from mbtool.workflows.shared.heard_line import HeardLine
+from mbtool.workflows.shared.heard_line import HeardLine, serial_types
 from mbtool.workflows.shared.log_records import log_records
 
 if TYPE_CHECKING:
@@ -297,11 +297,10 @@ class Reading:
 
     def _heard_packets(self, capture: CaptureFile) -> Iterator[Packet]:
         """The packets of a capture; those of a serial line are counted and checked for overlap."""
-        given = self._options.line is not None
-        serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if given else frozenset())
+        types = serial_types(self._options.line)
         heard: HeardLine | None = None
         for packet in capture.packets():
-            if packet.link_type in serial_types:
+            if packet.link_type in types:
                 self._serial_packets += 1
                 heard = heard or self._hear(capture)
                 for piece in serial_pieces(packet):
@@ -317,8 +316,8 @@ class Reading:
     def _demand_line_is_open(self, capture: CaptureFile) -> None:
         if capture.kind is CaptureKind.MCAP and self._options.line is not None:
             raise UsageError(
-                f"{capture.name}: a log knows its lines, so --link is not for it; "
-                "for other silences there is --t3-5 with --raw"
+                f"{capture.name}: --link is not for a log, which has the settings of its lines; "
+                "to change their silences use --raw with --t3-5"
             )
 
     def _decoded(
@@ -349,8 +348,8 @@ class Reading:
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
                 f"{self._current.name if self._current is not None else ''}: begins before "
-                f"{self.file} ends, so it is taken for another capture; "
-                "parts of one are named in the order of their times"
+                f"{self.file} ends, so it is read as another capture; "
+                "name the parts of one capture in the order of their times"
             )
 
     def _end_capture(self) -> Iterator[Record]:
@@ -375,8 +374,8 @@ class Reading:
             yield from self._decoded_again(log)
         elif self._options.t1_5 is not None or self._options.t3_5 is not None:
             raise UsageError(
-                f"{capture.name}: a log gives what was decoded when it was made; "
-                "--t1-5 and --t3-5 go with --raw, which decodes it afresh"
+                f"{capture.name}: a log holds what was decoded when it was made; "
+                "--t1-5 and --t3-5 need --raw, which decodes it again"
             )
         else:
             part = Part.of_log(log)

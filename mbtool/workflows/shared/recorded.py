@@ -1,4 +1,4 @@
-"""Reads the transactions of a recording that is to be played, and what is to be played of them."""
+"""Reads the transactions of a recording that is to be played."""
 
 from __future__ import annotations
 

@@ -619,5 +619,5 @@ def test_a_log_knows_its_lines(tmp_path: Path, raw: bool) -> None:
     path = _serial_log(tmp_path / "a.mcap")
     reading = Reading([str(path)], ReadingOptions(line=RTU, raw=raw))
     for look in (reading.demand_files, lambda: list(reading.records())):
-        with pytest.raises(UsageError, match=r"a log knows its lines.*--t3-5 with --raw"):
+        with pytest.raises(UsageError, match=r"--link is not for a log.*--raw with --t3-5"):
             look()
