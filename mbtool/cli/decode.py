@@ -24,7 +24,6 @@ from mbtool.cli.progress import with_progress
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading
 
@@ -86,15 +85,11 @@ def decode(
     wanted = condition(where)
     options = source.read(device, raw=raw, silences=silences)
     reading = Reading(files, options)
-
-    def profile_for(one: NamedTransaction) -> Profile | None:
-        return reading.assignments.profile_for(one)
-
-    hints = ModelHints(profile_for)
+    hints = ModelHints(reading.profile_for)
     with (
         _with_remarks(reading, hints),
         open_output(
-            output, format_, events, profile_for, wanted, limit, reading.demand_files
+            output, format_, events, reading.profile_for, wanted, limit, reading.demand_files
         ) as out,
         interruptible() as interrupt,
     ):
@@ -118,9 +113,8 @@ def decode(
                 break
         if interrupt.asked:
             raise KeyboardInterrupt
-    if follow:
-        return
-    say_if_empty(reading)
+    if not follow:
+        say_if_empty(reading)
 
 
 @contextmanager

@@ -58,7 +58,7 @@ def replay(
     from mbtool.core import parse_link
     from mbtool.core.link_spec import ANSWERED
 
-    side, link_text = chosen.side(), chosen.link()
+    side, link_text = chosen.side_and_link()
     demand_side(context, side)
     reading = source.read(device, raw=raw)
     link = parse_link(link_text, ANSWERED)

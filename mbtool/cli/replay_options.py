@@ -90,8 +90,8 @@ class SideOptions(OptionGroup):
         typer.Option("--to", metavar="LINK", help="Where the slave is that is asked, likewise."),
     ] = None
 
-    def side(self) -> str:
-        """The one side that is chosen. Raises UsageError."""
+    def side_and_link(self) -> tuple[str, str]:
+        """The one side that is chosen, and the text of its link. Raises UsageError."""
         from mbtool.core import UsageError
 
         chosen = {AS_SLAVE: self.as_slave, AS_MASTER: self.as_master, AS_BUS: self.as_bus}
@@ -101,19 +101,13 @@ class SideOptions(OptionGroup):
                 "say which side to play: --as-slave --on LINK, --as-master --to LINK, "
                 "or --as-bus --on LINK"
             )
-        return sides[0]
-
-    def link(self) -> str:
-        """The text of --to for the master, of --on for the other sides. Raises UsageError."""
-        from mbtool.core import UsageError
-
-        side = self.side()
-        needed, text, other = "--on", self.on, self.to
-        if side == AS_MASTER:
-            needed, text, other = "--to", self.to, self.on
-        if text is None or other is not None:
+        (side,) = sides
+        links = {"--on": self.on, "--to": self.to}
+        needed = "--to" if side == AS_MASTER else "--on"
+        link = links.pop(needed)
+        if link is None or any(other is not None for other in links.values()):
             raise UsageError(f"{side} goes with {needed} LINK")
-        return text
+        return side, link
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Assignments
-    from mbtool.logs import LogWriter, RotatingLog, Rotation
+    from mbtool.logs import LogWriter, RotatingLog
     from mbtool.workflows.sniff import Sniffer
 
 
@@ -87,7 +87,7 @@ def sniff(
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
     from mbtool.logs import Rotation
-    from mbtool.logs.opening import demand_log
+    from mbtool.logs.opening import begin_log, demand_log
     from mbtool.workflows.sniff import serial_lines, with_settings
 
     if rotate is not None and write is None:
@@ -104,19 +104,23 @@ def sniff(
     if write is not None:
         demand_log(write, overwrite=overwrite)
     specs = timing.given(with_settings(specs, say))
-    log = None if write is None else _LogOptions(write, rotation, overwrite)
-    sniffer = _sniffer(specs, timing, tcp_ports, log)
+    begin = None
+    if write is not None:
+        begin = partial(
+            begin_log,
+            write,
+            specs,
+            devices,
+            rotation=rotation,
+            overwrite=overwrite,
+            **tcp_ports._asdict(),
+        )
+    sniffer = _sniffer(specs, timing, tcp_ports, begin)
     with (
         interruptible() as interrupt,
         sniffer,
         open_output(
-            None,
-            format_,
-            events,
-            devices.profile_for,
-            wanted,
-            count,
-            is_kept=write is not None,
+            None, format_, events, devices.profile_for, wanted, count, is_kept=write is not None
         ) as out,
     ):
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
@@ -125,12 +129,6 @@ def sniff(
         say(f"log: {write}")
     if interrupt.asked:
         raise KeyboardInterrupt
-
-
-class _LogOptions(NamedTuple):
-    path: str
-    rotation: Rotation | None
-    overwrite: bool
 
 
 def _tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
@@ -150,26 +148,22 @@ def _tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
 
 
 def _sniffer(
-    links: Sequence[LinkSpec], timing: LineTiming, ports: TcpPorts, log: _LogOptions | None
+    links: Sequence[LinkSpec],
+    timing: LineTiming,
+    ports: TcpPorts,
+    begin: Callable[[], LogWriter | RotatingLog] | None,
 ) -> Sniffer:
     """A sniffer that tells a person what goes wrong while it runs."""
     from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder
     from mbtool.devices import Namer
-    from mbtool.logs.opening import begin_log
     from mbtool.workflows.sniff import Sniffer, serial_lines
 
-    devices, by_name = timing.assignments, ports._asdict()
-
-    def begin(log: _LogOptions) -> LogWriter | RotatingLog:
-        return begin_log(
-            log.path, links, devices, rotation=log.rotation, overwrite=log.overwrite, **by_name
-        )
-
+    namer, lines = Namer(timing.assignments), serial_lines(links)
     return Sniffer(
         links,
-        Decoder(Namer(devices), lines=serial_lines(links), timing=timing, **by_name),
-        begin_log=None if log is None else partial(begin, log),
+        Decoder(namer, lines=lines, timing=timing, **ports._asdict()),
+        begin_log=begin,
         ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
         on_remark=lambda text: say(f"mbtool: {text}"),
     )

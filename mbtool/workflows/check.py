@@ -95,7 +95,7 @@ class CheckRun:
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
-        self._hints = ModelHints(lambda one: self.reading.assignments.profile_for(one))
+        self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
         self.counts: Counter[str] = Counter()
         """How often each chosen code was found."""

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from mbtool.decode.decoder import Evidence, Record
-    from mbtool.devices import Profile
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.sources.files import CaptureFile
 
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
@@ -129,6 +129,9 @@ class Reading:
         """True if the last record was taken from a log without being decoded again."""
         self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
         """Settings of a serial link, by its name; None if the times of its bytes are unknown."""
+
+    def profile_for(self, transaction: NamedTransaction) -> Profile | None:
+        return self.assignments.profile_for(transaction)
 
     @property
     def fraction(self) -> float | None:
