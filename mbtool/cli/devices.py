@@ -66,12 +66,12 @@ def _devices(
     ] = None,
     format_: Annotated[
         ListFormat, typer.Option("--format", help="How to print what --match says.")
-    ] = ListFormat.TABLE,
+    ] = "table",
     source: SourceOptions,
 ) -> None:
     from mbtool.core import UsageError
 
-    is_about_match = source != SourceOptions() or format_ is not ListFormat.TABLE
+    is_about_match = source != SourceOptions() or format_ != "table"
     if matched is None:
         if is_about_match:
             raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
@@ -126,7 +126,7 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Li
     profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]
     found = survey(file, options)
     verdicts = [match(one, profiles) for one in found.slaves]
-    if format_ is ListFormat.JSONL:
+    if format_ == "jsonl":
         for verdict in verdicts:
             typer.echo(json.dumps(verdict_record(verdict), separators=(",", ":")))
     else:

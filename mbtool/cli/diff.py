@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,13 +13,6 @@ from mbtool.cli.options import (
     SourceOptions,
     WhereOption,
 )
-
-
-class DiffFormat(StrEnum):
-    """How differences are printed."""
-
-    TABLE = "table"
-    JSON = "json"
 
 
 @takes_groups
@@ -45,8 +37,8 @@ def diff(
         bool, typer.Option("--latency/--no-latency", help="Compare latencies, too.")
     ] = True,
     format_: Annotated[
-        DiffFormat, typer.Option("--format", help="How to print.")
-    ] = DiffFormat.TABLE,
+        Literal["table", "json"], typer.Option("--format", help="How to print.")
+    ] = "table",
     raw: RawOption = False,
     source: SourceOptions,
 ) -> None:
@@ -72,7 +64,7 @@ def diff(
         latency=latency,
     )
     compared = compare(a, b, options, say)
-    if format_ is DiffFormat.JSON:
+    if format_ == "json":
         typer.echo(msgspec.json.format(msgspec.json.encode(compared), indent=2).decode())
     else:
         print_differences(PipeConsole(), compared.differences)

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 
 def links(
-    format_: Annotated[
-        ListFormat, typer.Option("--format", help="How to print.")
-    ] = ListFormat.TABLE,
+    format_: Annotated[ListFormat, typer.Option("--format", help="How to print.")] = "table",
 ) -> None:
     """List serial ports and interfaces, and what is in their way.
 
@@ -31,7 +29,7 @@ def links(
     from mbtool.sources.local_interfaces import local_interfaces
 
     ports, interfaces = local_ports(), local_interfaces()
-    if format_ is ListFormat.JSONL:
+    if format_ == "jsonl":
         _print_json_lines(ports, interfaces)
     else:
         _print_tables(ports, interfaces)

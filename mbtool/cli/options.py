@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
@@ -30,13 +30,6 @@ class Format(StrEnum):
     CSV = "csv"
 
 
-class ListFormat(StrEnum):
-    """How the rows of a list are printed."""
-
-    TABLE = "table"
-    JSONL = "jsonl"
-
-
 class EventChoice(StrEnum):
     """Which wire events are printed."""
 
@@ -45,6 +38,8 @@ class EventChoice(StrEnum):
     ALL = "all"
 
 
+ListFormat = Literal["table", "jsonl"]
+"""How the rows of a list are printed."""
 DeviceOption = Annotated[
     list[str] | None,
     typer.Option(

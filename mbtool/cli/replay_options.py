@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -30,31 +29,10 @@ _MAX_SPEED_CHARACTERS = 20
 """Times are divided by the speed, exactly; a longer number would make that slow."""
 
 
-class MatchChoice(StrEnum):
-    """The values of replay.MatchStrategy. To import that would make every --help slow."""
-
-    AUTO = "auto"
-    SEQUENCE = "sequence"
-    KEY = "key"
-    TIME = "time"
-    IMAGE = "image"
-
-
-class MissChoice(StrEnum):
-    """The values of replay.OnMiss."""
-
-    IMAGE = "image"
-    EXCEPTION = "exception"
-    SILENT = "silent"
-
-
-class EndChoice(StrEnum):
-    """The values of replay.OnEnd."""
-
-    LAST = "last"
-    LOOP = "loop"
-    IMAGE = "image"
-    SILENT = "silent"
+# The values of replay.MatchStrategy, OnMiss and OnEnd. To import those would make --help slow.
+MatchChoice = Literal["auto", "sequence", "key", "time", "image"]
+MissChoice = Literal["image", "exception", "silent"]
+EndChoice = Literal["last", "loop", "image", "silent"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +101,7 @@ class AsSlaveOptions(OptionGroup):
             "recording's clock; image: from the registers as they were at that moment; auto: by "
             "key, else from the registers, else by the device's profile.",
         ),
-    ] = MatchChoice.AUTO
+    ] = "auto"
     on_miss: Annotated[
         MissChoice,
         typer.Option(
@@ -131,7 +109,7 @@ class AsSlaveOptions(OptionGroup):
             help="What a request gets that was never recorded: an answer from the registers as "
             "they were at that moment of the recording, an exception, or silence.",
         ),
-    ] = MissChoice.IMAGE
+    ] = "image"
     on_end: Annotated[
         EndChoice | None,
         typer.Option(
@@ -169,9 +147,9 @@ class AsSlaveOptions(OptionGroup):
 
         return SlaveOptions(
             **shared,
-            match=MatchStrategy(self.match.value),
-            on_miss=OnMiss(self.on_miss.value),
-            on_end=OnEnd(self._end(is_loop=is_loop).value),
+            match=MatchStrategy(self.match),
+            on_miss=OnMiss(self.on_miss),
+            on_end=OnEnd(self._end(is_loop=is_loop)),
             latency=self.latency,
             with_damage=self.faults_as_recorded,
             fault_file=self.fault,
@@ -180,9 +158,9 @@ class AsSlaveOptions(OptionGroup):
     def _end(self, *, is_loop: bool) -> EndChoice:
         from mbtool.core import UsageError
 
-        if is_loop and self.on_end not in (None, EndChoice.LOOP):
+        if is_loop and self.on_end not in (None, "loop"):
             raise UsageError(f"--loop is --on-end loop; leave it out for --on-end {self.on_end}")
-        return EndChoice.LOOP if is_loop else self.on_end or EndChoice.LAST
+        return "loop" if is_loop else self.on_end or "last"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import pytest
 
@@ -78,5 +78,5 @@ def test_a_replay_of_a_damaged_log_says_so_and_plays_the_rest(tmp_path: Path) ->
     ("choices", "players"),
     [(MissChoice, OnMiss), (MatchChoice, MatchStrategy), (EndChoice, OnEnd)],
 )
-def test_the_choices_are_the_players(choices: type[StrEnum], players: type[StrEnum]) -> None:
-    assert [one.value for one in choices] == [one.value for one in players]
+def test_the_choices_are_the_players(choices: object, players: type[StrEnum]) -> None:
+    assert list(get_args(choices)) == [one.value for one in players]
