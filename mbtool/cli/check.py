@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import typer
 
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import (
-    DeviceOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
-)
+from mbtool.cli.options import DeviceOption, RawOption, SilenceOptions, SourceOptions
 
 if TYPE_CHECKING:
     from mbtool.workflows.check import CheckRun, FileFinding
@@ -30,18 +25,13 @@ class CheckFormat(StrEnum):
     SARIF = "sarif"
 
 
-_SUFFIXES = {
-    ".txt": CheckFormat.TABLE,
-    ".json": CheckFormat.JSON,
-    ".sarif": CheckFormat.SARIF,
-}
+_SUFFIXES = {".txt": CheckFormat.TABLE, ".json": CheckFormat.JSON, ".sarif": CheckFormat.SARIF}
 
 
 @takes_groups
 def check(
     files: Annotated[
-        list[str],
-        typer.Argument(metavar="FILE", help="Captures and logs, as for decode."),
+        list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
     ],
     *,
     device: DeviceOption = None,

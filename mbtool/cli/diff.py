@@ -7,12 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import (
-    DeviceOption,
-    RawOption,
-    SourceOptions,
-    WhereOption,
-)
+from mbtool.cli.options import DeviceOption, RawOption, SourceOptions, WhereOption
 
 
 @takes_groups

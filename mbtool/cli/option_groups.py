@@ -54,10 +54,7 @@ def _parameters_of(group: type[OptionGroup]) -> list[Parameter]:
     types = get_type_hints(group, include_extras=True)
     return [
         Parameter(
-            field.name,
-            Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=types[field.name],
+            field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=types[field.name]
         )
         for field in fields(group)
     ]

@@ -7,13 +7,7 @@ from typing import Annotated
 import typer
 
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import (
-    DeviceOption,
-    RawOption,
-    RemoteOption,
-    SourceOptions,
-    WhereOption,
-)
+from mbtool.cli.options import DeviceOption, RawOption, RemoteOption, SourceOptions, WhereOption
 from mbtool.cli.replay_options import (
     AS_BUS,
     AS_SLAVE,

@@ -179,12 +179,10 @@ class PaceOptions(OptionGroup):
         bool, typer.Option("--loop", help="Again from the beginning, until Ctrl-C.")
     ] = False
     start: Annotated[
-        float,
-        typer.Option("--start", metavar="S", help="Where to begin, in seconds of it."),
+        float, typer.Option("--start", metavar="S", help="Where to begin, in seconds of it.")
     ] = 0.0
     end: Annotated[
-        float | None,
-        typer.Option("--end", metavar="S", help="Where to end, likewise."),
+        float | None, typer.Option("--end", metavar="S", help="Where to end, likewise.")
     ] = None
 
     def shared(

@@ -56,8 +56,7 @@ class TlsOptions(OptionGroup):
     tls_target_unverified: Annotated[
         bool,
         typer.Option(
-            "--tls-target-unverified",
-            help="The same, whatever certificate the target shows.",
+            "--tls-target-unverified", help="The same, whatever certificate the target shows."
         ),
     ] = False
     tls_target_cert: Annotated[
