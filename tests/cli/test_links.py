@@ -82,7 +82,7 @@ def test_json_lines_leave_out_what_is_not_known(mbtool: CommandLine) -> None:
 
 
 @pytest.mark.parametrize("format_", ["table", "jsonl"])
-def test_without_a_port_it_says_how_to_do_without(
+def test_without_a_port_it_recommends_a_virtual_line(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, format_: str
 ) -> None:
     monkeypatch.setattr("mbtool.ports.local_ports.local_ports", list)
@@ -96,7 +96,7 @@ def test_without_a_port_it_says_how_to_do_without(
     assert "rtu:" not in told.out
 
 
-def test_a_name_that_is_no_text_is_told_nevertheless(
+def test_the_name_of_an_interface_that_is_not_utf_8_is_printed(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mbtool.ports.local_ports.local_ports", list)
@@ -107,7 +107,7 @@ def test_a_name_that_is_no_text_is_told_nevertheless(
 
 
 @pytest.mark.parametrize("format_", ["table", "jsonl"])
-def test_this_very_machine_can_be_asked(mbtool: CommandLine, format_: str) -> None:
+def test_the_links_of_this_machine_can_be_listed(mbtool: CommandLine, format_: str) -> None:
     told = mbtool("links", "--format", format_)
     assert told.code == exit_codes.DONE
     assert "net:lo" in told.out

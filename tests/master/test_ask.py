@@ -39,7 +39,7 @@ def test_asks_over_tcp() -> None:
     assert script.asked == [(1, READ), (5, READ)]
 
 
-def test_silence_over_tcp_is_no_answer_and_a_late_one_is_not_the_next_ones() -> None:
+def test_no_response_over_tcp_gives_none_and_a_late_response_is_not_taken_for_the_next() -> None:
     with (
         TcpSlave(TcpLink(ANY), Scripted(_only_writes)) as slave,
         open_master(TcpLink(slave.endpoint), SHORT_NS) as master,
@@ -48,7 +48,7 @@ def test_silence_over_tcp_is_no_answer_and_a_late_one_is_not_the_next_ones() -> 
         assert master.ask(1, WRITE) == WRITE
 
 
-def test_a_closed_connection_is_no_answer_and_is_opened_again() -> None:
+def test_a_closed_connection_gives_none_and_is_opened_again() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
         open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1])), SHORT_NS) as master,
@@ -63,7 +63,7 @@ def test_a_closed_connection_is_no_answer_and_is_opened_again() -> None:
             assert answer.result(PATIENCE_S) is None
 
 
-def test_says_whom_it_cannot_reach() -> None:
+def test_the_error_names_the_slave_that_cannot_be_reached() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(LinkError, match=f"127.0.0.1:{port}: cannot be reached"):
@@ -78,7 +78,7 @@ def test_asks_on_a_serial_line() -> None:
             assert rtu.ask(2, READ) == VALUES
 
 
-def test_silence_on_a_serial_line_is_no_answer() -> None:
+def test_no_response_on_a_serial_line_gives_none() -> None:
     with (
         VirtualLine(ends=2, format=FAST) as line,
         open_master(SerialLink(line.ports[1], FAST), SHORT_NS) as rtu,

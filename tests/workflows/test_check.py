@@ -41,14 +41,14 @@ def test_a_device_that_the_user_names_has_its_rules() -> None:
     assert codes(FINDINGS / "FT1A-Q16.pcap", devices=["1=idec-ft1a-touch"]) == ["FT1A-Q16"]
 
 
-def test_a_log_brings_its_devices_and_its_lines() -> None:
+def test_a_log_names_its_devices_and_its_lines() -> None:
     assert codes(FOLDER / "ft1a-touch-line.mcap") == ["FT1A-F15", "FT1A-A3"]
     log = FOLDER / "torn-and-glued-frames.mcap"
     assert "RTU-104" in codes(log)
     assert "MB-402" in codes(log)
 
 
-def test_what_the_user_names_stands_in_place_of_the_logs_devices() -> None:
+def test_the_users_profiles_replace_those_of_the_log() -> None:
     log = FOLDER / "ft1a-touch-line.mcap"
     found = codes(log, devices=["1=idec-ft1a-smartaxis"])
     assert not [code for code in found if code.startswith("FT1A")]
@@ -62,7 +62,7 @@ def test_findings_are_counted_and_placed() -> None:
     assert run.transactions == 6
 
 
-def test_captures_do_not_speak_to_one_another(tmp_path: Path) -> None:
+def test_each_capture_is_checked_on_its_own(tmp_path: Path) -> None:
     """A request that one leaves open is not answered in another of an earlier time."""
     net = Net()
     talk = net.open()
@@ -86,7 +86,7 @@ def test_the_parts_of_one_capture_are_one(tmp_path: Path) -> None:
     assert codes(tmp_path / "a.pcap", tmp_path / "b.pcap") == []
 
 
-def test_what_stands_before_a_cut_is_checked(tmp_path: Path) -> None:
+def test_a_cut_capture_is_checked_up_to_the_cut(tmp_path: Path) -> None:
     net = Net()
     talk = net.open()
     data = net.asked(talk, BROKEN, "85 03").asked(talk).file()
@@ -102,7 +102,7 @@ def test_a_packed_capture_is_read(tmp_path: Path) -> None:
     assert codes(tmp_path / "x.pcap.gz") == ["MB-103"]
 
 
-def test_bytes_without_times_tell_nothing_of_times(tmp_path: Path) -> None:
+def test_bytes_without_times_give_no_findings_about_times(tmp_path: Path) -> None:
     bus = Bus()
     for number in range(48):
         bus.frame(1, "03 0000 0001", after_ms=200 if number % 8 else 400)
@@ -137,7 +137,7 @@ def test_codes_are_selected_by_their_beginning(
     assert [code for code in every if codes.takes(code)] == taken
 
 
-def test_what_is_not_wanted_is_not_counted() -> None:
+def test_findings_that_are_not_chosen_are_not_counted() -> None:
     run = checked(FINDINGS / "MB-103.pcap", codes=CodeFilter.parse([], ["MB"]))
     assert not [*run.findings()]
     assert not run.counts

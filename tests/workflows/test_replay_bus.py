@@ -67,7 +67,7 @@ def test_every_byte_is_heard_and_counted(capture: Path) -> None:
     assert (report.bytes, report.pieces) == (len(WHOLE), 6)
 
 
-def test_as_fast_as_can_be_no_lateness_is_told(capture: Path) -> None:
+def test_at_full_speed_no_lateness_is_reported(capture: Path) -> None:
     with _line() as (link, near):
         report = BusRun(str(capture), BusOptions(rate=None), link).play()
         assert _heard(near, len(WHOLE)) == WHOLE

@@ -73,7 +73,7 @@ def test_a_recording_answers_as_its_slave_did(tmp_path: Path) -> None:
         assert master.ask(1, READ) == VALUES
 
 
-def test_what_was_read_is_let_go_once_it_can_be_played(tmp_path: Path) -> None:
+def test_transactions_are_freed_once_the_recording_is_built(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(50))
 
@@ -129,7 +129,9 @@ def test_a_cut_recording_is_played_as_far_as_it_goes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("raw", [False, True])
-def test_of_a_damaged_log_what_is_there_is_played(tmp_path: Path, number: int, raw: bool) -> None:
+def test_a_damaged_log_is_played_as_far_as_it_can_be_read(
+    tmp_path: Path, number: int, raw: bool
+) -> None:
     path = damaged_log(tmp_path / "a.mcap", number)
     told: list[str] = []
     options = SlaveOptions(reading=ReadingOptions(raw=raw))

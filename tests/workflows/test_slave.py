@@ -76,7 +76,7 @@ def test_a_device_takes_on_its_line_what_it_takes_in_that_mode(
     assert (answer.pdu[0] == 3) == answered
 
 
-def test_others_are_let_in_only_with_leave() -> None:
+def test_other_machines_are_let_in_only_if_allowed() -> None:
     with pytest.raises(UsageError, match="--allow-remote"):
         device_slave(TOUCH, parse_link("tcp:0.0.0.0:0")).start()
 
@@ -90,7 +90,7 @@ def test_start_values_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         device_slave(TOUCH, LOOPBACK, image_file=wrong)
 
 
-def test_what_a_device_keeps_outlasts_its_slave(tmp_path: Path) -> None:
+def test_nonvolatile_registers_survive_a_restart(tmp_path: Path) -> None:
     module, state = load_profile("fa3-at1m8x"), tmp_path / "state.toml"
     write, read = bytes.fromhex("06 00F5 0007"), bytes.fromhex("03 00F5 0001")
     for request in (write, read):
@@ -110,7 +110,7 @@ def test_a_device_has_its_own_rules_for_connections() -> None:
     assert touch.places == touch.bounds.connections
 
 
-def test_exchanges_are_told() -> None:
+def test_requests_and_responses_reach_the_monitor() -> None:
     monitor = SlaveMonitor(TOUCH, LOOPBACK)
     shell = device_slave(TOUCH, LOOPBACK, 7, monitor=monitor)
     assert isinstance(shell, TcpSlave)

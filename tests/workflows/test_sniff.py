@@ -348,7 +348,7 @@ def test_the_log_learns_the_time_while_nothing_comes(bench: Bench) -> None:
     assert log.ticks >= 3
 
 
-def test_what_bounds_have_cost_is_counted_and_told(bench: Bench) -> None:
+def test_lost_bytes_and_packets_are_counted_and_told(bench: Bench) -> None:
     log = _Log(room=100)
     told: list[str] = []
     decoder = Decoder(Namer())
@@ -374,7 +374,7 @@ def test_what_bounds_have_cost_is_counted_and_told(bench: Bench) -> None:
     ]
 
 
-def test_what_is_in_the_log_is_not_counted_as_lost(bench: Bench) -> None:
+def test_evidence_that_only_the_decoder_dropped_is_not_counted_as_lost(bench: Bench) -> None:
     """A decoder's bound costs an explanation, no evidence."""
     log = _Log(room=100)
     told: list[str] = []
