@@ -1,8 +1,8 @@
-"""The program's first lines: they take Ctrl-C before anything else is loaded."""
+"""The start of the program: handles Ctrl-C before anything else is loaded."""
 
-# Loading the command line takes a few tenths of a second. Until it takes the signals itself, there
-# is nothing to be completed, so the program leaves at once. What is imported here is imported
-# before the signals are taken, so it is little.
+# Loading the command line takes a few tenths of a second. Until it handles signals itself, nothing
+# has to be completed, so a signal ends the program at once. A signal during the imports of this
+# file is not handled, so there are few.
 
 from __future__ import annotations
 

@@ -1,26 +1,20 @@
-"""mbtool check: what in a capture breaks a rule."""
+"""mbtool check: find what breaks a rule in captures and logs."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Protocol, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from mbtool.cli.options import (
-    DeviceOption,
-    LineOption,
-    PortOption,
-    RawOption,
-    RtuPortOption,
-    T15Option,
-    T35Option,
-)
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import DeviceOption, RawOption, SilenceOptions, SourceOptions
 
 if TYPE_CHECKING:
-    from mbtool.workflows.check import Checking, FileFinding
+    from mbtool.workflows.check import CheckRun, FileFinding
 
 
 class CheckFormat(StrEnum):
@@ -31,18 +25,15 @@ class CheckFormat(StrEnum):
     SARIF = "sarif"
 
 
-_SUFFIXES = {
-    ".txt": CheckFormat.TABLE,
-    ".json": CheckFormat.JSON,
-    ".sarif": CheckFormat.SARIF,
-}
+_SUFFIXES = {".txt": CheckFormat.TABLE, ".json": CheckFormat.JSON, ".sarif": CheckFormat.SARIF}
 
 
+@takes_groups
 def check(
     files: Annotated[
-        list[str],
-        typer.Argument(metavar="FILE", help="Captures and logs, as for decode."),
+        list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
     ],
+    *,
     device: DeviceOption = None,
     select: Annotated[
         list[str] | None,
@@ -78,11 +69,8 @@ def check(
         bool, typer.Option("--all", help="In a table, a line for each finding, not for each code.")
     ] = False,
     raw: RawOption = False,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
-    t1_5: T15Option = None,
-    t3_5: T35Option = None,
+    source: SourceOptions,
+    silences: SilenceOptions,
 ) -> None:
     """Find what breaks a rule of Modbus or of a device's manual.
 
@@ -90,63 +78,59 @@ def check(
     1 means that there are findings, 0 that there are none. docs/findings.md explains each code.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.options import reading_options
     from mbtool.cli.output import (
         demand_other_file,
         format_by_name,
         named_file,
         opened,
+        say_if_empty,
         told_as_lost,
     )
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import InputError
-    from mbtool.workflows.check import Checking, Selection
+    from mbtool.cli.talk import interruptible
+    from mbtool.workflows.check import CheckRun, CodeFilter
 
-    options = reading_options(
-        device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
-    )
-    checking = Checking(files, options, Selection.parse(select or (), ignore or ()))
-    checking.demand_selection()
+    options = source.read(device, raw=raw, silences=silences)
+    run = CheckRun(files, options, CodeFilter.parse(select or (), ignore or ()))
+    run.demand_codes()
     demand_other_file(files, output)
     path = named_file(output)
     chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
     with (
-        opened(path, checking.reading.demand_files) as (file, name),
+        opened(path, run.reading.demand_files) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
-        _finished(file, _printer(chosen, file, each=each), checking, path) as printer,
+        _finished(file, _printer(chosen, file, each=each), run, path) as printer,
     ):
-        for placed in interrupt.breakable(checking.findings()):
-            printer.add(placed)
-    if checking.reading.why_unread is not None:
-        raise InputError(checking.reading.why_unread)
-    if checking.reading.why_empty is not None:
-        say(checking.reading.why_empty)
-    if checking.counts:
+        for found in interrupt.breakable(run.findings()):
+            printer.add(found)
+    say_if_empty(run.reading)
+    if run.counts:
         raise typer.Exit(exit_codes.NO)
 
 
 @contextmanager
 def _finished(
-    file: TextIO, printer: _Printer, checking: Checking, path: str | None
+    file: TextIO, printer: _Printer, run: CheckRun, path: str | None
 ) -> Iterator[_Printer]:
-    """A printer whose output is whole at the end, however that comes, and is talked about."""
+    """The printer; at the end, also by an error, its output is completed and summed up."""
     from mbtool.cli.talk import say
 
     try:
         yield printer
     finally:
-        printer.end(checking)
+        printer.end(run)
         file.flush()
-        for remark in checking.remarks:
+        for remark in run.remarks:
             say(remark)
-        say(_sentence(checking) + ("" if path is None else f" -> {path}"))
+        say(_sentence(run) + ("" if path is None else f" -> {path}"))
 
 
-class _Printer(Protocol):
-    def add(self, placed: FileFinding) -> None: ...
+class _Printer(ABC):
+    @abstractmethod
+    def add(self, found: FileFinding) -> None: ...
 
-    def end(self, checking: Checking) -> None: ...
+    def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
+        """Print what was collected."""
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
@@ -155,39 +139,36 @@ def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
     return _DocumentPrinter(file, format_)
 
 
-class _FindingsTablePrinter:
+class _FindingsTablePrinter(_Printer):
     def __init__(self, file: TextIO) -> None:
         from mbtool.views.findings_table import Summaries
 
         self._file = file
         self._summaries = Summaries()
 
-    def add(self, placed: FileFinding) -> None:
-        self._summaries.add(placed.finding)
+    def add(self, found: FileFinding) -> None:
+        self._summaries.add(found.finding)
 
-    def end(self, checking: Checking) -> None:
+    def end(self, run: CheckRun) -> None:
         from mbtool.cli.console import PipeConsole
         from mbtool.views.findings_table import print_summaries
 
         print_summaries(PipeConsole(file=self._file), self._summaries)
 
 
-class _EachPrinter:
+class _EachPrinter(_Printer):
     def __init__(self, file: TextIO) -> None:
         from mbtool.cli.console import PipeConsole
 
         self._console = PipeConsole(file=file)
 
-    def add(self, placed: FileFinding) -> None:
+    def add(self, found: FileFinding) -> None:
         from mbtool.views.findings_table import finding_line
 
-        self._console.print(finding_line(placed.finding), soft_wrap=True)
-
-    def end(self, checking: Checking) -> None:
-        pass
+        self._console.print(finding_line(found.finding), soft_wrap=True)
 
 
-class _DocumentPrinter:
+class _DocumentPrinter(_Printer):
     def __init__(self, file: TextIO, format_: CheckFormat) -> None:
         from mbtool import __version__
         from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
@@ -198,21 +179,21 @@ class _DocumentPrinter:
         )
         file.write(self._document.begin())
 
-    def add(self, placed: FileFinding) -> None:
-        self._file.write(self._document.add(placed.finding, placed.place))
+    def add(self, found: FileFinding) -> None:
+        self._file.write(self._document.add(found.finding, found.file))
 
-    def end(self, checking: Checking) -> None:
-        self._file.write(self._document.end(checking.transactions))
+    def end(self, run: CheckRun) -> None:
+        self._file.write(self._document.end(run.transactions))
 
 
-def _sentence(checking: Checking) -> str:
-    """`14 findings of 3 codes in 8120 transactions; docs/findings.md explains them`."""
-    from mbtool.core.wording import counted
+def _sentence(run: CheckRun) -> str:
+    """For example `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
+    from mbtool.core.wording import plural
 
-    number = checking.counts.total()
-    transactions = counted(checking.transactions, "transaction")
+    number, codes = run.counts.total(), len(run.counts)
+    transactions = f"{run.transactions} {plural(run.transactions, 'transaction')}"
     if not number:
         return f"no findings in {transactions}"
-    kinds = "" if number == 1 else f" of {counted(len(checking.counts), 'code')}"
-    findings = counted(number, "finding")
-    return f"{findings}{kinds} in {transactions}; docs/findings.md explains each code"
+    of_codes = "" if number == 1 else f" of {codes} {plural(codes, 'code')}"
+    findings = f"{number} {plural(number, 'finding')}{of_codes}"
+    return f"{findings} in {transactions}; docs/findings.md explains each code"

@@ -1,7 +1,7 @@
-"""A command whose help names its arguments as one writes them: FILE, FILE..., [PATH]..."""
+"""A command whose help shows arguments as a user writes them: FILE, FILE..., [PATH]..."""
 
-# typer puts Python's type behind each argument (FILE <list[str]>) and braces around it in the usage
-# line, and a metavar changes neither.
+# typer shows the Python type behind each argument (FILE <list[str]>) and puts braces around it in
+# the usage line. A metavar changes neither, so this class writes both.
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typer.core import TyperArgument, TyperCommand
 
 
 class Command(TyperCommand):
-    """What each command is made of: `app.command(cls=Command)`."""
+    """The class of every command: `app.command(cls=Command)`."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         options = [self.options_metavar] if self.options_metavar else []

@@ -8,7 +8,7 @@ from rich.console import Console
 
 
 class PipeConsole(Console):
-    """A console that leaves a broken pipe to main.py, which knows the exit code."""
+    """A console that raises BrokenPipeError; main.py turns it into the exit code."""
 
     def on_broken_pipe(self) -> NoReturn:
         raise BrokenPipeError

@@ -1,4 +1,4 @@
-"""mbtool decode: what is in a capture or a log."""
+"""mbtool decode: print the transactions of captures and logs."""
 
 from __future__ import annotations
 
@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EventsOption,
     Format,
-    LineOption,
-    PortOption,
     RawOption,
-    RtuPortOption,
-    T15Option,
-    T35Option,
+    SilenceOptions,
+    SourceOptions,
     WhereOption,
 )
 from mbtool.cli.progress import with_progress
@@ -26,15 +24,15 @@ from mbtool.cli.progress import with_progress
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading
 
 STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
-"""How often --follow looks whether the log has grown."""
+"""Time between two looks of --follow for more in the log."""
 
 
+@takes_groups
 def decode(
     files: Annotated[
         list[str],
@@ -45,6 +43,7 @@ def decode(
             "captures are read as parts of one.",
         ),
     ],
+    *,
     device: DeviceOption = None,
     where: WhereOption = None,
     format_: Annotated[
@@ -67,38 +66,30 @@ def decode(
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
     ] = False,
     raw: RawOption = False,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
-    t1_5: T15Option = None,
-    t3_5: T35Option = None,
+    source: SourceOptions,
+    silences: SilenceOptions,
     events: EventsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
-    from mbtool.cli.options import condition, reading_options
-    from mbtool.cli.output import demand_other_file, open_output
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import InputError, UsageError
+    from mbtool.cli.options import condition
+    from mbtool.cli.output import demand_other_file, open_output, say_if_empty
+    from mbtool.cli.talk import interruptible
+    from mbtool.core import UsageError
+    from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
-    from mbtool.workflows.shared.reading import Reading, followed
+    from mbtool.workflows.shared.reading import Reading
 
-    if follow and (raw or link is not None or len(files) > 1):
+    if follow and (raw or source.link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
     demand_other_file(files, output)
     wanted = condition(where)
-    options = reading_options(
-        device=device, port=port, rtu_port=rtu_port, link=link, t1_5=t1_5, t3_5=t3_5, raw=raw
-    )
+    options = source.read(device, raw=raw, silences=silences)
     reading = Reading(files, options)
-
-    def profile_for(one: NamedTransaction) -> Profile | None:
-        return reading.assignments.profile_for(one)
-
-    hints = ModelHints(profile_for)
+    hints = ModelHints(reading.profile_for)
     with (
         _with_remarks(reading, hints),
         open_output(
-            output, format_, events, profile_for, wanted, limit, reading.demand_files
+            output, format_, events, reading.profile_for, wanted, limit, reading.demand_files
         ) as out,
         interruptible() as interrupt,
     ):
@@ -108,31 +99,27 @@ def decode(
             return not interrupt.wait(_LOOK_AGAIN_S)
 
         if follow:
-            records = followed(files[0], options, wait)
+            records = followed(files[0], options.assignments, wait)
         else:
             records = interrupt.breakable(reading.records())
-        # A pipe may bring a live capture: each line is wanted at once, by a program, too.
-        is_watched = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
+        # A pipe may bring a live capture, so each line is printed at once, also for a program.
+        is_live = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
         for record in records if follow or out.on_terminal else with_progress(reading, records):
             hints.note(record)
             out.add(record)
-            if is_watched:
+            if is_live:
                 out.wait()
             if out.is_full:
                 break
         if interrupt.asked:
             raise KeyboardInterrupt
-    if follow:
-        return
-    if reading.why_unread is not None:
-        raise InputError(reading.why_unread)
-    if reading.why_empty is not None:
-        say(reading.why_empty)
+    if not follow:
+        say_if_empty(reading)
 
 
 @contextmanager
 def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
-    """Say at the end, however it comes, what there is to know of the files."""
+    """Say what a user should know of the files when reading ends, also by an error."""
     from mbtool.cli.talk import say
 
     try:
@@ -143,8 +130,8 @@ def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
 
 
 def _is_piped() -> bool:
-    """Whether standard input is no file."""
+    """True if standard input is not a regular file, such as a pipe."""
     try:
         return not stat.S_ISREG(os.fstat(0).st_mode)
-    except OSError:  # It is closed, which opening it tells.
+    except OSError:  # It is closed; the error comes when it is opened.
         return False

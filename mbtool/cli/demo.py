@@ -1,4 +1,4 @@
-"""mbtool demo: the whole loop on this machine."""
+"""mbtool demo: record two slaves and play the recording, on this machine."""
 
 from __future__ import annotations
 

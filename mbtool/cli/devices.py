@@ -1,12 +1,11 @@
 """mbtool devices: built-in device profiles, and the user's own."""
 
-# `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is no command is
-# passed to the hidden command "show" as the name or path of a profile. The other commands are in
-# devices_own.py.
+# `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is not one of
+# the commands below is the name or path of a profile and goes to the hidden command "show". A file
+# with the name of a command can be shown by its path: ./new. The commands are in devices_own.py.
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,7 +13,8 @@ from typer.core import TyperGroup
 
 from mbtool.cli.command import Command
 from mbtool.cli.devices_own import draft, export, import_, new, schema
-from mbtool.cli.options import LineOption, PortOption, RtuPortOption
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import ListFormat, SourceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +25,7 @@ _SHOW = "show"
 
 
 class _ShowsByDefault(TyperGroup):
-    """A group of commands in which any other word is the name of a profile."""
+    """A group in which a word that is not a command is the name of a profile."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands or args[0] == _SHOW:
@@ -36,13 +36,6 @@ class _ShowsByDefault(TyperGroup):
         formatter.write_usage(ctx.command_path, "[NAME]")
         formatter.write_usage(ctx.command_path, "--match FILE [NAME]...")
         formatter.write_usage(ctx.command_path, "COMMAND [ARGS]...")
-
-
-class MatchFormat(StrEnum):
-    """The output format of --match."""
-
-    TABLE = "table"
-    JSONL = "jsonl"
 
 
 devices = typer.Typer(
@@ -58,8 +51,10 @@ devices.command("schema", cls=Command)(schema)
 
 
 @devices.callback(invoke_without_command=True)
+@takes_groups
 def _devices(
     context: typer.Context,
+    *,
     matched: Annotated[
         str | None,
         typer.Option(
@@ -70,16 +65,13 @@ def _devices(
         ),
     ] = None,
     format_: Annotated[
-        MatchFormat, typer.Option("--format", help="How to print what --match says.")
-    ] = MatchFormat.TABLE,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
+        ListFormat, typer.Option("--format", help="How to print what --match says.")
+    ] = "table",
+    source: SourceOptions,
 ) -> None:
-    from mbtool.cli.options import reading_options
     from mbtool.core import UsageError
 
-    has_match_option = port or rtu_port or link or format_ is not MatchFormat.TABLE
+    has_match_option = source != SourceOptions() or format_ != "table"
     if matched is None:
         if has_match_option:
             raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
@@ -88,7 +80,7 @@ def _devices(
         return
     if context.invoked_subcommand not in (None, _SHOW):
         raise UsageError(f"--match does not go with {context.invoked_subcommand}")
-    options = reading_options(port=port, rtu_port=rtu_port, link=link)
+    options = source.read()
     if context.invoked_subcommand is None:
         _match(matched, (), options, format_)
     else:
@@ -121,7 +113,7 @@ def _list() -> None:
     PipeConsole().print(profile_list([load_profile(one) for one in builtin_profiles()]))
 
 
-def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: MatchFormat) -> None:
+def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: ListFormat) -> None:
     import json
 
     from mbtool.cli.console import PipeConsole
@@ -134,7 +126,7 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Ma
     profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]
     found = survey(file, options)
     results = [match_profiles(slave, profiles) for slave in found.slaves]
-    if format_ is MatchFormat.JSONL:
+    if format_ == "jsonl":
         for result in results:
             typer.echo(json.dumps(match_record(result), separators=(",", ":")))
     else:

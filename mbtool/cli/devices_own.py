@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.options import LineOption, PortOption, RtuPortOption
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import SourceOptions
 
 if TYPE_CHECKING:
     from mbtool.devices import Who
@@ -156,10 +157,12 @@ def import_(
         say(f"{points} points -> {output}")
 
 
+@takes_groups
 def draft(
     file: Annotated[
         str, typer.Argument(metavar="CAPTURE", help="A capture or log, as for decode.")
     ],
+    *,
     unit: Annotated[
         str | None,
         typer.Option(
@@ -170,16 +173,13 @@ def draft(
         ),
     ] = None,
     output: OutputOption = None,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
+    source: SourceOptions,
 ) -> None:
     """Draft a profile from what a slave was asked and answered.
 
     Areas, functions and exceptions are those seen. Types of registers are guessed from their
     values; each guess has its reason above it.
     """
-    from mbtool.cli.options import reading_options
     from mbtool.cli.talk import say
     from mbtool.devices import parse_who
     from mbtool.devices.drafting.draft import draft_profile
@@ -187,8 +187,7 @@ def draft(
 
     _demand_new(output)
     who = parse_who(unit) if unit is not None else None
-    options = reading_options(port=port, rtu_port=rtu_port, link=link)
-    seen = survey(file, options, who, with_values=True).only("--unit")
+    seen = survey(file, source.read(), who, with_values=True).only("--unit")
     name = name_for(output) if output is not None and _is_file(output) else f"unit-{seen.unit}"
     drafted = draft_profile(seen, name, _shown(file))
     _give(drafted.text, output)
@@ -222,9 +221,8 @@ def schema() -> None:
 def survey(
     file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
 ) -> ObservedSlaves:
-    """Read a capture or log to its end, and say what there is to know of it."""
+    """Read a capture or log to its end, and say what a user should know of it."""
     from mbtool.cli.talk import interruptible, say
-    from mbtool.core import InputError
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
     from mbtool.workflows.shared.reading import Reading
 
@@ -236,8 +234,7 @@ def survey(
     finally:
         for remark in reading.remarks:
             say(remark)
-    if reading.why_unread is not None:
-        raise InputError(reading.why_unread)
+    reading.demand_readable()
     return found
 
 

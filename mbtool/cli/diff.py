@@ -1,34 +1,22 @@
-"""mbtool diff: two captures compared by meaning."""
+"""mbtool diff: compare two captures by meaning."""
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from mbtool.cli.options import (
-    DeviceOption,
-    LineOption,
-    PortOption,
-    RawOption,
-    RtuPortOption,
-    WhereOption,
-)
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import DeviceOption, RawOption, SourceOptions, WhereOption
 
 
-class DiffFormat(StrEnum):
-    """How differences are printed."""
-
-    TABLE = "table"
-    JSON = "json"
-
-
+@takes_groups
 def diff(
     a: Annotated[
         str, typer.Argument(metavar="A", help="A log or a capture, as for decode: how it was.")
     ],
     b: Annotated[str, typer.Argument(metavar="B", help="The one that is held against it.")],
+    *,
     device: DeviceOption = None,
     where: WhereOption = None,
     ignore: Annotated[
@@ -44,12 +32,10 @@ def diff(
         bool, typer.Option("--latency/--no-latency", help="Compare latencies, too.")
     ] = True,
     format_: Annotated[
-        DiffFormat, typer.Option("--format", help="How to print.")
-    ] = DiffFormat.TABLE,
+        Literal["table", "json"], typer.Option("--format", help="How to print.")
+    ] = "table",
     raw: RawOption = False,
-    port: PortOption = None,
-    rtu_port: RtuPortOption = None,
-    link: LineOption = None,
+    source: SourceOptions,
 ) -> None:
     """Compare two captures by meaning; exit 1 when they differ.
 
@@ -61,19 +47,19 @@ def diff(
 
     from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.options import condition, reading_options
+    from mbtool.cli.options import condition
     from mbtool.cli.talk import say
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.diff import DiffOptions, compare
 
     options = DiffOptions(
-        reading=reading_options(device=device, port=port, rtu_port=rtu_port, link=link, raw=raw),
+        reading=source.read(device, raw=raw),
         wanted=condition(where),
         ignore=ignore or (),
         latency=latency,
     )
     compared = compare(a, b, options, say)
-    if format_ is DiffFormat.JSON:
+    if format_ == "json":
         typer.echo(msgspec.json.format(msgspec.json.encode(compared), indent=2).decode())
     else:
         print_differences(PipeConsole(), compared.differences)

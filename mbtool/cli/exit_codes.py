@@ -1,11 +1,12 @@
-"""The exit codes of every command (README)."""
+"""The exit codes of every command, as README.md lists them."""
 
 from __future__ import annotations
 
 DONE = 0
 NO = 1
-"""The answer is no: there are differences, or findings."""
+"""There are differences, or findings."""
 USAGE = 2
 UNREADABLE = 3
-"""An input could not be read or has nothing to work with, or a link could not be opened."""
+"""An input could not be read or holds nothing to work with, or a link could not be opened."""
 INTERRUPTED = 130
+"""Ended by Ctrl-C or SIGTERM."""

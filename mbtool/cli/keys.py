@@ -1,11 +1,12 @@
-"""The keys that steer a player, and the one line that shows where it is."""
+"""The keys that control a player, and the one line that shows its progress."""
 
-# Only where standard input is a terminal, and this program is in its foreground: one that set a
-# terminal up from the background would be stopped by the system. The terminal gives each key at
-# once and does not echo it, but Ctrl-C stays a signal; at the end it is as it was. The line is
-# drawn over and over on standard error, where that is a terminal too.
+# Keys are read only if standard input is a terminal and this program is in its foreground: the
+# system would stop a program that changes the settings of a terminal from the background. While
+# keys are read, the terminal gives each key at once and does not echo it; Ctrl-C remains a signal.
+# At the end the terminal has its former settings. The line is redrawn on standard error if that is
+# a terminal, too.
 #
-# Linux and macOS. Elsewhere there are no keys, and all else works.
+# Linux and macOS only. Elsewhere there are no keys, and everything else works.
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from mbtool.cli.talk import drawn_line
+from mbtool.cli.talk import interruptible, redrawn_line
 from mbtool.replay.steering import Control
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from typing import TextIO
 
     from mbtool.replay.steering import Progress
@@ -29,13 +30,14 @@ if TYPE_CHECKING:
 KEYS = "space pauses, s steps, + and - change the speed, q ends"
 
 _LOOK_S = 0.03
+"""Time between two looks for keys: a person sees no delay."""
 _DRAW_S = 0.1
 _READ_BYTES = 64
 _QUIT = "q"
 _CONTROLS = {
     " ": Control.PAUSE,
     "s": Control.STEP,
-    "\x1b[C": Control.STEP,  # The arrows, right, up and down, as terminals send them.
+    "\x1b[C": Control.STEP,  # The arrows right, up and down, in the two codes of terminals.
     "\x1bOC": Control.STEP,
     "+": Control.FASTER,
     "=": Control.FASTER,  # The same key without shift, on many keyboards.
@@ -49,7 +51,7 @@ _ERASE = "\r\x1b[K"
 
 
 class Keyboard:
-    """A desk at a terminal."""
+    """The keys of a terminal, and the line of progress on it."""
 
     def __init__(self, descriptor: int, out: TextIO) -> None:
         self._descriptor = descriptor
@@ -61,7 +63,7 @@ class Keyboard:
         self.has_quit = False
 
     def controls(self) -> Sequence[Control]:
-        """What was pressed since the last look; looks so often as a person can tell."""
+        """The keys that were pressed since the last call; looks every 30 ms at most."""
         now_s = time.monotonic()
         if not self._is_open or now_s - self._looked_s < _LOOK_S:
             return ()
@@ -88,7 +90,7 @@ class Keyboard:
         self._is_drawn = True
 
     def wipe(self) -> None:
-        """Take the line away."""
+        """Erase the line."""
         if self._is_drawn:
             self._write(_ERASE)
             self._is_drawn = False
@@ -101,7 +103,7 @@ class Keyboard:
 
 @contextmanager
 def keyboard() -> Iterator[Keyboard | None]:
-    """A desk while the context is open; None where there is no terminal to sit at."""
+    """The keyboard while the context is open; None where there is no terminal."""
     try:
         import termios
         import tty
@@ -113,19 +115,26 @@ def keyboard() -> Iterator[Keyboard | None]:
         yield None
         return
     before = termios.tcgetattr(descriptor)
-    desk = Keyboard(descriptor, sys.stderr)
+    keys = Keyboard(descriptor, sys.stderr)
     try:
         tty.setcbreak(descriptor)
-        with drawn_line(desk.wipe):
-            yield desk
+        with redrawn_line(keys.wipe):
+            yield keys
     finally:
-        desk.wipe()
+        keys.wipe()
         with suppress(termios.error):  # The terminal may be gone.
             termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
+@contextmanager
+def controlled() -> Iterator[tuple[Keyboard | None, Callable[[], bool]]]:
+    """The keyboard, and a function that tells whether the user wants to end: Ctrl-C or q."""
+    with interruptible() as interrupt, keyboard() as keys:
+        yield keys, lambda: interrupt.asked or (keys is not None and keys.has_quit)
+
+
 def _terminal() -> int | None:
-    """Standard input, if it is a terminal that is ours to read."""
+    """The descriptor of standard input if it is a terminal with this program in its foreground."""
     try:
         descriptor = sys.stdin.fileno()
         is_ours = os.isatty(descriptor) and os.tcgetpgrp(descriptor) == os.getpgrp()
@@ -135,7 +144,7 @@ def _terminal() -> int | None:
 
 
 def _keys(text: str) -> Iterator[str]:
-    """The keys in what a terminal sent: a character each, or an arrow's three."""
+    """Split what a terminal sent into keys: one character each, three for an arrow."""
     place = 0
     while place < len(text):
         size = 3 if text[place : place + 3] in _CONTROLS else 1
@@ -144,7 +153,7 @@ def _keys(text: str) -> Iterator[str]:
 
 
 def progress_line(progress: Progress) -> str:
-    """Where a player is, for a person."""
+    """The line that shows the progress of a player."""
     if progress.rate is None:
         state = "paused" if progress.is_paused else "playing"
         return f"{state}, as fast as can be; {progress.done}   {KEYS}"

@@ -1,4 +1,4 @@
-"""How the program leaves on a signal where there is nothing to be completed."""
+"""Ends the program on a signal while nothing has to be completed."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from mbtool.cli import exit_codes
 
 
 def leave(*_: object) -> None:
-    """End without a word, whatever the interpreter is at: an import, or its own end."""
+    """End at once and without a message, also in the middle of an import."""
     os._exit(exit_codes.INTERRUPTED)

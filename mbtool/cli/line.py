@@ -1,4 +1,4 @@
-"""mbtool line: a virtual serial line."""
+"""mbtool line: lay a virtual serial line."""
 
 from __future__ import annotations
 

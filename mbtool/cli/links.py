@@ -1,13 +1,14 @@
-"""mbtool links: what there is to open here."""
+"""mbtool links: list the serial ports and interfaces of this machine."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from mbtool.cli.options import ListFormat
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,17 +16,8 @@ if TYPE_CHECKING:
     from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 
 
-class LinksFormat(StrEnum):
-    """How ports and interfaces are printed."""
-
-    TABLE = "table"
-    JSONL = "jsonl"
-
-
 def links(
-    format_: Annotated[
-        LinksFormat, typer.Option("--format", help="How to print.")
-    ] = LinksFormat.TABLE,
+    format_: Annotated[ListFormat, typer.Option("--format", help="How to print.")] = "table",
 ) -> None:
     """List serial ports and interfaces, and what is in their way.
 
@@ -33,10 +25,11 @@ def links(
     the command against it. Nothing is opened, and nothing is changed.
     """
     from mbtool.cli.talk import say
-    from mbtool.workflows.listing import links_here
+    from mbtool.ports.local_ports import local_ports
+    from mbtool.sources.local_interfaces import local_interfaces
 
-    ports, interfaces = links_here()
-    if format_ is LinksFormat.JSONL:
+    ports, interfaces = local_ports(), local_interfaces()
+    if format_ == "jsonl":
         _print_json_lines(ports, interfaces)
     else:
         _print_tables(ports, interfaces)
@@ -44,8 +37,8 @@ def links(
         say("no serial ports here; without hardware, mbtool line lays a virtual serial line")
     elif ports[0].unseen_processes:
         say(
-            f"processes that could not be asked what they hold: {ports[0].unseen_processes}; "
-            "sudo shows more"
+            f"processes that could not be examined: {ports[0].unseen_processes}; "
+            "sudo shows the ports that they hold"
         )
 
 
@@ -63,7 +56,7 @@ def _print_tables(ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalIn
 def _print_json_lines(
     ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalInterface]
 ) -> None:
-    """One object to a line, without what does not apply or is not known."""
+    """One object in each line, without the fields that are empty or unknown."""
     for port in ports:
         _print_json({"kind": "serial", "link": port.link, **_fields(port)})
     for one in interfaces:
@@ -81,5 +74,5 @@ def _fields(here: LocalSerialPort | LocalInterface) -> dict[str, Any]:
 
 
 def _print_json(record: dict[str, Any]) -> None:
-    # Not by msgspec: a name that is no UTF-8, which an interface may have, must not fail here.
+    # Not with msgspec, which fails on the name of an interface that is not UTF-8.
     typer.echo(json.dumps(record, separators=(",", ":")))

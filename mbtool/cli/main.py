@@ -1,9 +1,9 @@
 """The command line: mbtool COMMAND."""
 
-# Each command stands in a file of its own, imports what it needs when it runs, asks a workflow and
-# shows what comes. Errors become one line and an exit code here and nowhere else.
+# Each command has a file of its own. It imports what it needs when it runs, calls a workflow and
+# prints the result. Errors become one line and an exit code here and nowhere else.
 #
-# Help is plain text, without rich: its markup would swallow what stands in brackets.
+# Help is plain text, without rich, which would take words in brackets for markup.
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 
 
 class _InOrder(TyperGroup):
-    """The commands as a reader wants them; typer puts one with commands of its own last."""
+    """Lists `devices` before `links`; typer puts a command with subcommands last."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         names = [name for name in self.commands if name != "devices"]
@@ -77,15 +77,15 @@ def _root(
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    # A stream that was closed before the program began is None; what it is told goes nowhere.
+    # A stream that was closed before the program began is None; its output is dropped.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    # Terminals that have no Unicode are shown what they can show, in place of an error.
+    # A terminal without Unicode gets escapes such as \xe4 in place of an error.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # SIGTERM is a Ctrl-C: what is open is completed. Behind the command nothing is open, and a
-    # Ctrl-C is no longer heard: the interpreter would end by it, without the exit code.
+    # SIGTERM works as Ctrl-C: what is open is completed. After the command nothing is open, and
+    # Ctrl-C is ignored: the interpreter would end by it without the exit code.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -99,12 +99,12 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command; the answer is its exit code."""
+    """Run one command; returns its exit code."""
     code = _told(arguments)
     try:
         sys.stdout.flush()
     except OSError as error:
-        # The interpreter must not flush once more when it ends.
+        # Otherwise the interpreter flushes again when it ends, and fails again.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
@@ -113,7 +113,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _told(arguments: list[str]) -> int:
-    """Run one command, with its error told."""
+    """Run one command and print its error; returns the exit code."""
     root = get_command(app)
     try:
         with root.make_context("mbtool", arguments) as context:
@@ -129,12 +129,12 @@ def _told(arguments: list[str]) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return exit_codes.INTERRUPTED
     except BrokenPipeError:
-        return exit_codes.DONE  # Whoever read the output has seen enough.
+        return exit_codes.DONE  # The reader of the output, such as head, has closed it.
     return exit_codes.DONE
 
 
 def _usage(error: typer.TyperException) -> str:
-    """What is wrong with the words of the command line, and where it says what would be right."""
+    """The error of a wrong command line, and which --help says what is right."""
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "mbtool"
@@ -142,6 +142,6 @@ def _usage(error: typer.TyperException) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    """One line to standard error."""
+    """Print an error as one line; returns the exit code."""
     say(f"mbtool: {' '.join(message.split())}")
     return code

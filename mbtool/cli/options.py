@@ -1,11 +1,14 @@
-"""Options that several commands share, and what their texts mean."""
+"""Options that several commands share, and how their values are read."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
+
+from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,6 +17,9 @@ if TYPE_CHECKING:
     from mbtool.devices import Assignments
     from mbtool.query.where import Where
     from mbtool.workflows.shared.reading import ReadingOptions
+
+
+_TCP_PORTS = range(1, 0x10000)
 
 
 class Format(StrEnum):
@@ -32,6 +38,8 @@ class EventChoice(StrEnum):
     ALL = "all"
 
 
+ListFormat = Literal["table", "jsonl"]
+"""How the rows of a list are printed."""
 DeviceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -59,50 +67,6 @@ WhereOption = Annotated[
         "'unit == 5 and latency_ms > 10'. The answer to an unknown name lists all names.",
     ),
 ]
-PortOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--port",
-        metavar="PORT|any",
-        help="A TCP port of slaves, or any: find Modbus/TCP and RTU over TCP at all ports by what "
-        "is said there. Repeatable. [default: 502]",
-    ),
-]
-RtuPortOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--rtu-port",
-        metavar="PORT",
-        help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
-    ),
-]
-LineOption = Annotated[
-    str | None,
-    typer.Option(
-        "--link",
-        metavar="LINE",
-        help="The serial line that a file's bytes were heard on: rtu@19200-8E1 or ascii@9600-7E1. "
-        "With it a file of another kind is read as the bytes themselves, raw or in hexadecimal.",
-    ),
-]
-T15Option = Annotated[
-    str | None,
-    typer.Option(
-        "--t1-5",
-        metavar="SILENCE",
-        help="The longest silence inside a frame of a serial line: 16bits, 1.5chars, 1ms, 750us. "
-        "[default: what profile, baud rate and format say]",
-    ),
-]
-T35Option = Annotated[
-    str | None,
-    typer.Option(
-        "--t3-5",
-        metavar="SILENCE",
-        help="The shortest silence between frames of a serial line: 28bits, 5ms. "
-        "[default: what profile, baud rate and format say]",
-    ),
-]
 RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
@@ -118,69 +82,131 @@ AllowOption = Annotated[
 ]
 
 
-def reading_options(
-    *,
-    device: Sequence[str] | None = None,
-    port: Sequence[str] | None = None,
-    rtu_port: Sequence[str] | None = None,
-    link: str | None = None,
-    t1_5: str | None = None,
-    t3_5: str | None = None,
-    raw: bool = False,
-) -> ReadingOptions:
-    """How files are read, by the options of those names. Raises UsageError, ProfileError."""
-    from mbtool.workflows.shared.reading import ReadingOptions
+class TcpPorts(NamedTuple):
+    """The TCP ports on which Modbus is looked for."""
 
-    ports, rtu_ports, any_port = tcp_ports(port, rtu_port)
-    return ReadingOptions(
-        assignments=assignments(device),
-        ports=ports,
-        rtu_ports=rtu_ports,
-        any_port=any_port,
-        line=file_line(link),
-        t1_5=silence("--t1-5", t1_5),
-        t3_5=silence("--t3-5", t3_5),
-        raw=raw,
-    )
+    ports: list[int]
+    """Ports of Modbus/TCP."""
+    rtu_ports: list[int]
+    """Ports of RTU over TCP."""
+    any_port: bool
+    """True if both are looked for on all other ports, too."""
 
 
-def tcp_ports(
-    port: Sequence[str] | None, rtu_port: Sequence[str] | None = None
-) -> tuple[list[int], list[int], bool]:
-    """The ports that --port and --rtu-port name, and whether --port says any. Raises UsageError."""
-    from mbtool.core import UsageError
+@dataclass(frozen=True, slots=True)
+class PortOptions(OptionGroup):
+    """The TCP ports of slaves."""
 
-    texts = port or ()
-    ports = [_tcp_port("--port", text, ", or any") for text in texts if text != "any"]
-    rtu_ports = [_tcp_port("--rtu-port", text) for text in rtu_port or ()]
-    both = sorted({*ports} & {*rtu_ports})
-    if both:
-        raise UsageError(
-            f"port {both[0]} is named by --port, for Modbus/TCP, and by --rtu-port, for RTU over "
-            "TCP; name it by the one that is right"
+    port: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--port",
+            metavar="PORT|any",
+            help="A TCP port of slaves, or any: find Modbus/TCP and RTU over TCP at all ports by "
+            "what is said there. Repeatable. [default: 502]",
+        ),
+    ] = None
+    rtu_port: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--rtu-port",
+            metavar="PORT",
+            help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
+        ),
+    ] = None
+
+    def tcp_ports(self) -> TcpPorts:
+        """Raises UsageError."""
+        from mbtool.core import UsageError
+
+        texts = self.port or ()
+        ports = [_tcp_port("--port", text, ", or any") for text in texts if text != "any"]
+        rtu_ports = [_tcp_port("--rtu-port", text) for text in self.rtu_port or ()]
+        both = sorted({*ports} & {*rtu_ports})
+        if both:
+            raise UsageError(
+                f"port {both[0]} is named by --port, for Modbus/TCP, and by --rtu-port, for RTU "
+                "over TCP; name it by the one that is right"
+            )
+        return TcpPorts(ports, rtu_ports, "any" in texts)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions(PortOptions):
+    """How captures and logs are read."""
+
+    link: Annotated[
+        str | None,
+        typer.Option(
+            "--link",
+            metavar="LINE",
+            help="The serial line that a file's bytes were heard on: rtu@19200-8E1 or "
+            "ascii@9600-7E1. With it a file of another kind is read as the bytes themselves, raw "
+            "or in hexadecimal.",
+        ),
+    ] = None
+
+    def read(
+        self,
+        device: Sequence[str] | None = None,
+        *,
+        raw: bool = False,
+        silences: SilenceOptions | None = None,
+    ) -> ReadingOptions:
+        """With other options of the same command. Raises UsageError, ProfileError."""
+        from mbtool.workflows.shared.reading import ReadingOptions
+
+        ports = self.tcp_ports()
+        devices, line = assignments(device), file_line(self.link)
+        t1_5, t3_5 = (None, None) if silences is None else silences.read()
+        return ReadingOptions(
+            **ports._asdict(), assignments=devices, line=line, t1_5=t1_5, t3_5=t3_5, raw=raw
         )
-    return ports, rtu_ports, "any" in texts
 
 
-def _tcp_port(option: str, text: str, other: str = "") -> int:
-    from mbtool.core import UsageError
+@dataclass(frozen=True, slots=True)
+class SilenceOptions(OptionGroup):
+    """Silences of serial lines, in place of those that follow from baud rate and format."""
 
-    if text.isascii() and text.isdecimal() and len(text) <= 5 and 0 < int(text) < 1 << 16:
-        return int(text)
-    raise UsageError(
-        f"Invalid value for '{option}': {text!r}; write a number from 1 to 65535{other}"
-    )
+    t1_5: Annotated[
+        str | None,
+        typer.Option(
+            "--t1-5",
+            metavar="SILENCE",
+            help="The longest silence inside a frame of a serial line: 16bits, 1.5chars, 1ms, "
+            "750us. [default: what profile, baud rate and format say]",
+        ),
+    ] = None
+    t3_5: Annotated[
+        str | None,
+        typer.Option(
+            "--t3-5",
+            metavar="SILENCE",
+            help="The shortest silence between frames of a serial line: 28bits, 5ms. "
+            "[default: what profile, baud rate and format say]",
+        ),
+    ] = None
+
+    def read(self) -> tuple[Silence | None, Silence | None]:
+        """t1.5 and t3.5, None where not given. Raises UsageError."""
+        return _silence("--t1-5", self.t1_5), _silence("--t3-5", self.t3_5)
+
+
+def _tcp_port(option: str, text: str, others: str = "") -> int:
+    from mbtool.core.numbers import parse_number
+
+    return parse_number(text, "TCP port", _TCP_PORTS, f"Invalid value for '{option}'", others)
 
 
 def assignments(devices: Sequence[str] | None) -> Assignments:
-    """The profiles that --device names. Raises UsageError, ProfileError."""
+    """The profiles of --device. Raises UsageError, ProfileError."""
     from mbtool.devices import Assignments, parse_assignment
 
     return Assignments(parse_assignment(one) for one in devices or ())
 
 
 def condition(where: str | None) -> Where:
-    """The filter that --where names. Raises UsageError."""
+    """The filter of --where; without it every transaction passes. Raises UsageError."""
     if where is None:
         return lambda _: True
     from mbtool.query.where import parse_where
@@ -189,7 +215,7 @@ def condition(where: str | None) -> Where:
 
 
 def file_line(text: str | None) -> LineSettings | None:
-    """The line that --link names. Raises UsageError."""
+    """The serial line of --link. Raises UsageError."""
     if text is None:
         return None
     from mbtool.core import parse_line
@@ -197,8 +223,7 @@ def file_line(text: str | None) -> LineSettings | None:
     return parse_line(text)
 
 
-def silence(option: str, text: str | None) -> Silence | None:
-    """What --t1-5 or --t3-5 says. Raises UsageError."""
+def _silence(option: str, text: str | None) -> Silence | None:
     if text is None:
         return None
     from mbtool.core import Silence, UsageError

@@ -1,18 +1,21 @@
-"""Where records go: to standard output or a file, counted, and as many as wanted."""
+"""Prints records to standard output or a file, filtered, limited and counted."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.printers import printer_for
 from mbtool.cli.talk import say
-from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
-from mbtool.workflows.shared.tally import CONNECTION_EVENTS, Tally
+from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
+from mbtool.core.wording import plural
+from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,17 +23,30 @@ if TYPE_CHECKING:
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
+    from mbtool.workflows.shared.reading import Reading
 
 _STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
 
 F = TypeVar("F")
 
+CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
+"""Events that tell of no trouble."""
+
+_WORDS = {
+    Outcome.OK: "ok",
+    Outcome.EXCEPTION: "exception",
+    Outcome.NO_ANSWER: "without answer",
+    Outcome.UNSOLICITED: "unsolicited",
+    Outcome.BROADCAST: "broadcast",
+    Outcome.MALFORMED: "malformed",
+}
+
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
 
 class RecordOutput:
-    """Prints what is wanted of the records it is given, and counts it.
+    """Prints the records that pass the filter, and counts them.
 
     Its methods raise OutputError.
     """
@@ -58,16 +74,16 @@ class RecordOutput:
 
     @property
     def is_full(self) -> bool:
-        """Whether as many transactions as wanted have been printed."""
+        """True if the limit of transactions has been printed."""
         return self._limit is not None and self._tally.transactions >= self._limit
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing has been printed."""
+        """True if nothing has been printed."""
         return not self._tally.transactions and not self._tally.events
 
     def add(self, record: Record) -> None:
-        """Print a record if it is wanted."""
+        """Print a record if it passes the filter."""
         if not self._wants(record):
             return
         self._tally.add(record)
@@ -75,19 +91,19 @@ class RecordOutput:
             self._printer.print(record, self._tally.transactions)
 
     def wait(self) -> None:
-        """Show all that has been printed, before there is a pause."""
+        """Flush what has been printed, as the next record may take a while."""
         with told_as_lost(self._name):
             self._printer.pause()
             self._file.flush()
 
     def finish(self) -> None:
-        """Show all that has been printed, at the end."""
+        """Flush what has been printed, at the end."""
         with told_as_lost(self._name):
             self._printer.flush()
             self._file.flush()
 
     def sentence(self) -> str:
-        """What has been printed, in one sentence."""
+        """What has been printed, counted in one sentence."""
         return self._tally.sentence()
 
     def _wants(self, record: Record) -> bool:
@@ -110,11 +126,11 @@ def open_output(
     *,
     is_kept: bool = False,
 ) -> Iterator[RecordOutput]:
-    """An output that is finished, and talked about, when its context ends.
+    """An output that is flushed and summed up when its context ends.
 
-    `demand_inputs` is called before a file is opened, so that what is wrong with an input costs no
-    older output. `is_kept` says that a log keeps the records whether they are seen or not. Raises
-    UsageError, and OutputError where standard output is closed and nothing keeps the records.
+    `demand_inputs` is called before the file is opened, so that an error in an input does not
+    overwrite an older output. `is_kept` is True if a log keeps the records. Raises UsageError, and
+    OutputError if standard output is closed and no log keeps the records.
     """
     path = named_file(path)
     chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
@@ -139,7 +155,7 @@ def open_output(
 
 
 def named_file(path: str | None) -> str | None:
-    """The file that --output names; None for standard output. Raises UsageError."""
+    """The file of --output; None for standard output. Raises UsageError for a directory."""
     if path is None or path == _STANDARD_OUTPUT:
         return None
     if os.path.isdir(path):
@@ -148,14 +164,15 @@ def named_file(path: str | None) -> str | None:
 
 
 def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F:
-    """The format that a file's name says; the default for standard output. Raises UsageError."""
+    """The format by the suffix of a file; the default for standard output. Raises UsageError."""
     if path is None:
         return default
     try:
         return suffixes[Path(path).suffix.lower()]
     except KeyError:
         raise UsageError(
-            f"{path}: its name says no format; let it end in {', '.join(suffixes)}, or add --format"
+            f"{path}: its suffix names no format; let it end in {', '.join(suffixes)}, "
+            "or add --format"
         ) from None
 
 
@@ -163,7 +180,7 @@ def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F
 def opened(
     path: str | None, demand_inputs: Callable[[], None], *, is_kept: bool = False
 ) -> Iterator[tuple[TextIO, str]]:
-    """A file or standard output, and its name for messages; the arguments are open_output's.
+    """A file or standard output, and its name for messages; takes arguments of open_output.
 
     Raises UsageError, OutputError, and what `demand_inputs` raises.
     """
@@ -175,19 +192,26 @@ def opened(
 
 
 def _demand_standard_output() -> None:
-    """See that what is printed goes somewhere. Raises OutputError."""
+    """See that standard output is open. Raises OutputError."""
     if sys.__stdout__ is None:
         raise OutputError(
             f"{_STANDARD_OUTPUT_NAME}: closed, so what goes there is lost; redirect it to a file"
         )
 
 
+def say_if_empty(reading: Reading) -> None:
+    """Say why a whole pass gave nothing. Raises InputError where the capture is unreadable."""
+    reading.demand_readable()
+    if reading.why_empty is not None:
+        say(reading.why_empty)
+
+
 def demand_other_file(files: Sequence[str], output: str | None) -> None:
-    """See that no input would be written over. Raises UsageError."""
+    """See that the output is not one of the inputs. Raises UsageError."""
     for file in files:
         if output is not None and _is_same(file, output):
             raise UsageError(
-                f"{output}: it is read, and would be written over; name another --output"
+                f"{output}: is an input and would be overwritten; name another --output"
             )
 
 
@@ -196,13 +220,13 @@ def _is_same(file: str, output: str) -> bool:
         return False
     try:
         return os.path.samefile(file, output)
-    except OSError:  # One of them is not there.
+    except OSError:  # One of them does not exist.
         return os.path.abspath(file) == os.path.abspath(output)
 
 
 @contextmanager
 def _open_file(path: str | None) -> Iterator[TextIO]:
-    """A file to write text to, standard output where there is none. Raises UsageError."""
+    """A file to write text to; standard output if `path` is None. Raises UsageError."""
     if path is None:
         yield sys.stdout
         return
@@ -216,7 +240,7 @@ def _open_file(path: str | None) -> Iterator[TextIO]:
     except BaseException as error:
         _close(file)
         size = os.path.getsize(path) if os.path.isfile(path) else 0
-        if is_new and not size:  # Nothing came of it, so it is not left behind.
+        if is_new and not size:  # An empty file is not left behind.
             with suppress(OSError):
                 os.unlink(path)
         if size and isinstance(error, OutputError):
@@ -226,16 +250,55 @@ def _open_file(path: str | None) -> Iterator[TextIO]:
 
 
 def _close(file: TextIO) -> None:
-    with suppress(OSError):  # Whatever cannot be written was told when it was flushed.
+    with suppress(OSError):  # Flushing has already raised the error.
         file.close()
 
 
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
-    """A full disk is told in the words of this program; a broken pipe stays what it is."""
+    """Raise OutputError for an OSError such as a full disk; BrokenPipeError passes."""
     try:
         yield
     except BrokenPipeError:
         raise
     except OSError as error:
         raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts transactions by outcome, and events by kind."""
+
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    events: Counter[EventKind] = field(default_factory=Counter)
+    ambiguous: int = 0
+
+    def add(self, record: Record) -> None:
+        if isinstance(record, WireEvent):
+            self.events[record.kind] += 1
+        else:
+            self.outcomes[record.outcome] += 1
+            self.ambiguous += Verdict.AMBIGUOUS in record.verdicts
+
+    @property
+    def transactions(self) -> int:
+        return self.outcomes.total()
+
+    def sentence(self) -> str:
+        """For example `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
+        text = f"{self.transactions} {plural(self.transactions, 'transaction')}"
+        parts = [
+            f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
+        ]
+        if parts:
+            text += ": " + ", ".join(parts)
+        if self.ambiguous:
+            text += f" ({self.ambiguous} ambiguous)"
+        troubles = {
+            kind: count for kind, count in self.events.items() if kind not in CONNECTION_EVENTS
+        }
+        if troubles:
+            total = sum(troubles.values())
+            text += f"; {total} {plural(total, 'event')}: "
+            text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
+        return text

@@ -1,8 +1,9 @@
-"""Prints records in a format: a table, JSON lines or CSV."""
+"""Prints records as a table, JSON lines or CSV."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TextIO
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.options import Format
 from mbtool.core import WireEvent
@@ -18,21 +19,22 @@ if TYPE_CHECKING:
     ProfileFor = Callable[[NamedTransaction], Profile | None]
 
 
-class Printer(Protocol):
-    """Writes records to a file. Its methods raise OSError where the file takes no more."""
+class Printer(ABC):
+    """Writes records to a file. Its methods raise OSError if the file cannot be written."""
 
+    @abstractmethod
     def print(self, record: Record, number: int) -> None:
         """Print a record; `number` counts the transactions."""
 
-    def pause(self) -> None:
-        """Print what was held back, while more may come."""
+    def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
+        """Print buffered rows, while more may come."""
 
-    def flush(self) -> None:
-        """Print what was held back, at the end."""
+    def flush(self) -> None:  # noqa: B027
+        """Print buffered rows, at the end."""
 
 
 def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Printer:
-    """What prints to a file in a format; `profile_for` says whose figures a finding has."""
+    """A printer to a file in a format; `profile_for` gives the device profile of a transaction."""
     match format_:
         case Format.TABLE:
             return _TablePrinter(file, profile_for)
@@ -42,7 +44,7 @@ def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Print
             return _CsvPrinter(file)
 
 
-class _TablePrinter:
+class _TablePrinter(Printer):
     def __init__(self, file: TextIO, profile_for: ProfileFor) -> None:
         from mbtool.cli.console import PipeConsole
         from mbtool.views.transaction_table import TransactionTable
@@ -64,7 +66,7 @@ class _TablePrinter:
         self._table.flush()
 
 
-class _JsonLinesPrinter:
+class _JsonLinesPrinter(Printer):
     def __init__(self, file: TextIO) -> None:
         self._file = file
 
@@ -74,23 +76,11 @@ class _JsonLinesPrinter:
         else:
             self._file.write(transaction_to_jsonl(record).decode())
 
-    def pause(self) -> None:
-        pass
 
-    def flush(self) -> None:
-        pass
-
-
-class _CsvPrinter:
+class _CsvPrinter(Printer):
     def __init__(self, file: TextIO) -> None:
         self._writer = CsvWriter(file)
 
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):
             self._writer.write(record)
-
-    def pause(self) -> None:
-        pass
-
-    def flush(self) -> None:
-        pass

@@ -1,7 +1,7 @@
-"""A progress bar while a capture is read, on standard error where that is a terminal."""
+"""Shows a progress bar on standard error while a capture is read, if that is a terminal."""
 
-# It appears after a second, so that what is read at once does not flicker, and goes when all is
-# read. It moves as records come.
+# The bar appears after a second, so that it does not flicker for a small file, and disappears when
+# everything is read. It moves as records come.
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 _APPEARS_S = 1.0
 _SHOW_EVERY = 500
-"""How many records go by between two looks."""
+"""Records between two updates of the bar."""
 
 
 def with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
-    """The same records; where there is a terminal, how far reading has come is shown."""
+    """Pass records on, and show on a terminal how much of the files has been read."""
     if not sys.stderr.isatty():
         yield from records
         return

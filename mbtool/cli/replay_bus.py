@@ -1,4 +1,4 @@
-"""mbtool replay --as-bus: put every byte of both sides onto a serial line."""
+"""mbtool replay --as-bus: send every byte of both sides to a serial line."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.keys import keyboard
+from mbtool.cli.keys import controlled
 from mbtool.cli.progress import with_progress
-from mbtool.cli.talk import interruptible, say
+from mbtool.cli.talk import say
 from mbtool.core.wording import milliseconds
 from mbtool.sources.priority import run_promptly
 from mbtool.workflows.replay_bus import BusRun, line_link
@@ -20,18 +20,14 @@ if TYPE_CHECKING:
 
 
 def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:
-    """Send, and tell how true the times were."""
+    """Send the recording, and say how late its bytes were."""
     link = line_link(on)
     run = BusRun(file, options, link, say, with_progress)
     say(_what_is_played(file, run, link, options))
     if options.rate is not None:
         run_promptly()
-    with interruptible() as interrupt, keyboard() as desk:
-
-        def stops() -> bool:
-            return interrupt.asked or (desk is not None and desk.has_quit)
-
-        report = run.play(stops=stops, desk=desk)
+    with controlled() as (keys, stops):
+        report = run.play(stops=stops, controls=keys)
         was_stopped = stops()
     say(_outcome(report))
     if was_stopped:

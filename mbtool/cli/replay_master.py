@@ -1,4 +1,4 @@
-"""mbtool replay --as-master: ask a slave what was recorded, and compare."""
+"""mbtool replay --as-master: send the recorded requests to a slave, and compare."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
-from mbtool.cli.keys import keyboard
+from mbtool.cli.keys import controlled
+from mbtool.cli.output import told_as_lost
 from mbtool.cli.progress import with_progress
-from mbtool.cli.talk import interruptible, say
-from mbtool.core import InputError, OutputError, UsageError
+from mbtool.cli.talk import say
+from mbtool.core import InputError, UsageError
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
@@ -33,7 +34,7 @@ _MAX_RANGES_BYTES = 1 << 20
 def play_as_master(
     file: str, to: LinkSpec, options: MasterOptions, report_file: Path | None, learn: Path | None
 ) -> None:
-    """Ask, tell what differs, and exit with the code that says whether anything does."""
+    """Send the requests, and print which responses differ. Exits with 1 if one does."""
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
     for written in (report_file, learn):
@@ -43,12 +44,8 @@ def play_as_master(
     say(_what_is_played(file, run, to, options))
     if options.rate is not None:
         run_promptly()
-    with interruptible() as interrupt, keyboard() as desk:
-
-        def stops() -> bool:
-            return interrupt.asked or (desk is not None and desk.has_quit)
-
-        report = run.play(to, stops=stops, desk=desk)
+    with controlled() as (keys, stops):
+        report = run.play(to, stops=stops, controls=keys)
         was_stopped = stops()
     print_differences(PipeConsole(), report.differences, SIDES)
     say(_outcome(report))
@@ -65,7 +62,7 @@ def play_as_master(
 
 
 def ranges_of(files: Sequence[Path]) -> list[str]:
-    """The ranges that files name, one in a line; # begins a remark. Raises InputError."""
+    """The ranges in files, one in each line; # begins a comment. Raises InputError."""
     ranges = []
     for file in files:
         try:
@@ -84,44 +81,39 @@ def _add_ranges(file: Path, learned: Sequence[str]) -> None:
         known = ranges_of([file])
     fresh = [one for one in learned if one not in known]
     _write(file, "".join(f"{one}\n" for one in [*known, *fresh]))
-    ranges = counted(len(fresh), "range")
-    say(f"{ranges} of registers learned; give --ignore-from {file} to leave them out")
+    learned_now = counted(len(fresh), "range", ",")
+    say(f"{learned_now} of registers learned; give --ignore-from {file} to leave them out")
 
 
 def _demand_writable(file: Path) -> None:
-    """See that a file can be written before a long run, and leave none behind."""
+    """See, before a long run, that a file can be written. Raises OutputError, leaves no file."""
     if file.exists() and not (file.is_file() or file.is_dir()):
-        return  # To open a pipe would wait for its reader.
+        return  # Opening a pipe would wait for its reader.
     was_there = file.exists() or file.is_symlink()
-    try:
+    with told_as_lost(str(file)):
         file.open("ab").close()
         if not was_there:
             file.unlink()
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
 def _write(file: Path, text: str) -> None:
-    try:
+    with told_as_lost(str(file)):
         file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
 def _what_is_played(file: str, run: MasterRun, to: LinkSpec, options: MasterOptions) -> str:
     requests = counted(len(run.script.steps), "request", ",")
     units = ", ".join(map(str, sorted(run.script.units))) or "all"
-    whom = plural(len(run.script.units), "unit")
+    unit = plural(len(run.script.units), "unit")
     lasts = "as fast as answers come"
     if options.rate is not None:
         lasts = f"{float(run.script.length_ns / options.rate) / 1e9:,.1f} s"
-    return f"{file}: {requests} to {whom} {units} on {to}, {lasts}; Ctrl-C ends"
+    return f"{file}: {requests} to {unit} {units} on {to}, {lasts}; Ctrl-C ends"
 
 
 def _outcome(report: Report) -> str:
-    count = counted(report.requests, "request", ",")
-    differ = counted(report.different, "answer", ",")
-    text = f"{count}; {differ} not as recorded"
+    requests = counted(report.requests, "request", ",")
+    text = f"{requests}; {counted(report.different, 'answer', ',')} not as recorded"
     if report.unsolicited:
         text = f"{text}; {report.unsolicited:,} that nobody asked for"
     if report.lateness_p99_ns is not None:

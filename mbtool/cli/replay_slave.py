@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 
 def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, allowed: AllowedPeers) -> None:
     """Answer until Ctrl-C."""
-    slave_link(on)  # A link that is none is told before a long recording is read.
+    slave_link(on)  # A link that no slave can use is an error before a long recording is read.
     run = SlaveRun(file, options, say, with_progress)
     played = run.on(on, allowed=allowed)
-    with keyboard() as desk:
+    with keyboard() as keys:
 
         def look() -> None:
-            if desk is None:
+            if keys is None:
                 return
-            for control in desk.controls():
+            for control in keys.controls():
                 played.control(control)
-            desk.show(played.progress())
-            if desk.has_quit:
+            keys.show(played.progress())
+            if keys.has_quit:
                 raise typer.Exit(exit_codes.INTERRUPTED)
 
         serve(played.shell, _what_is_played(file, run), look)
@@ -43,5 +43,5 @@ def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, allowed: Allow
 def _what_is_played(file: str, run: SlaveRun) -> str:
     count = len(run.recording.answers)
     requests = "1 request" if count == 1 else f"{count:,} different requests"
-    units = plural(len(run.recording.units), "unit")
-    return f"{file}: {requests} to {units} {', '.join(map(str, sorted(run.recording.units)))}"
+    units = sorted(run.recording.units)
+    return f"{file}: {requests} to {plural(len(units), 'unit')} {', '.join(map(str, units))}"

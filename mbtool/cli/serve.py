@@ -1,4 +1,4 @@
-"""Runs a slave until someone stops it: what `slave` and `replay --as-slave` share."""
+"""Runs a slave until the user stops it, for `slave` and `replay --as-slave`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY_S = 0.2
 _SILENT_LOOKS = 50
-"""A master that is turned away calls again at once; so this is said once in ten seconds."""
+"""Looks, ten seconds in all, before refused connections are told again: a master that is turned
+away usually connects again at once."""
 
 
 def serve(shell: Shell, who: str, look: Callable[[], None] = lambda: None) -> None:
-    """Answer until Ctrl-C; `look` is called now and then, and at the end.
+    """Answer until Ctrl-C; `look` is called every 0.2 s and at the end.
 
     Raises LinkError when the link is lost, and what `look` raises.
     """

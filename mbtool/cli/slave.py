@@ -1,4 +1,4 @@
-"""mbtool slave: an embedded slave."""
+"""mbtool slave: answer as a device does."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mbtool.cli.output import RecordOutput
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
-_OF_A_UNIT = re.compile(r"(\d{1,3})=(.+)", re.ASCII | re.DOTALL)
+_WITH_UNIT = re.compile(r"(\d{1,3})=(.+)", re.ASCII | re.DOTALL)
 
 
 def slave(
@@ -91,7 +91,9 @@ def slave(
     from mbtool.workflows.slave import Station, device_slave
 
     if len(on) > 1:
-        raise UsageError(f"--on {on[1]}: it answers on {on[0]} already; start another slave there")
+        raise UsageError(
+            f"--on {on[1]}: a slave has one link, here {on[0]}; start another slave for it"
+        )
     link = parse_link(on[0], ANSWERED)
     device = load_profile(profile)
     own, names = _units(unit or ())
@@ -99,9 +101,9 @@ def slave(
     others = {
         number: Station(load_profile(name), images.get(number)) for number, name in names.items()
     }
-    exchanges = None
+    monitor = None
     if print_:
-        exchanges = SlaveMonitor(device, link, {n: one.profile for n, one in others.items()})
+        monitor = SlaveMonitor(device, link, {n: one.profile for n, one in others.items()})
     shell = device_slave(
         device,
         link,
@@ -111,60 +113,58 @@ def slave(
         state_file=state,
         fault_file=fault,
         allowed=AllowedPeers.parse(allow or ()),
-        exchanges=exchanges,
+        monitor=monitor,
         on_trouble=lambda text: say(f"mbtool: {text}"),
     )
     devices = {own: device} | {number: one.profile for number, one in others.items()}
     who = ", ".join(f"{one.title} as unit {number}" for number, one in devices.items())
-    if exchanges is None:
+    if monitor is None:
         serve(shell, who)
         return
-    with open_output(None, None, None, exchanges.profile_for, condition(None)) as out:
-        serve(shell, who, lambda: _show(exchanges, out))
+    with open_output(None, None, None, monitor.profile_for, condition(None)) as out:
+        serve(shell, who, lambda: _show(monitor, out))
 
 
-def _show(exchanges: SlaveMonitor, out: RecordOutput) -> None:
-    """Show what has come since the last time."""
+def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
+    """Show the requests, responses and outputs since the last call."""
     from mbtool.cli.talk import say
 
-    for record in exchanges.records():
+    for record in monitor.records():
         out.add(record)
     out.wait()
-    if missed := exchanges.missed():
-        say(f"mbtool: {missed} more not shown: they come faster than they can be shown")
-    if changed := exchanges.changed_outputs():
+    if missed := monitor.missed():
+        say(f"mbtool: {missed} requests not shown: they come faster than they can be printed")
+    if changed := monitor.changed_outputs():
         say("outputs: " + ", ".join(f"{one.name} {one.text}" for one in changed))
 
 
 def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
-    """The device's own unit, and the profiles of others by theirs. Raises UsageError."""
+    """The unit of the first device, and the profiles of the others by unit. Raises UsageError."""
     from mbtool.core import UsageError
+    from mbtool.core.numbers import parse_unit
 
     own: int | None = None
     others: dict[int, str] = {}
     for text in texts:
-        of_a_unit = _OF_A_UNIT.fullmatch(text)
-        digits = of_a_unit[1] if of_a_unit is not None else text
-        if not (digits.isascii() and digits.isdecimal() and len(digits) <= 3 and int(digits) < 256):
-            raise UsageError(
-                f"--unit {text!r}: write a number from 0 to 255, or 3=PROFILE for another device"
-            )
-        if of_a_unit is not None:
-            if int(digits) in others:
-                raise UsageError(f"--unit {text}: unit {digits} is given two profiles; name one")
-            others[int(digits)] = of_a_unit[2]
+        with_profile = _WITH_UNIT.fullmatch(text)
+        digits = with_profile[1] if with_profile is not None else text
+        unit = parse_unit(digits, "--unit", ", or 3=PROFILE for another device")
+        if with_profile is not None:
+            if unit in others:
+                raise UsageError(f"--unit {text}: unit {unit} has a profile already; name one")
+            others[unit] = with_profile[2]
         elif own is not None:
             raise UsageError(
                 f"--unit {text}: the device is unit {own} already; "
                 f"write {text}=PROFILE for another one beside it"
             )
         else:
-            own = int(digits)
+            own = unit
     own = 1 if own is None else own
     if own in others:
         raise UsageError(
-            f"--unit {own}={others[own]}: unit {own} is that of the first device; "
-            f"choose another, or give the first one another with --unit N"
+            f"--unit {own}={others[own]}: unit {own} is the first device; choose another unit, "
+            "or give the first device another one with --unit N"
         )
     return own, others
 
@@ -175,11 +175,11 @@ def _images(texts: Sequence[str], own: int, others: dict[int, str]) -> dict[int,
 
     images: dict[int, Path] = {}
     for text in texts:
-        of_a_unit = _OF_A_UNIT.fullmatch(text)
-        number = own if of_a_unit is None else int(of_a_unit[1])
-        if number != own and number not in others:
-            raise UsageError(f"--image {text}: no device is unit {number}; see --unit")
-        if number in images:
-            raise UsageError(f"--image {text}: unit {number} has a file already; join the two")
-        images[number] = Path(text if of_a_unit is None else of_a_unit[2])
+        with_unit = _WITH_UNIT.fullmatch(text)
+        unit = own if with_unit is None else int(with_unit[1])
+        if unit != own and unit not in others:
+            raise UsageError(f"--image {text}: no device is unit {unit}; see --unit")
+        if unit in images:
+            raise UsageError(f"--image {text}: unit {unit} has a file already; join the two")
+        images[unit] = Path(text if with_unit is None else with_unit[2])
     return images

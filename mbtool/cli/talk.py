@@ -1,4 +1,4 @@
-"""What commands say to a person beside their data: on standard error, and when to stop."""
+"""Messages to the user on standard error, and how a user stops a command."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ T = TypeVar("T")
 
 
 _wipes: list[Callable[[], None]] = []
-"""What takes away a line that is drawn over and over."""
+"""Functions that erase the lines that are redrawn in place."""
 
 
 def say(text: str) -> None:
-    """Tell something that is no data, if anyone still listens."""
+    """Print a message to standard error, if it is still open."""
     for wipe in _wipes:
         wipe()
     with suppress(OSError):
@@ -29,8 +29,8 @@ def say(text: str) -> None:
 
 
 @contextmanager
-def drawn_line(wipe: Callable[[], None]) -> Iterator[None]:
-    """While one line is drawn over and over, take it away before something is said."""
+def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
+    """While a line is redrawn in place, erase it before each message."""
     _wipes.append(wipe)
     try:
         yield
@@ -82,7 +82,7 @@ class Interrupt:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """Turn Ctrl-C and SIGTERM into a wish that the command grants when it is ready."""
+    """Note Ctrl-C and SIGTERM, so that the command can end when it is ready."""
     interrupt = Interrupt()
     before = {
         number: signal.signal(number, interrupt.ask) for number in (signal.SIGINT, signal.SIGTERM)

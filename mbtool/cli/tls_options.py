@@ -1,133 +1,148 @@
-"""The options of `sniff` for taps that speak TLS."""
+"""The options of `mbtool sniff` for taps that use TLS."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.core import LinkSpec, ListenTls, TargetTls
 
-TlsCertOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-cert",
-        metavar="FILE",
-        help="Have masters connect to a tap with TLS; FILE is the certificate it shows them (PEM).",
-    ),
-]
-TlsKeyOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-key",
-        metavar="FILE",
-        help="The private key of --tls-cert, where it is in a file of its own.",
-    ),
-]
-TlsCaOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-ca",
-        metavar="FILE",
-        help="Let in only masters that show a certificate of a CA in FILE.",
-    ),
-]
-TlsTargetCaOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-target-ca",
-        metavar="FILE",
-        help="Have a tap connect to its target with TLS, if that shows a certificate of a CA in "
-        "FILE, or one that is in FILE itself.",
-    ),
-]
-TlsTargetUnverifiedOption = Annotated[
-    bool,
-    typer.Option(
-        "--tls-target-unverified",
-        help="The same, whatever certificate the target shows.",
-    ),
-]
-TlsTargetCertOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-target-cert",
-        metavar="FILE",
-        help="The certificate that a tap shows its target (PEM).",
-    ),
-]
-TlsTargetKeyOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-target-key",
-        metavar="FILE",
-        help="The private key of --tls-target-cert, where it is in a file of its own.",
-    ),
-]
-TlsTargetNameOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tls-target-name",
-        metavar="NAME",
-        help="The name or address in the target's certificate. [default: that in the LINK]",
-    ),
-]
 
+@dataclass(frozen=True, slots=True)
+class TlsOptions(OptionGroup):
+    """TLS on the side of a tap where masters connect, and on the side of its target."""
 
-def listen_tls(cert: str | None, key: str | None, ca: str | None) -> ListenTls | None:
-    """What --tls-cert and its like say. Raises UsageError."""
-    from mbtool.core import ListenTls, UsageError
+    tls_cert: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-cert",
+            metavar="FILE",
+            help="Have masters connect to a tap with TLS; FILE is the certificate it shows them "
+            "(PEM).",
+        ),
+    ] = None
+    tls_key: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-key",
+            metavar="FILE",
+            help="The private key of --tls-cert, where it is in a file of its own.",
+        ),
+    ] = None
+    tls_ca: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-ca",
+            metavar="FILE",
+            help="Let in only masters that show a certificate of a CA in FILE.",
+        ),
+    ] = None
+    tls_target_ca: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-ca",
+            metavar="FILE",
+            help="Have a tap connect to its target with TLS, if that shows a certificate of a CA "
+            "in FILE, or one that is in FILE itself.",
+        ),
+    ] = None
+    tls_target_unverified: Annotated[
+        bool,
+        typer.Option(
+            "--tls-target-unverified", help="The same, whatever certificate the target shows."
+        ),
+    ] = False
+    tls_target_cert: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-cert",
+            metavar="FILE",
+            help="The certificate that a tap shows its target (PEM).",
+        ),
+    ] = None
+    tls_target_key: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-key",
+            metavar="FILE",
+            help="The private key of --tls-target-cert, where it is in a file of its own.",
+        ),
+    ] = None
+    tls_target_name: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-name",
+            metavar="NAME",
+            help="The name or address in the target's certificate. [default: that in the LINK]",
+        ),
+    ] = None
 
-    if cert is not None:
-        return ListenTls(cert, key, ca)
-    for option, given in (("--tls-key", key), ("--tls-ca", ca)):
-        if given is not None:
+    def on_taps(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
+        """The links; each tap of them with the TLS of both sides. Raises UsageError."""
+        from mbtool.core import TapLink, UsageError
+
+        listen, target = self.listen(), self.target()
+        if listen is None and target is None:
+            return list(links)
+        if not any(isinstance(link, TapLink) for link in links):
+            option = "--tls-target-..." if listen is None else "--tls-cert"
             raise UsageError(
-                f"{option} goes with --tls-cert, the certificate that masters are shown"
+                f"{option} is for taps, and there is none; write tap:LISTEN=TARGET, "
+                "for example tap:127.0.0.1:1502=10.0.0.9:802"
             )
-    return None
+        return [
+            replace(link, listen_tls=listen, target_tls=target)
+            if isinstance(link, TapLink)
+            else link
+            for link in links
+        ]
 
+    def listen(self) -> ListenTls | None:
+        """TLS towards masters; None without --tls-cert. Raises UsageError."""
+        from mbtool.core import ListenTls, UsageError
 
-def target_tls(
-    ca: str | None, cert: str | None, key: str | None, name: str | None, *, unverified: bool
-) -> TargetTls | None:
-    """What --tls-target-ca and its like say. Raises UsageError."""
-    from mbtool.core import TargetTls, UsageError
+        if self.tls_cert is not None:
+            return ListenTls(self.tls_cert, self.tls_key, self.tls_ca)
+        for option, given in (("--tls-key", self.tls_key), ("--tls-ca", self.tls_ca)):
+            if given is not None:
+                raise UsageError(
+                    f"{option} goes with --tls-cert, the certificate that masters are shown"
+                )
+        return None
 
-    if ca is not None and unverified:
-        raise UsageError("--tls-target-ca and --tls-target-unverified exclude each other")
-    if key is not None and cert is None:
-        raise UsageError("--tls-target-key goes with --tls-target-cert")
-    if ca is not None or unverified:
-        return TargetTls(ca, cert, key, name)
-    for option, given in (("--tls-target-cert", cert), ("--tls-target-name", name)):
-        if given is not None:
-            raise UsageError(
-                f"{option}: say how the target is verified: --tls-target-ca FILE, "
-                "or --tls-target-unverified"
-            )
-    return None
+    def target(self) -> TargetTls | None:
+        """TLS towards the target; None where no option asks for it. Raises UsageError."""
+        from mbtool.core import TargetTls, UsageError
 
+        ca, cert, key = self.tls_target_ca, self.tls_target_cert, self.tls_target_key
+        if ca is not None and self.tls_target_unverified:
+            raise UsageError("--tls-target-ca and --tls-target-unverified exclude each other")
+        if key is not None and cert is None:
+            raise UsageError("--tls-target-key goes with --tls-target-cert")
+        if ca is not None or self.tls_target_unverified:
+            return TargetTls(ca, cert, key, self.tls_target_name)
+        for option, given in (
+            ("--tls-target-cert", cert),
+            ("--tls-target-name", self.tls_target_name),
+        ):
+            if given is not None:
+                raise UsageError(
+                    f"{option}: say how the target is verified: --tls-target-ca FILE, "
+                    "or --tls-target-unverified"
+                )
+        return None
 
-def with_tls(
-    links: Sequence[LinkSpec], listen: ListenTls | None, target: TargetTls | None
-) -> list[LinkSpec]:
-    """The links, each tap with what it does for TLS. Raises UsageError where there is no tap."""
-    from mbtool.core import TapLink, UsageError
+    def warnings(self) -> list[str]:
+        """A line for each of the tap's own certificates that has expired."""
+        from mbtool.ports.tls import why_outdated
 
-    if listen is None and target is None:
-        return list(links)
-    if not any(isinstance(link, TapLink) for link in links):
-        option = "--tls-target-..." if listen is None else "--tls-cert"
-        raise UsageError(
-            f"{option} is for taps, and there is none; write tap:LISTEN=TARGET, "
-            "for example tap:127.0.0.1:1502=10.0.0.9:802"
-        )
-    return [
-        replace(link, listen_tls=listen, target_tls=target) if isinstance(link, TapLink) else link
-        for link in links
-    ]
+        own = {"--tls-cert": self.tls_cert, "--tls-target-cert": self.tls_target_cert}
+        found = [why_outdated(option, cert) for option, cert in own.items() if cert is not None]
+        return [warning for warning in found if warning is not None]

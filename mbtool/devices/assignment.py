@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core.errors import UsageError
+from mbtool.core.numbers import parse_number, parse_unit
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Profile
 from mbtool.modbus.adu import Transport
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 _MAX_CACHED = 1024
 
 _EXAMPLES = "5, 192.168.3.250, 192.168.3.250:1502, 192.168.3.250/5, [::1]:502 or all"
+_OTHERS = f"; WHO is {_EXAMPLES}"
+_PORTS = range(0x10000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +101,9 @@ def parse_who(text: str) -> Who:
     if text == "all":
         return Who()
     if text.isascii() and text.isdigit():
-        return Who(unit=_parse_number(text, text, 0xFF, "unit"))
+        return Who(unit=parse_unit(text, f"device {text!r}", _OTHERS))
     address, slash, unit = text.partition("/")
-    number = _parse_number(text, unit, 0xFF, "unit") if slash else None
+    number = parse_unit(unit, f"device {text!r}", _OTHERS) if slash else None
     host, port = _split_endpoint(address)
     try:
         numeric = str(ipaddress.ip_address(host))
@@ -108,7 +111,7 @@ def parse_who(text: str) -> Who:
         raise UsageError(f"device {text!r}: WHO is {_EXAMPLES}") from None
     return Who(
         numeric,
-        _parse_number(text, port, 0xFFFF, "port") if port is not None else None,
+        None if port is None else parse_number(port, "port", _PORTS, f"device {text!r}", _OTHERS),
         number,
     )
 
@@ -194,12 +197,3 @@ def _split_endpoint(text: str) -> tuple[str, str | None]:
         host, _, port = text.partition(":")
         return host, port
     return text, None
-
-
-def _parse_number(text: str, digits: str, highest: int, what: str) -> int:
-    if not (digits.isascii() and digits.isdigit() and len(digits) <= 5 and int(digits) <= highest):
-        raise UsageError(
-            f"device {text!r}: {digits!r} is no {what}; a {what} is 0 to {highest}, "
-            f"and WHO is {_EXAMPLES}"
-        )
-    return int(digits)

@@ -1,1 +1,1 @@
-"""A master that asks slaves: links and polls."""
+"""A master: sends requests to slaves and receives their responses."""

@@ -1,16 +1,19 @@
-"""A link on which recorded requests are sent and their answers come back."""
+"""Links on which a master sends requests and receives responses."""
 
-# Over TCP answers find their request by the transaction id, which counts up with each request; on a
-# serial line, and with RTU over TCP, there is one open request, and the next frame of its unit
-# answers it. A connection that the slave closes is opened again for the next request; while that
-# fails, and when it is lost, requests have no answer and are not waited for. What is tried in vain
-# for a while is not tried for as long again, so at most half of the time goes into it; a refusal
-# takes none. Each failure is told once, and its end.
+# Matching. Over Modbus/TCP a response names its request by the transaction id, which counts up with
+# each request. On a serial line and with RTU over TCP one request is pending at a time, and the
+# next frame from its unit is the response.
+#
+# Lost connections. When the slave closes the connection, it is opened again for the next request.
+# While that fails, requests are reported as lost at once, so that nobody waits for their responses.
+# After an attempt that failed, no other is made for as long as that attempt took: attempts take at
+# most half of the time, and a refused connection, which fails at once, is tried for each request.
+# The user is told when the connection cannot be opened again, and when it is open again.
 #
 # One thread sends and receives: it waits in `receive` until bytes come or the time is over.
 #
-# Holds: the splitter's incomplete ADU, and the numbers of the requests that are open, and of those
-# that were lost, at most MAX_OPEN_REQUESTS of each; the oldest is forgotten first.
+# Holds: the incomplete ADU in the splitter, and the numbers of pending and of lost requests, at
+# most MAX_OPEN_REQUESTS of each; the oldest is forgotten first.
 
 from __future__ import annotations
 
@@ -36,42 +39,68 @@ if TYPE_CHECKING:
     from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
-SLOW_S = 0.5
-"""How long a connection that was lost may take to come back before a request is given up."""
+"""Timeout of the first connection."""
+RECONNECT_S = 0.5
+"""Timeout when a lost connection is opened again: a request that is due waits meanwhile."""
 READ_BYTES = 4096
 LONGEST_WAIT_S = 3600.0
+ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
-"""How often a port is looked at where one cannot wait for it."""
+"""Time between two looks at a serial port, on systems that cannot wait for one."""
+_LEAST_ASK_PAUSE_NS = 5_000_000
+"""Shortest pause before a request of `ask` on a serial line. At high baud rates t3.5 is shorter
+than the time an adapter that listens on the line needs to show two frames apart."""
 
 _NS = 1_000_000_000
 
 
-class Answered(NamedTuple):
-    """An answer, from its first byte to its last."""
+class ReceivedResponse(NamedTuple):
+    """A response, with the times of its first and last byte."""
 
     number: int
-    """The number that the request was sent with; -1 where no request is open for it."""
+    """The number that the request was sent with; -1 if it belongs to no pending request."""
     pdu: bytes
     start_ns: int
     end_ns: int
 
 
 class MasterLink(ABC):
-    """Sends requests; a context manager whose exit closes the link."""
+    """Sends requests and receives responses. A context manager whose exit closes the link."""
 
     limits: LinkLimits
+    _asked = 0
+    """How many requests `ask` has sent."""
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
-        """Send a request. Raises LinkError where the link is lost for good."""
+        """Send a request; `number` marks its response. Raises LinkError if a serial port is lost.
+
+        On a lost connection the request is one of `lost`.
+        """
 
     @abstractmethod
-    def receive(self, timeout_ns: int) -> Sequence[Answered]:
-        """The answers that have come; waits for one, at most so long. Raises LinkError."""
+    def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
+        """The responses that have come; waits for one until the timeout. Raises LinkError."""
 
     def lost(self) -> Sequence[int]:
-        """The requests since the last time that cannot be answered: their connection is gone."""
+        """The numbers of requests whose connection was lost, since the last call."""
         return ()
+
+    def ask(self, unit: int, pdu: bytes) -> bytes | None:
+        """Send one request and wait for its response: the PDU, or None if it does not come in time.
+
+        Not to be mixed with `send`, whose numbers it uses. Raises LinkError.
+        """
+        if self.limits.pause_ns:
+            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
+        self._asked += 1
+        self.send(self._asked, unit, pdu)
+        until_ns = time.monotonic_ns() + self.limits.timeout_ns
+        while (rest_ns := until_ns - time.monotonic_ns()) > 0:
+            for response in self.receive(rest_ns):
+                if response.number == self._asked:
+                    return response.pdu
+        return None
 
     @abstractmethod
     def close(self) -> None: ...
@@ -84,11 +113,14 @@ class MasterLink(ABC):
 
 
 def open_master(
-    link: LinkSpec, timeout_ns: int, on_remark: Callable[[str], None] = lambda _: None
+    link: LinkSpec,
+    timeout_ns: int = ASK_TIMEOUT_NS,
+    on_remark: Callable[[str], None] = lambda _: None,
 ) -> MasterLink:
-    """A master on a link, waiting so long for answers. Raises LinkError, UsageError.
+    """A master on a link; `timeout_ns` is the longest wait for a response.
 
-    `on_remark` is told when a connection cannot be opened again, and when it can.
+    `on_remark` gets a line when a lost connection cannot be opened again, and when it is open
+    again. Raises LinkError, UsageError.
     """
     if isinstance(link, SerialLink):
         link.demand_one_port()
@@ -108,12 +140,11 @@ class TcpMaster(MasterLink):
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._on_remark = on_remark
-        self._is_away = False
-        """The connection could not be opened again."""
-        self._again_ns = 0
-        """When to try it again."""
-        self._open: dict[int, tuple[int, int]] = {}
-        """By transaction id, or 0 with RTU: the request's number and unit."""
+        self._is_reconnecting = False
+        """True since an attempt to open the connection again has failed."""
+        self._next_attempt_ns = 0
+        self._pending: dict[int, tuple[int, int]] = {}
+        """Number and unit of each pending request, by its transaction id; by 0 with RTU."""
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self._socket: socket.socket | None = self._connect(CONNECT_S)
@@ -125,20 +156,20 @@ class TcpMaster(MasterLink):
             self._lost.append(number)
             return
         if self._link.rtu:
-            self._open.clear()
+            self._pending.clear()
             adu = rtu_adu(unit, pdu)
         else:
             self._last_id = self._last_id % 0xFFFF + 1
             adu = mbap_adu(self._last_id, unit, pdu)
-        self._open[self._last_id] = number, unit
-        if len(self._open) > MAX_OPEN_REQUESTS:
-            del self._open[next(iter(self._open))]
+        self._pending[self._last_id] = number, unit
+        if len(self._pending) > MAX_OPEN_REQUESTS:
+            del self._pending[next(iter(self._pending))]
         try:
             self._socket.sendall(adu)
         except OSError:
             self._lose()
 
-    def receive(self, timeout_ns: int) -> Sequence[Answered]:
+    def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
         if self._socket is None:
             time.sleep(wait_s)
@@ -154,9 +185,9 @@ class TcpMaster(MasterLink):
             self._lose()
             return ()
         return [
-            answer
+            response
             for event in self._splitter.feed(data, now_ns)
-            if (answer := self._matched(event)) is not None
+            if (response := self._matched(event)) is not None
         ]
 
     def lost(self) -> Sequence[int]:
@@ -169,37 +200,37 @@ class TcpMaster(MasterLink):
             self._socket.close()
             self._socket = None
 
-    def _matched(self, event: Adu | Skipped) -> Answered | None:
+    def _matched(self, event: Adu | Skipped) -> ReceivedResponse | None:
         if not isinstance(event, Adu):
             return None
-        number, unit = self._open.get(event.transaction_id or 0, (-1, -1))
+        number, unit = self._pending.get(event.transaction_id or 0, (-1, -1))
         if self._link.rtu and unit != event.unit:
-            number = -1  # Another unit's. A Modbus/TCP slave may give any (FA3: the id counts).
+            number = -1  # With Modbus/TCP the unit may differ: an FA3 module answers with its own.
         if number >= 0:
-            del self._open[event.transaction_id or 0]
-        return Answered(number, event.pdu, event.start_ns, event.end_ns)
+            del self._pending[event.transaction_id or 0]
+        return ReceivedResponse(number, event.pdu, event.start_ns, event.end_ns)
 
     def _lose(self) -> None:
         self.close()
-        self._lost.extend(number for number, _ in self._open.values())
-        self._open.clear()
+        self._lost.extend(number for number, _ in self._pending.values())
+        self._pending.clear()
 
     def _reconnect(self) -> socket.socket | None:
         begin_ns = time.monotonic_ns()
-        if begin_ns < self._again_ns:
+        if begin_ns < self._next_attempt_ns:
             return None
         try:
-            connected = self._connect(SLOW_S)
+            connected = self._connect(RECONNECT_S)
         except LinkError as error:
-            if not self._is_away:
+            if not self._is_reconnecting:
                 self._on_remark(f"mbtool: the connection was lost; {error}")
-            self._is_away = True
+            self._is_reconnecting = True
             now_ns = time.monotonic_ns()
-            self._again_ns = now_ns + (now_ns - begin_ns)
+            self._next_attempt_ns = now_ns + (now_ns - begin_ns)
             return None
-        if self._is_away:
+        if self._is_reconnecting:
             self._on_remark(f"mbtool: {self._link}: connected again")
-        self._is_away = False
+        self._is_reconnecting = False
         return connected
 
     def _connect(self, timeout_s: float) -> socket.socket:
@@ -230,38 +261,38 @@ class SerialMaster(MasterLink):
         self._splitter: AsciiSplitter | RtuSplitter = splitter(
             link.format, speaker=Direction.RESPONSE
         )
-        self._open: tuple[int, int] | None = None
+        self._pending: tuple[int, int] | None = None
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self._link.ascii else rtu_adu)(unit, pdu)
-        self._open = number, unit
+        self._pending = number, unit
         with port_in_use(self._link):
             self._port.write(adu)
-            # The answer's silence begins where the request ends, and so does its time-out.
+            # The silence before the response begins at the end of the request, like the timeout.
             self._port.flush()
 
-    def receive(self, timeout_ns: int) -> Sequence[Answered]:
+    def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         until_ns = time.monotonic_ns() + max(timeout_ns, 0)
-        answers: list[Answered] = []
-        while not answers:
+        responses: list[ReceivedResponse] = []
+        while not responses:
             rest_ns = until_ns - time.monotonic_ns()
             with port_in_use(self._link):
                 data = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS)
             now_ns = time.monotonic_ns()
             events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
-            answers = [self._matched(event) for event in events if isinstance(event, Adu)]
+            responses = [self._matched(event) for event in events if isinstance(event, Adu)]
             if rest_ns <= 0:
                 break
-        return answers
+        return responses
 
     def close(self) -> None:
         self._port.close()
 
     def _read(self, wait_s: float) -> bytes:
-        """What has come, or comes within so long.
+        """The bytes that have come; waits for the first until the timeout.
 
-        The port's own time-out is not touched: pyserial sets the whole port up anew for that, which
-        takes its time, and which a pseudo-terminal refuses where a line has parity.
+        Does not change the timeout of the pyserial port: pyserial would then configure the whole
+        port again, which takes time, and fails on a pseudo-terminal if the line has parity.
         """
         if os.name == "posix":
             if not select.select([self._port], [], [], wait_s)[0]:
@@ -272,9 +303,9 @@ class SerialMaster(MasterLink):
                 return b""
         return bytes(self._port.read(self._port.in_waiting or 1))
 
-    def _matched(self, adu: Adu) -> Answered:
-        number, unit = self._open if self._open is not None else (-1, -1)
+    def _matched(self, adu: Adu) -> ReceivedResponse:
+        number, unit = self._pending if self._pending is not None else (-1, -1)
         if unit != adu.unit:
-            return Answered(-1, adu.pdu, adu.start_ns, adu.end_ns)
-        self._open = None
-        return Answered(number, adu.pdu, adu.start_ns, adu.end_ns)
+            return ReceivedResponse(-1, adu.pdu, adu.start_ns, adu.end_ns)
+        self._pending = None
+        return ReceivedResponse(number, adu.pdu, adu.start_ns, adu.end_ns)

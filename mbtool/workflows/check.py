@@ -1,9 +1,9 @@
-"""Holds captures and logs against the rules: paths in, findings out."""
+"""Checks captures and logs against the rules: files in, findings out."""
 
-# A log is taken as it was decoded when it was made, since only that has what its sources told of
-# connections and damage. Its transactions are named anew, by the profiles that the user gives and
-# those that it carries, so that it is held against today's rules. Each capture is held against them
-# by itself; the parts of a rotated one are one.
+# A log is not decoded again: its transactions and events also hold what its sources knew of
+# connections and damage. But its transactions are named again, by the profiles of the user and of
+# the log, so that the rules of today's profiles apply. Each capture is checked on its own; the
+# parts of a rotated capture are one capture.
 
 from __future__ import annotations
 
@@ -32,37 +32,35 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
-    """Which codes are wanted: those that begin with one of `select`, and with none of `ignore`.
+class CodeFilter:
+    """Chooses codes by how they begin: those of `select`, but not those of `ignore`.
 
-    Where both fit a code, the longer one counts.
+    If a code begins as one of both says, the longer beginning decides.
     """
 
     select: tuple[str, ...] = ()
-    """All, where there are none."""
+    """If empty, all codes are chosen."""
     ignore: tuple[str, ...] = ()
 
     @classmethod
-    def parse(cls, select: Sequence[str], ignore: Sequence[str]) -> Selection:
-        """Read `RTU-1,MB` and the like, in any case."""
+    def parse(cls, select: Sequence[str], ignore: Sequence[str]) -> CodeFilter:
+        """Read texts such as `RTU-1,MB`, in upper or lower case."""
         return cls(_codes(select), _codes(ignore))
 
     def takes(self, code: str) -> bool:
-        wanted = _longest(code, self.select) if self.select else 0
-        return wanted is not None and wanted > (_longest(code, self.ignore) or -1)
+        chosen = _longest(code, self.select) if self.select else 0
+        return chosen is not None and chosen > (_longest(code, self.ignore) or -1)
 
     def demand_known(self, profiles: Sequence[Profile]) -> None:
-        """See that each beginning is one of some code. Raises UsageError."""
+        """See that some code begins like each text. Raises UsageError."""
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]
+        # The codes of devices are not listed: a prefix, a letter, and then what the device names.
+        of_devices = tuple(f"{prefix}{letter}" for prefix in prefixes for letter in letters)
         for text in (*self.select, *self.ignore):
-            is_known = any(code.startswith(text) for code in codes) or any(
-                prefix.startswith(text)
-                or any(text.startswith(f"{prefix}{letter}") for letter in letters)
-                for prefix in prefixes
-            )
-            if not is_known:
+            is_known = any(each.startswith(text) for each in (*codes, *prefixes))
+            if not is_known and not text.startswith(of_devices):
                 families = {code.partition("-")[0] for code in codes}
                 families |= {prefix.removesuffix("-") for prefix in prefixes}
                 raise UsageError(
@@ -76,56 +74,57 @@ class FileFinding:
     """A finding, and the file that it was found in."""
 
     finding: Finding
-    place: str
+    file: str
 
 
-class Checking:
+class CheckRun:
     """One pass over some files."""
 
     def __init__(
-        self, paths: Sequence[str], options: ReadingOptions, selection: Selection | None = None
+        self, paths: Sequence[str], options: ReadingOptions, codes: CodeFilter | None = None
     ) -> None:
-        self._selection = selection or Selection()
+        self._codes = codes or CodeFilter()
         self.reading = Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
         self._checker: Checker | None = None
-        """Of the capture that is being read."""
+        """Checks the capture that is being read."""
         self._namer: Namer | None = None
-        """Names what stands in a log anew."""
+        """Names the transactions of a log again."""
         self._captures = 0
-        self._place = ""
+        self._file = ""
         self._remarks: list[str] = []
-        self._hints = ModelHints(lambda one: self.reading.assignments.profile_for(one))
+        self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
         self.counts: Counter[str] = Counter()
-        """How often each code was found, of those that are wanted."""
+        """How often each chosen code was found."""
 
-    def demand_selection(self) -> None:
-        """See that the codes that are wanted exist. Raises UsageError.
+    def demand_codes(self) -> None:
+        """See that the codes of the filter exist. Raises UsageError.
 
-        They do, where a built-in profile, one that the user gives or one of a log has them.
+        They may be codes of a built-in profile, of a profile that the user gives, or of a profile
+        in a log.
         """
         known = [*map(load_profile, builtin_profiles()), *self.reading.assignments.profiles]
         try:
-            self._selection.demand_known(known)
+            self._codes.demand_known(known)
         except UsageError:
-            self._selection.demand_known([*known, *self.reading.profiles_of_logs()])
+            self._codes.demand_known([*known, *self.reading.profiles_of_logs()])
 
     @property
     def remarks(self) -> list[str]:
-        """What a reader should know beside the findings, a line each."""
+        """What a user should know of the files beside the findings, a line each."""
         return [*self.reading.remarks, *self._remarks, *self._hints.remarks]
 
     def findings(self) -> Iterator[FileFinding]:
-        """Give everything that is found, capture by capture. Raises what Reading.records does."""
+        """Give the chosen findings, capture by capture. Raises what Reading.records raises."""
         try:
             for record in self.reading.records():
                 if self._checker is None or self.reading.captures != self._captures:
                     yield from self._end_capture()
                     self._begin_capture()
-                self._place = self.reading.place
+                self._file = self.reading.file
                 yield from self._check(record)
         except InputError:
             yield from self._end_capture()
@@ -141,7 +140,7 @@ class Checking:
     def _end_capture(self) -> Iterator[FileFinding]:
         checker, self._checker = self._checker, None
         if checker is not None:
-            yield from self._wanted(checker.close())
+            yield from self._chosen(checker.close())
             self._remarks += checker.remarks
 
     def _check(self, record: Record) -> Iterator[FileFinding]:
@@ -152,16 +151,16 @@ class Checking:
             self._hints.note(record)
             if self._namer is not None:
                 record = self._namer.name(record)
-        yield from self._wanted(self._checker.feed(record))
+        yield from self._chosen(self._checker.feed(record))
 
     def _format_of(self, link: str) -> SerialFormat | None:
         return self.reading.format_of(link)
 
-    def _wanted(self, findings: Iterator[Finding]) -> Iterator[FileFinding]:
+    def _chosen(self, findings: Iterator[Finding]) -> Iterator[FileFinding]:
         for finding in findings:
-            if self._selection.takes(finding.code):
+            if self._codes.takes(finding.code):
                 self.counts[finding.code] += finding.count
-                yield FileFinding(finding, self._place)
+                yield FileFinding(finding, self._file)
 
 
 def _codes(texts: Sequence[str]) -> tuple[str, ...]:
@@ -169,5 +168,5 @@ def _codes(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def _longest(code: str, beginnings: Sequence[str]) -> int | None:
-    fitting = [len(each) for each in beginnings if code.startswith(each)]
-    return max(fitting, default=None)
+    """The length of the longest text that the code begins with; None if there is none."""
+    return max((len(each) for each in beginnings if code.startswith(each)), default=None)

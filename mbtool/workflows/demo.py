@@ -1,8 +1,8 @@
-"""The whole loop on one machine: slaves, masters, a sniffer, a log, and the log as the slave."""
+"""The whole loop on one machine: record two slaves, and play the recording as the slaves."""
 
-# An FT1A Touch answers a master on a virtual serial line that the sniffer taps; an FA3-AT1M8X
-# answers another behind a TCP tap. Both end in one log. The log then plays both slaves on loopback,
-# and the same requests must bring the same answers.
+# An FT1A Touch answers a master on a virtual serial line, where the sniffer listens. An FA3-AT1M8X
+# answers another master through a TCP tap of the sniffer. Both are recorded in one log. Then the
+# log plays both slaves on loopback, and the same requests must get the same responses.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mbtool.core import (
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
 from mbtool.logs.opening import create_log
-from mbtool.master.poll import Poller, TcpPoller
+from mbtool.master.links import MasterLink, open_master
 from mbtool.modbus import Table, encode_pdu
 from mbtool.replay import RecordedSlave, Recording
 from mbtool.slave.device import RegisterImage, units_on
@@ -48,26 +48,27 @@ if TYPE_CHECKING:
 LINE = SerialFormat(19200, 8, "E", 1)
 TOUCH_UNIT = 1
 MODULE_UNIT = 0
-"""What the module's manual tells a master to write; the module ignores it."""
+"""The unit that the manual of the module has a master send; the module ignores it."""
 
 Exchange = tuple[int, bytes, bytes | None]
 """Unit, request PDU and response PDU; no response where the slave stayed silent."""
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
+"""Time for the last bytes to reach the sniffer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How the log's answers compare with the devices'."""
+    """How the responses of the log compare with those of the devices."""
 
     asked: int
     differences: tuple[Exchange, ...]
-    """What was asked, and what the log answered where it differs."""
+    """Each request that was answered differently, with the response of the log."""
 
 
 class Demo:
-    """One run. `assignments` names its devices."""
+    """One run. `assignments` has the profiles of its devices."""
 
     def __init__(self, log_path: str) -> None:
         self._log_path = log_path
@@ -76,7 +77,7 @@ class Demo:
         self.assignments = Assignments()
 
     def record(self) -> Iterator[Record]:
-        """Run devices, masters and the sniffer; give what the sniffer decodes, as it does."""
+        """Run devices, masters and the sniffer; give the records that the sniffer decodes."""
         with ExitStack() as stack:
             folder = stack.enter_context(TemporaryDirectory(prefix="mbtool-"))
             names = [f"{folder}/{name}" for name in ("touch", "master", "rs485")]
@@ -108,11 +109,11 @@ class Demo:
             raise self._failure
 
     def replay(self) -> Agreement:
-        """Play the log as the slaves, ask it all that the masters asked, and compare."""
+        """Play the log as the slaves, send all requests again, and compare the responses."""
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
         slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
-        with slave, TcpPoller(slave.endpoint) as master:
+        with slave, open_master(TcpLink(slave.endpoint)) as master:
             answers = [master.ask(unit, pdu) for unit, pdu, _ in self._exchanges]
         differences = tuple(
             (unit, pdu, answer)
@@ -123,13 +124,13 @@ class Demo:
 
     def _ask_all(self, serial: SerialLink, tap: Endpoint) -> None:
         try:
-            with Poller(serial) as rtu, TcpPoller(tap) as tcp:
+            with open_master(serial) as rtu, open_master(TcpLink(tap)) as tcp:
                 self._ask(tcp, MODULE_UNIT, module_requests())
                 self._ask(rtu, TOUCH_UNIT, touch_requests())
         except Exception as error:
             self._failure = error
 
-    def _ask(self, master: Poller, unit: int, requests: Sequence[bytes]) -> None:
+    def _ask(self, master: MasterLink, unit: int, requests: Sequence[bytes]) -> None:
         for pdu in requests:
             answer = master.ask(unit, pdu)
             if answer is None:
@@ -138,7 +139,7 @@ class Demo:
 
 
 def touch_requests() -> list[bytes]:
-    """What the master asks the FT1A Touch: every area, and one write that is too long for it."""
+    """Requests to the FT1A Touch: each of its tables, and one write that is too long for it."""
     read = [
         _request(0x03, address=0, quantity=4),
         _request(0x04, address=0, quantity=2),
@@ -155,7 +156,7 @@ def touch_requests() -> list[bytes]:
 
 
 def module_requests() -> list[bytes]:
-    """What the manual's chapter 10.5 has a master do with an FA3-AT1M8X, and a read of a hole."""
+    """The set-up of an FA3-AT1M8X (manual, chapter 10.5), and a read of undefined registers."""
     averaging = (0x0000, 0x2010, 0, 0, 0, 0, 0, 5000, 0, 100)
     return [
         b"\x42\x00",
@@ -194,7 +195,7 @@ def _module(link: TcpLink) -> Responder:
 
 
 def _when_done(masters: threading.Thread) -> Callable[[int], bool]:
-    """Stop when the masters have ended and the last bytes have had time to arrive."""
+    """A stop that waits for the masters to end and for the last bytes to arrive."""
     since: list[int] = []
 
     def stop(now_ns: int) -> bool:

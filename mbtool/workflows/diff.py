@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.core import InputError, WireEvent
 from mbtool.devices import Difference, NamedTransaction, Span, parse_span
 from mbtool.replay import Ignored, Traffic, differences
+from mbtool.workflows.shared.read_all import read_all
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -19,34 +20,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """What is compared, and what is not."""
+    """What is compared."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
     ignore: Sequence[str] = ()
-    """Ranges of registers whose values may differ, as the devices or mbtool write them."""
+    """Ranges of registers whose values may differ, as the device's manual or mbtool writes them."""
     latency: bool = True
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Two captures, how much they hold, and in what they differ."""
+    """Two captures, the number of their transactions, and how they differ."""
 
     a: str
     b: str
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """Whether all was compared: False where a bound left something out (replay/traffic.py)."""
+    """False if a limit of replay/traffic.py left something out."""
     differences: list[Difference]
 
 
 def compare(
     a: str, b: str, options: DiffOptions, on_remark: Callable[[str], None] = lambda _: None
 ) -> Comparison:
-    """Read both and compare them. Of a file that is cut or damaged what is there is compared.
+    """Read both files and compare them; one that is cut or damaged as far as it can be read.
 
-    `on_remark` is told what there is to know of the files. Raises InputError where one cannot be
-    read or has no transactions, UsageError for a range that no device has.
+    `on_remark` gets a line for each thing a user should know of the files. Raises InputError for a
+    file that cannot be read or has no transaction, UsageError for a range that no device has.
     """
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):
@@ -70,15 +71,13 @@ def compare(
 def _traffic(
     path: str, reading: Reading, options: DiffOptions, on_remark: Callable[[str], None]
 ) -> Traffic:
+    def say(remark: str) -> None:
+        on_remark(remark if path in remark else f"{path}: {remark}")
+
     traffic = Traffic()
-    try:
-        for record in reading.records():
-            if not isinstance(record, WireEvent) and options.wanted(record):
-                traffic.add(record)
-    except (CutError, DamageError) as error:
-        on_remark(f"{error}; comparing what is there")
-    for remark in reading.remarks:
-        on_remark(f"{path}: {remark}" if path not in remark else remark)
+    for record in read_all(reading, say, "{error}; comparing what is there"):
+        if not isinstance(record, WireEvent) and options.wanted(record):
+            traffic.add(record)
     return traffic
 
 

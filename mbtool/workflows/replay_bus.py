@@ -3,56 +3,51 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
-from fractions import Fraction
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialLink, UsageError
-from mbtool.devices import NamedTransaction
 from mbtool.ports.serial_opening import open_port, port_in_use
-from mbtool.replay import BusPlayer, PlayClock, Steering, TimeRange
+from mbtool.replay import BusPlayer, PlayClock, Steering
 from mbtool.workflows.shared.bus_recording import read_pieces
-from mbtool.workflows.shared.reading import ReadingOptions
-from mbtool.workflows.shared.recorded import unwatched
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, lateness_p99_ns
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.replay import PlayerControls
-    from mbtool.workflows.shared.recorded import Watch
+    from mbtool.workflows.shared.read_all import Watch
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
+"""Pause between two rounds of --loop."""
 _LOOK_NS = 30_000_000
-"""How often the player looks whether it shall stop, and who steers it."""
+"""The longest time between two looks for keys and for the end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BusOptions:
+class BusOptions(PlayOptions):
     """How a recording is played as the bus."""
 
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
-    rate: Fraction | None = Fraction(1)
-    """Recorded time for each real time; None: as fast as the line carries it."""
     is_loop: bool = False
-    window: TimeRange = field(default_factory=TimeRange)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """What came of it."""
+    """The result of a run."""
 
     pieces: int
     bytes: int
     held: int
-    """How many pieces the line delayed."""
+    """Pieces that were sent late because the line was still busy."""
     lateness_p99_ns: int | None
-    """How much later than its time a piece left, where the line did not delay it."""
+    """How late pieces were sent, of those that the line did not delay."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:
-    """The same link, if a bus can be played on it. Raises UsageError."""
+    """The link, if it is a serial line with one port. Raises UsageError."""
     if not isinstance(link, SerialLink):
         raise UsageError(
             f"link {link}: a bus is a serial line: rtu:PORT@19200-8E1 or ascii:PORT@9600-7E1"
@@ -62,7 +57,7 @@ def line_link(link: LinkSpec) -> SerialLink:
 
 
 class BusRun:
-    """A recording that was read, ready to be played on a line."""
+    """A recording, read and ready to be played on a serial line."""
 
     def __init__(
         self,
@@ -72,25 +67,23 @@ class BusRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Raises InputError where there is nothing to play, UsageError."""
+        """Read the recording. Raises InputError if there is nothing to play, UsageError."""
         self._options = options
         self._link = link
-        self.pieces = read_pieces(
-            path, options.reading, options.wanted, options.window, link, on_remark, watch
-        )
+        self.pieces = read_pieces(path, options, link, on_remark, watch)
 
     @property
     def length_ns(self) -> int:
-        """Until the last piece begins, or the window ends."""
+        """From the beginning of the window to its end, or to the last piece."""
         window = self._options.window
         if window.end_ns is not None:
             return window.end_ns - window.start_ns
         return self.pieces[-1].position_ns
 
     def play(
-        self, *, stops: Callable[[], bool] = lambda: False, desk: PlayerControls | None = None
+        self, *, stops: Callable[[], bool] = lambda: False, controls: PlayerControls | None = None
     ) -> BusReport:
-        """Send every byte. `stops` is asked again and again whether to end early.
+        """Send every byte, until `stops` returns True; `controls` pauses, steps and so on.
 
         Raises LinkError.
         """
@@ -109,8 +102,8 @@ class BusRun:
             steering.begin(time.monotonic_ns())
             while not player.has_ended and not stops():
                 now_ns = time.monotonic_ns()
-                if desk is not None:
-                    steering.update(desk, now_ns, f"{player.bytes:,} bytes")
+                if controls is not None:
+                    steering.update(controls, now_ns, f"{player.bytes:,} bytes")
                 piece = player.next_run(now_ns)
                 if piece is not None:
                     port.write(piece.data)
@@ -123,16 +116,15 @@ class BusRun:
 
 
 def _let_pass(player: BusPlayer) -> None:
-    """Wait until the last byte has left the port, which closing it could cut off."""
+    """Wait until the last byte has left the port: closing it could discard bytes."""
     if player.passed_ns is not None:
         time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
 
 
 def _report(player: BusPlayer, options: BusOptions) -> BusReport:
-    late = sorted(player.lateness.values)
     return BusReport(
         pieces=player.sent,
         bytes=player.bytes,
         held=player.delayed if options.rate else 0,
-        lateness_p99_ns=late[len(late) * 99 // 100] if late and options.rate else None,
+        lateness_p99_ns=lateness_p99_ns(player.lateness, options),
     )

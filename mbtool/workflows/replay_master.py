@@ -1,4 +1,4 @@
-"""Plays a recording as the master, and compares what a slave answers with what was recorded."""
+"""Plays a recording as the master, and compares the responses with the recorded ones."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import CutError, DamageError, InputError
-from mbtool.devices import Difference, NamedTransaction, Span, parse_span, write_reference
+from mbtool.core import InputError
+from mbtool.devices import Difference, Span, parse_span, write_reference
 from mbtool.master.links import open_master
 from mbtool.replay import (
     Conductor,
@@ -23,64 +22,64 @@ from mbtool.replay import (
     Script,
     Steering,
     Step,
-    TimeRange,
     Tolerance,
 )
 from mbtool.views.junit import Case, junit_xml
-from mbtool.workflows.shared.reading import ReadingOptions
-from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none, within
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import (
+    PlayOptions,
+    lateness_p99_ns,
+    read_recorded,
+    where_none,
+    within,
+)
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.devices import Profile
-    from mbtool.workflows.shared.recorded import Watch
+    from mbtool.workflows.shared.read_all import Watch
 
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
-"""How often a player looks whether it shall stop, while nothing happens."""
+"""The longest time between two looks for the end."""
 _STEERED_NS = 30_000_000
-"""The same where someone steers it."""
+"""The same if there are keys, which a person expects to work at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MasterOptions:
+class MasterOptions(PlayOptions):
     """How a recording is played as the master."""
 
-    reading: ReadingOptions
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
-    rate: Fraction | None = Fraction(1)
-    """Recorded time for each real time; None: as fast as answers come."""
     is_loop: bool = False
-    window: TimeRange = field(default_factory=TimeRange)
     timeout_ns: int = _NS
     ignore: Sequence[str] = ()
     """Ranges of registers whose values may differ."""
     learns: bool = False
-    """Note which registers differ, in place of telling it as a difference."""
+    """Take registers that differ as ones that may differ, and report them as learned."""
     tolerance: Tolerance | None = None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What came of it."""
+    """The result of a run."""
 
     recording: str
     link: str
     requests: int
-    """How many were sent."""
+    """Requests that were sent."""
     different: int
-    """How many answers were not as recorded."""
+    """Responses that were not as recorded."""
     unsolicited: int
-    """Answers that no open request was for."""
+    """Responses that belong to no pending request."""
     lateness_p99_ns: int | None
-    """How much later than its recorded time a request left, where it waited for nothing else."""
+    """How late requests were sent, of those that did not have to wait for a response."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
-    """Registers that differed, as --ignore takes them, where the run was to learn them."""
+    """Ranges of registers that differed, as --ignore takes them; empty without --learn."""
 
 
 class MasterRun:
-    """A recording that was read, ready to be played on a link."""
+    """A recording, read and ready to be played on a link."""
 
     def __init__(
         self,
@@ -89,18 +88,15 @@ class MasterRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Of a file that is cut or damaged what is there is played.
+        """Read the recording; one that is cut or damaged as far as it can be read.
 
-        Raises InputError where there is nothing to ask, UsageError.
+        Raises InputError if there is no request in it, UsageError.
         """
         self._path = path
         self._on_remark = on_remark
         self._options = options
 
-        def on_cut(error: CutError | DamageError) -> None:
-            on_remark(f"mbtool: {error}; playing what is there")
-
-        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
+        recorded = read_recorded(path, options, on_remark, watch)
         profiles = recorded.assignments.profiles
         self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
         self.script = Script.of(within(recorded.transactions, options.window))
@@ -116,12 +112,12 @@ class MasterRun:
         *,
         stops: Callable[[], bool] = lambda: False,
         on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
-        desk: PlayerControls | None = None,
+        controls: PlayerControls | None = None,
     ) -> Report:
-        """Ask all that was recorded, and compare the answers.
+        """Send all recorded requests, and compare the responses.
 
-        `stops` is asked again and again whether to end early; `on_answer` gets each step, its
-        answer or None, and whether that is right; at the `desk` someone steers. Raises LinkError,
+        Ends early when `stops` returns True. `on_answer` gets each step, its response or None, and
+        True if that is as recorded. `controls` pauses, steps and so on. Raises LinkError,
         UsageError.
         """
         options = self._options
@@ -137,13 +133,13 @@ class MasterRun:
         with open_master(link, options.timeout_ns, self._on_remark) as master:
             conductor = Conductor(self.script, clock, judge, master.limits)
             steering = Steering(clock, conductor.allow_step)
-            look_ns = _LOOK_NS if desk is None else _STEERED_NS
+            look_ns = _LOOK_NS if controls is None else _STEERED_NS
             steering.begin(time.monotonic_ns())
             while not conductor.has_ended and not stops():
                 now_ns = time.monotonic_ns()
-                if desk is not None:
+                if controls is not None:
                     done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
-                    steering.update(desk, now_ns, done)
+                    steering.update(controls, now_ns, done)
                 for number in master.lost():
                     for gone, is_right in conductor.give_up(number, now_ns):
                         on_answer(gone, None, is_right)
@@ -163,14 +159,13 @@ class MasterRun:
         return self._report(link, conductor, judge)
 
     def _report(self, link: LinkSpec, conductor: Conductor, judge: Judge) -> Report:
-        late = sorted(conductor.lateness.values)
         return Report(
             recording=self._path,
             link=str(link),
             requests=conductor.sent,
             different=judge.wrong,
             unsolicited=conductor.unsolicited,
-            lateness_p99_ns=late[len(late) * 99 // 100] if late and self._options.rate else None,
+            lateness_p99_ns=lateness_p99_ns(conductor.lateness, self._options),
             asked=judge.requests(),
             differences=judge.differences(),
             learned=[_written(span) for _, span in judge.learned()] if self._options.learns else [],
@@ -180,7 +175,7 @@ class MasterRun:
 def junit(report: Report) -> str:
     """The report as JUnit XML: a case for each request, and one for each register that differs.
 
-    A request fails where one of its answers was not as recorded, be it by a value only.
+    The case of a request fails if one of its responses was not as recorded.
     """
     told = defaultdict(list)
     for each in report.differences:
@@ -212,5 +207,5 @@ def _told(difference: Difference) -> str:
 
 
 def _written(span: Span) -> str:
-    """A range in the neutral notation, which means the same with any profile and without one."""
+    """A range in the notation that does not depend on a profile, such as `holding 9..19`."""
     return write_reference(None, span.table, span.first, span.last - span.first + 1)

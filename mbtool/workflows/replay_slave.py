@@ -1,4 +1,4 @@
-"""Plays a recording's slaves."""
+"""Plays the slaves of a recording."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import random
 import re
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, SerialLink, UsageError
-from mbtool.devices import NamedTransaction
 from mbtool.modbus import Transport
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
@@ -26,52 +24,50 @@ from mbtool.replay import (
     RecordedSlave,
     Recording,
     SampledLatency,
-    TimeRange,
 )
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
-from mbtool.workflows.shared.reading import ReadingOptions
-from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none
 
 if TYPE_CHECKING:
-    from mbtool.core import CutError, DamageError, LinkSpec, TcpLink
+    from collections.abc import Callable
+
+    from mbtool.core import LinkSpec, TcpLink
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response, Table
     from mbtool.replay import Control, Progress
     from mbtool.slave.shells import Shell
-    from mbtool.workflows.shared.recorded import Recorded, Watch
+    from mbtool.workflows.shared.read_all import Watch
+    from mbtool.workflows.shared.recorded import Recorded
 
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
 MAX_LATENCY_NS = 1_000_000_000_000
+"""The longest --latency, 1000 s: no master waits that long."""
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
-"""What is drawn by chance is the same in each run."""
+"""Each run draws the same latencies for --latency sampled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlaveOptions:
+class SlaveOptions(PlayOptions):
     """How a recording is played as the slave."""
 
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
     match: MatchStrategy = MatchStrategy.AUTO
     on_miss: OnMiss = OnMiss.IMAGE
     on_end: OnEnd = OnEnd.LAST
-    rate: Fraction | None = Fraction(1)
-    """Recorded time for each real time; None: without latencies."""
-    window: TimeRange = field(default_factory=TimeRange)
     latency: str = RECORDED
-    """Or none, sampled, or a time such as 5ms."""
+    """`recorded`, `none`, `sampled`, or a time such as `5ms`."""
     with_damage: bool = False
-    """Answers that were damaged are played, too."""
+    """True to play damaged responses, too."""
     fault_file: Path | None = None
 
 
 class SlaveRun:
-    """A recording that was read, ready to answer on a link."""
+    """A recording, read and ready to answer on a link."""
 
     def __init__(
         self,
@@ -80,25 +76,21 @@ class SlaveRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Of a file that is cut or damaged what is there is played.
+        """Read the recording; one that is cut or damaged as far as it can be read.
 
-        Raises InputError where there is nothing to answer, UsageError.
+        Raises InputError if there is no answered request in it, UsageError.
         """
         if options.rate is None and options.match.by_clock:
             raise UsageError(
-                f"--match {options.match} goes by the recording's clock, which cannot be "
-                "as fast as can be; give --speed a number"
+                f"--match {options.match} goes by the recording's clock, and --speed max has "
+                "none; give --speed a number"
             )
         self._fixed_ns = _fixed_latency_ns(options.latency)
         self._options = options
-
-        def on_cut(error: CutError | DamageError) -> None:
-            on_remark(f"mbtool: {error}; playing what is there")
-
-        recorded = read_recorded(path, options.reading, options.wanted, on_cut, on_remark, watch)
+        recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events)
-        # What else was read is let go: it is several times as much.
+        # The transactions are not kept: they take several times the memory of the recording.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
         if not self.recording.answers:
@@ -124,10 +116,10 @@ class SlaveRun:
             transport=_transport(where),
             with_damage=options.with_damage,
         )
-        spoilt: Responder = slave
+        responder: Responder = slave
         if options.fault_file is not None:
-            spoilt = faulty(slave, options.fault_file, where, self._profiles)
-        return PlayedSlave(slave, spoilt, where, allowed=allowed)
+            responder = faulty(slave, options.fault_file, where, self._profiles)
+        return PlayedSlave(slave, responder, where, allowed=allowed)
 
     def _latency(self) -> LatencyModel:
         if self._fixed_ns is not None:
@@ -138,28 +130,28 @@ class SlaveRun:
 
 
 class PlayedSlave:
-    """A recording's slaves on a link: answered in the shell's thread, steered from another."""
+    """The slaves of a recording on a link. The shell's thread answers, another one controls."""
 
     def __init__(
         self,
         slave: RecordedSlave,
-        spoilt: Responder,
+        responder: Responder,
         link: SerialLink | TcpLink,
         *,
         allowed: AllowedPeers,
     ) -> None:
         self._slave = slave
-        self._spoilt = spoilt
+        self._responder = responder
         self._lock = threading.Lock()
         self.shell: Shell = open_shell(link, self, allowed=allowed)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:
-            # One clock for whoever asks and whoever steers.
-            return self._spoilt.respond(unit, pdu, time.monotonic_ns())
+            # Requests and keys go by the same clock.
+            return self._responder.respond(unit, pdu, time.monotonic_ns())
 
     def control(self, control: Control) -> None:
-        """Do what someone at the keyboard wants."""
+        """Do what a key asks for."""
         with self._lock:
             self._slave.control(control, time.monotonic_ns())
 
@@ -169,7 +161,10 @@ class PlayedSlave:
 
 
 class RecordedDevice:
-    """A device that answers what its recording does not know, in step with what it does."""
+    """A device by its profile. It answers requests that are not in the recording.
+
+    It learns the values of the recording as they are played.
+    """
 
     def __init__(self, profile: Profile) -> None:
         self._image = RegisterImage.of(profile)
@@ -183,7 +178,7 @@ class RecordedDevice:
 
 
 def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
-    """The profile of each unit that has one."""
+    """The profiles by unit, for units that have one."""
     profiles: dict[int, Profile] = {}
     for transaction in recorded.transactions:
         profile = recorded.assignments.profile_for(transaction)
@@ -199,7 +194,7 @@ def _transport(link: SerialLink | TcpLink) -> Transport:
 
 
 def _fixed_latency_ns(text: str) -> int | None:
-    """What --latency says where it is a time; None for a word. Raises UsageError."""
+    """The time that --latency gives; None for `recorded` and `sampled`. Raises UsageError."""
     if text in (RECORDED, SAMPLED):
         return None
     if text == NONE:

@@ -1,4 +1,4 @@
-"""Makes the slaves of one link."""
+"""Makes the slave of `mbtool slave`: one or several devices on one link."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mbtool.slave.device import (
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import keep_state, open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
-from mbtool.workflows.shared.recorded_values import recaller
+from mbtool.workflows.shared.recorded_values import recorded_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A device beside another one, and what it starts with."""
+    """A device on the link, and the file of values that it starts with."""
 
     profile: Profile
     image_file: Path | None = None
@@ -52,14 +52,14 @@ def device_slave(
     state_file: Path | None = None,
     fault_file: Path | None = None,
     allowed: AllowedPeers = THIS_MACHINE,
-    exchanges: SlaveMonitor | None = None,
+    monitor: SlaveMonitor | None = None,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> Shell:
     """A device on a link, and others by their units, not yet started.
 
-    The connections are subject to the rules of the first one. `exchanges` are told what is asked
-    and answered. `on_trouble` gets a line for the user where a capture is not whole, or where the
-    state cannot be kept while it runs. Raises UsageError, InputError, OutputError.
+    Connections follow the rules of the first device. `monitor` is told each request and response.
+    `on_trouble` gets a line for the user when a capture is not whole, and when the state cannot be
+    kept while the slave runs. Raises UsageError, InputError, OutputError.
     """
     stations = {unit: Station(profile, image_file), **(others or {})}
     where = _with_silences(slave_link(link), stations)
@@ -71,8 +71,8 @@ def device_slave(
         responders[number], behaviours[number] = responder, device.behaviour
         if number == unit and state_file is not None:
             keep_state(state_file, profile, device, on_trouble)
-    if exchanges is not None:
-        exchanges.begin(behaviours)
+    if monitor is not None:
+        monitor.begin(behaviours)
     slaves: Responder = units_on(where, profile, unit, responders.pop(unit), responders)
     if fault_file is not None:
         slaves = faulty(slaves, fault_file, where, [each.profile for each in stations.values()])
@@ -81,21 +81,21 @@ def device_slave(
         slaves,
         allowed=allowed,
         rules=behaviours[unit].rules,
-        on_exchange=exchanges.take if exchanges is not None else None,
+        on_exchange=monitor.take if monitor is not None else None,
     )
 
 
 def _play(
     station: Station, where: SerialLink | TcpLink, on_trouble: Callable[[str], None]
 ) -> tuple[DeviceResponder, Responder]:
-    """The device of a station, and what answers for it."""
+    """The device of a station, and the responder to give its requests to."""
     profile = station.profile
     if isinstance(where, SerialLink) and where.ascii:
         profile = profile.in_mode(Transport.ASCII)
     image = RegisterImage.of(profile)
     driven = []
     if station.image_file is not None:
-        recall = recaller(profile, on_trouble)
+        recall = recorded_values(profile, on_trouble)
         driven = load_image(station.image_file, profile, image, recall=recall)
     device = make_device(profile, image)
     return device, DrivenDevice(device, driven) if driven else device
@@ -104,7 +104,7 @@ def _play(
 def _with_silences(
     where: SerialLink | TcpLink, stations: Mapping[int, Station]
 ) -> SerialLink | TcpLink:
-    """A line with the silences that its devices ask for."""
+    """A serial line with the silences (t1.5, t3.5) that its devices need."""
     if not isinstance(where, SerialLink):
         return where
     assigned = [Assignment(Who(unit=n), one.profile) for n, one in stations.items()]
@@ -114,5 +114,6 @@ def _with_silences(
 def _demand_unit(profile: Profile, units: range, number: int, where: SerialLink | TcpLink) -> None:
     if is_line(where) and number not in units:
         raise UsageError(
-            f"unit {number}: on a line {profile.name} can be {units.start} to {units.stop - 1}"
+            f"unit {number}: on a serial line {profile.name} can be unit {units.start} to "
+            f"{units.stop - 1}"
         )

@@ -1,22 +1,33 @@
-"""Listens on links, decodes what is heard, and logs both."""
+"""Listens on links, decodes what comes, and logs both."""
 
-# One loop for all sources: an item goes into the log as evidence before it is decoded, and what is
-# decoded follows it into the log before anyone sees it. The log is begun when all sources are open,
-# so that a link which is not there leaves no log behind, and before a tap lets anybody in, so that
-# callers cannot take the files that the log needs. When the run ends, sources are closed
-# first, then all that they had heard is decoded, and last the log is made whole.
+# One loop serves all sources. Each item (bytes, a packet, a mark) is written to the log before it
+# is decoded, and each record is written to the log before the caller gets it.
+#
+# Order at the start: open all sources, begin the log, let taps accept connections. So a link that
+# cannot be opened leaves no log behind, and connections cannot use up the file descriptors that the
+# log needs. Order at the end: close the sources, decode what they had received, complete the log.
 
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeGuard
 
-from mbtool.core import Chunk, EventKind, LinkError, Packet, SerialLink, UsageError, WireEvent
+from mbtool.core import (
+    AutoLink,
+    Chunk,
+    EventKind,
+    LinkError,
+    Packet,
+    SerialLink,
+    UsageError,
+    WireEvent,
+)
+from mbtool.modbus import Outcome
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
-from mbtool.workflows.refusals import Refusals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,23 +38,25 @@ if TYPE_CHECKING:
     from mbtool.sources.source import LiveSource
 
 POLL_S = 0.1
-"""How long the loop waits for an item before it looks at the clock."""
+"""The longest wait for an item before the loop looks at the clock."""
+MAX_REASONS = 64
+"""Different reasons of refusals that are told for one link. A master can send any text as one."""
 
 
 class Log(Protocol):
-    """What sniffing needs of a log."""
+    """The part of a log writer that a Sniffer uses."""
 
     def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Learn the time, so that nothing stays in memory for long."""
+        """Take the time, so that buffered items are written after a while."""
 
     def close(self, final: Mapping[str, str]) -> None:
-        """Complete it, with what only the end of a run shows."""
+        """Complete the log; `final` holds values that are known at the end of a run only."""
 
 
 class Sniffer:
-    """Runs sources until told to stop; a context manager whose exit leaves the log complete."""
+    """Runs sources until told to stop. A context manager whose exit completes the log."""
 
     def __init__(
         self,
@@ -53,15 +66,13 @@ class Sniffer:
         begin_log: Callable[[], Log] | None = None,
         ports: Sequence[int] = (),
         allowed: AllowedPeers = THIS_MACHINE,
-        on_lost: Callable[[LinkError], None] = lambda _error: None,
-        on_refused: Callable[[WireEvent], None] = lambda _event: None,
-        on_discarded: Callable[[WireEvent], None] = lambda _event: None,
+        on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """`on_lost` is told when a link goes away while others stay.
+        """`on_remark` gets a line for the user in three cases.
 
-        `on_refused` is told when a tap turns a master away: once for each reason, until a master
-        was served again. `on_discarded` is told when bytes or packets that a source has heard, or
-        should have, are not in the log.
+        A link is lost while others remain open; a source lost bytes or packets, so that they are
+        missing in the log; a tap turns a master away (once for each reason, until a master was
+        served again).
         """
         self._links = links
         self._decoder = decoder
@@ -69,9 +80,7 @@ class Sniffer:
         self._log: Log | None = None
         self._ports = ports
         self._allowed = allowed
-        self._on_lost = on_lost
-        self._on_refused = on_refused
-        self._on_discarded = on_discarded
+        self._on_remark = on_remark
         self._refusals = Refusals()
         self._inbox = Inbox()
         self._open_sources = ExitStack()
@@ -80,15 +89,15 @@ class Sniffer:
         self._open = 0
         self._discarded_packets = 0
         self._discarded_bytes = 0
-        """What sources lost: those of packets that the kernel dropped are not known."""
+        """Lost by sources. The bytes of packets that the kernel dropped are not counted."""
 
     @property
     def places(self) -> list[str]:
-        """The links as opened."""
+        """The links as opened, with the ports that taps really listen at."""
         return [source.place for source in self.sources]
 
     def __enter__(self) -> Self:
-        """Raises LinkError, and what beginning the log raises."""
+        """Open the links and begin the log. Raises LinkError, and what `begin_log` raises."""
         with ExitStack() as opened:
             for link in self._links:
                 source = live_source(link, self._inbox, ports=self._ports, allowed=self._allowed)
@@ -104,7 +113,7 @@ class Sniffer:
     def __exit__(self, *_: object) -> None:
         try:
             for _record in self._rest():
-                pass  # Nobody looks any more, but the log wants it.
+                pass  # Nobody takes the record, but it is written to the log.
         finally:
             if self._log is not None:
                 self._log.close(
@@ -115,9 +124,10 @@ class Sniffer:
                 )
 
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
-        """Give what is decoded, as it is; `stop` is asked with the time, ten times a second.
+        """Give records as they are decoded, until `stop` returns True or all links are lost.
 
-        Raises LinkError when the last link is lost, OutputError when the log takes no more.
+        `stop` is called with the time (ns) at least ten times a second. Raises LinkError when the
+        last link is lost, OutputError when the log cannot be written.
         """
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):
@@ -126,7 +136,7 @@ class Sniffer:
                 self._open -= 1
                 lost = item.error or lost
                 if item.error is not None and self._open:
-                    self._on_lost(item.error)
+                    self._on_remark(str(item.error))
             elif item is not None:
                 yield from self._take(item)
             if self._log is not None:
@@ -142,11 +152,11 @@ class Sniffer:
             self._discarded_packets += item.packets
             self._discarded_bytes += item.missing
             if item.packets or item.missing:
-                self._on_discarded(item)
+                self._on_remark(f"{item.link}: {item.message}")
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
-        """Close the sources and give what they had still heard; a second time, what is left."""
+        """Close the sources, and give the records of what they had received. May be repeated."""
         self._open_sources.close()
         while (item := self._inbox.get(0)) is not None:
             if not isinstance(item, Ended):
@@ -158,14 +168,65 @@ class Sniffer:
             if self._log is not None:
                 self._log.write(record)
             if self._refusals.is_news(record):
-                self._on_refused(record)
+                self._on_remark(f"a master was turned away: {record.message}")
         yield from records
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
-    """The serial links by the names that their bytes carry. Raises UsageError."""
+    """The serial links by name, as chunks refer to them. Raises UsageError for equal names."""
     names = [link.name for link in links]
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"two links are called {name!r}; listen to each in a run of its own")
     return {link.name: link for link in links if isinstance(link, SerialLink)}
+
+
+def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
+    """The links; for those without settings they are found by listening, for up to minutes.
+
+    `on_remark` gets a line before and after each search. Raises LinkError.
+    """
+    return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
+
+
+def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
+    on_remark(f"finding the settings of {link.name} by listening")
+    found, sentence = guess_line(link)
+    on_remark(sentence)
+    return found
+
+
+class Refusals:
+    """Picks the refusals of a tap that are to be told: a reason once, until a master is served.
+
+    A master that is turned away usually tries again and again. It is served when a connection
+    that opened after the refusal brings a response. A connection that was open before shows
+    nothing; an opened one alone neither, as a slave with TLS 1.3 may refuse right after it.
+
+    Holds, for each link that refused and has not served since, at most MAX_REASONS reasons, and the
+    masters' ends of the connections that opened since.
+    """
+
+    def __init__(self) -> None:
+        self._reasons: dict[str, set[str]] = {}
+        self._open: dict[str, set[str]] = {}
+
+    def is_news(self, record: Record) -> TypeGuard[WireEvent]:
+        """Take the next record. True if it is a refusal for a reason that was not told yet."""
+        link = record.link
+        if not isinstance(record, WireEvent):
+            is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION)
+            if is_answered and record.source in self._open.get(link, ()):
+                del self._reasons[link], self._open[link]
+            return False
+        if record.kind is EventKind.REFUSED:
+            reasons = self._reasons.setdefault(link, set())
+            if record.message in reasons or len(reasons) >= MAX_REASONS:
+                return False
+            reasons.add(record.message)
+            return True
+        if record.kind is EventKind.OPENED and link in self._reasons:
+            self._open.setdefault(link, set()).add(record.source)
+        elif record.kind is EventKind.CLOSED and link in self._open:
+            self._open[link].discard(record.source)
+        return False

@@ -88,12 +88,12 @@ def test_a_cut_capture_leaves_a_whole_document(
     ("arguments", "says"),
     [
         ([SHOWS, "--select", "RUT"], "no code begins with 'RUT'; they begin with FA3, FT1A, "),
-        ([SHOWS, "-o", "x.csv"], "x.csv: its name says no format; let it end in .txt, .json, "),
+        ([SHOWS, "-o", "x.csv"], "x.csv: its suffix names no format; let it end in .txt, .json, "),
         ([SHOWS, "-o", str(FOLDER)], ": a directory; name a file in it"),
-        ([SHOWS, "-o", SHOWS], "it is read, and would be written over"),
+        ([SHOWS, "-o", SHOWS], "is an input and would be overwritten"),
         ([SHOWS, SHOWS], "named twice"),
         ([SHOWS, "--device", "5"], "device '5'"),
-        ([LOG, "--link", "rtu"], "a log knows its lines"),
+        ([LOG, "--link", "rtu"], "--link is not for a log"),
     ],
 )
 def test_a_wrong_word_is_told_in_one_line(

@@ -369,7 +369,7 @@ def test_a_line_for_a_log_is_a_wrong_use_and_costs_no_older_output(
     out.write_text("older")
     told = mbtool("decode", path, "--link", "rtu@19200-8E1", "-o", out)
     assert told.code == exit_codes.USAGE
-    assert told.err.startswith(f"mbtool: {path}: a log knows its lines")
+    assert told.err.startswith(f"mbtool: {path}: --link is not for a log")
     assert out.read_text() == "older"
 
 

@@ -83,33 +83,33 @@ def test_keys_are_what_rosbags_player_has(typed: bytes, controls: list[Control])
 
     with _terminal() as (near, far):
         tty.setraw(far)
-        desk = Keyboard(far, _Out())
+        board = Keyboard(far, _Out())
         os.write(near, typed)
-        assert list(desk.controls()) == controls
-        assert not desk.has_quit
-        assert list(desk.controls()) == []
+        assert list(board.controls()) == controls
+        assert not board.has_quit
+        assert list(board.controls()) == []
         os.write(near, b"q")
-        assert list(desk.controls()) == []
-        assert desk.has_quit
+        assert list(board.controls()) == []
+        assert board.has_quit
 
 
 @pytest.mark.usefixtures("always")
 def test_an_input_that_has_ended_is_not_asked_again() -> None:
     reading, writing = os.pipe()
     os.close(writing)
-    desk = Keyboard(reading, _Out())
-    assert list(desk.controls()) == []
+    board = Keyboard(reading, _Out())
+    assert list(board.controls()) == []
     os.close(reading)
-    assert list(desk.controls()) == []
+    assert list(board.controls()) == []
 
 
 def test_keys_are_looked_for_now_and_then() -> None:
     reading, writing = os.pipe()
     try:
-        desk = Keyboard(reading, _Out())
-        assert list(desk.controls()) == []
+        board = Keyboard(reading, _Out())
+        assert list(board.controls()) == []
         os.write(writing, b" ")
-        assert list(desk.controls()) == []  # Too soon to look again.
+        assert list(board.controls()) == []  # Too soon to look again.
     finally:
         os.close(reading)
         os.close(writing)
@@ -119,13 +119,13 @@ def test_keys_are_looked_for_now_and_then() -> None:
 def test_one_line_is_drawn_over_and_taken_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "30")
     out = _Out()
-    desk = Keyboard(0, out)
-    desk.wipe()
+    board = Keyboard(0, out)
+    board.wipe()
     assert out.getvalue() == ""
-    desk.show(_progress())
+    board.show(_progress())
     assert out.getvalue() == "\r\x1b[Kplaying  0:12.3 of 1:01:40.0 "
-    desk.wipe()
-    desk.wipe()
+    board.wipe()
+    board.wipe()
     assert out.getvalue().count("\x1b[K") == 2
 
 
@@ -150,10 +150,10 @@ def test_the_line_says_where_it_is(changes: dict[str, object], begins: str) -> N
     assert progress_line(_progress(**changes)).startswith(begins)
 
 
-def test_without_a_terminal_there_is_no_desk(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_terminal_there_are_no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    with keyboard() as desk:
-        assert desk is None
+    with keyboard() as board:
+        assert board is None
 
 
 @needs_terminals
@@ -164,8 +164,8 @@ def test_a_terminal_of_others_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> 
     with _terminal() as (_, far), os.fdopen(os.dup(far)) as stdin:
         before = termios.tcgetattr(far)
         monkeypatch.setattr("sys.stdin", stdin)
-        with keyboard() as desk:
-            assert desk is None
+        with keyboard() as board:
+            assert board is None
             assert termios.tcgetattr(far) == before
 
 
@@ -176,8 +176,8 @@ def test_the_terminal_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -
     with _terminal() as (_, far):
         monkeypatch.setattr(keys, "_terminal", lambda: far)
         before = termios.tcgetattr(far)
-        with keyboard() as desk:
-            assert desk is not None
+        with keyboard() as board:
+            assert board is not None
             assert not termios.tcgetattr(far)[3] & (termios.ECHO | termios.ICANON)
             assert termios.tcgetattr(far)[3] & termios.ISIG
         assert termios.tcgetattr(far) == before

@@ -9,7 +9,6 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
-from mbtool.workflows import listing
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -29,8 +28,8 @@ INTERFACE = LocalInterface(name="eth0", is_up=False)
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with one of each."""
-    monkeypatch.setattr(listing, "local_ports", lambda: [PORT])
-    monkeypatch.setattr(listing, "local_interfaces", lambda: [INTERFACE])
+    monkeypatch.setattr("mbtool.ports.local_ports.local_ports", lambda: [PORT])
+    monkeypatch.setattr("mbtool.sources.local_interfaces.local_interfaces", lambda: [INTERFACE])
 
 
 @pytest.mark.usefixtures("machine")
@@ -39,7 +38,9 @@ def test_the_table_goes_to_standard_output_and_what_was_not_seen_beside_it(
 ) -> None:
     told = mbtool("links")
     assert told.code == exit_codes.DONE
-    assert told.err == "processes that could not be asked what they hold: 3; sudo shows more\n"
+    assert (
+        told.err == "processes that could not be examined: 3; sudo shows the ports that they hold\n"
+    )
     assert [line.rstrip() for line in told.lines] == [
         "port     what it is  driver    timing       low latency  held by",
         "ttyUSB0  -           ftdi_sio  timer 16 ms  -            picocom (412)",
@@ -81,11 +82,11 @@ def test_json_lines_leave_out_what_is_not_known(mbtool: CommandLine) -> None:
 
 
 @pytest.mark.parametrize("format_", ["table", "jsonl"])
-def test_without_a_port_it_says_how_to_do_without(
+def test_without_a_port_it_recommends_a_virtual_line(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, format_: str
 ) -> None:
-    monkeypatch.setattr(listing, "local_ports", list)
-    monkeypatch.setattr(listing, "local_interfaces", lambda: [INTERFACE])
+    monkeypatch.setattr("mbtool.ports.local_ports.local_ports", list)
+    monkeypatch.setattr("mbtool.sources.local_interfaces.local_interfaces", lambda: [INTERFACE])
     told = mbtool("links", "--format", format_)
     assert told.code == exit_codes.DONE
     assert told.err == (
@@ -95,18 +96,18 @@ def test_without_a_port_it_says_how_to_do_without(
     assert "rtu:" not in told.out
 
 
-def test_a_name_that_is_no_text_is_told_nevertheless(
+def test_the_name_of_an_interface_that_is_not_utf_8_is_printed(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listing, "local_ports", list)
+    monkeypatch.setattr("mbtool.ports.local_ports.local_ports", list)
     odd = [LocalInterface(name="eth\udcff")]
-    monkeypatch.setattr(listing, "local_interfaces", lambda: odd)
+    monkeypatch.setattr("mbtool.sources.local_interfaces.local_interfaces", lambda: odd)
     assert json.loads(mbtool("links", "--format", "jsonl").out)["name"] == "eth\udcff"
     assert "net:eth?" in mbtool("links").out
 
 
 @pytest.mark.parametrize("format_", ["table", "jsonl"])
-def test_this_very_machine_can_be_asked(mbtool: CommandLine, format_: str) -> None:
+def test_the_links_of_this_machine_can_be_listed(mbtool: CommandLine, format_: str) -> None:
     told = mbtool("links", "--format", format_)
     assert told.code == exit_codes.DONE
     assert "net:lo" in told.out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.cli.options import assignments, condition, file_line, silence, tcp_ports
+from mbtool.cli.options import PortOptions, SilenceOptions, assignments, condition, file_line
 from mbtool.core import UsageError
 from tests.logs.samples import transaction
 
@@ -33,10 +33,10 @@ def test_a_line_is_named_or_not() -> None:
 
 
 def test_a_silence_is_given_or_not() -> None:
-    assert silence("--t3-5", None) is None
-    assert str(silence("--t3-5", "28bits")) == "28bits"
+    t1_5, t3_5 = SilenceOptions(t3_5="28bits").read()
+    assert (t1_5, str(t3_5)) == (None, "28bits")
     with pytest.raises(UsageError, match=r"^--t3-5: silence 'long': write a number and bits"):
-        silence("--t3-5", "long")
+        SilenceOptions(t3_5="long").read()
 
 
 @pytest.mark.parametrize(
@@ -51,23 +51,23 @@ def test_a_silence_is_given_or_not() -> None:
 def test_ports_are_numbers_or_any(
     texts: list[str] | None, expected: tuple[list[int], list[int], bool]
 ) -> None:
-    assert tcp_ports(texts) == expected
+    assert PortOptions(texts).tcp_ports() == expected
 
 
 @pytest.mark.parametrize("text", ["0", "65536", "all", "-1", "٥"])
 def test_a_port_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="a number from 1 to 65535, or any"):
-        tcp_ports([text])
+        PortOptions([text]).tcp_ports()
 
 
 @pytest.mark.parametrize("text", ["0", "65536", "any", "x"])
 def test_a_port_of_rtu_is_a_number(text: str) -> None:
-    assert tcp_ports(None, ["502", "4001"]) == ([], [502, 4001], False)
+    assert PortOptions(None, ["502", "4001"]).tcp_ports() == ([], [502, 4001], False)
     with pytest.raises(UsageError, match=r"'--rtu-port': .*a number from 1 to 65535$"):
-        tcp_ports(None, [text])
+        PortOptions(None, [text]).tcp_ports()
 
 
 def test_a_port_speaks_one_of_both() -> None:
-    assert tcp_ports(["any"], ["502"]) == ([], [502], True)
+    assert PortOptions(["any"], ["502"]).tcp_ports() == ([], [502], True)
     with pytest.raises(UsageError, match=r"port 502 is named by --port, .*and by --rtu-port"):
-        tcp_ports(["1502", "502"], ["502"])
+        PortOptions(["1502", "502"], ["502"]).tcp_ports()

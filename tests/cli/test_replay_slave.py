@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.master.poll import TcpPoller
+from mbtool.core import TcpLink
+from mbtool.master.links import open_master
 from tests.cli.program import PATIENCE_S, CommandLine, endpoint_in
 from tests.workflows.evidence import READ, VALUES
 
@@ -74,7 +75,7 @@ def test_it_can_be_paused_and_ended_with_keys(capture: Path) -> None:
     )
     said = terminal.await_shown("Ctrl-C ends")
     terminal.await_shown("waiting")
-    with TcpPoller(endpoint_in(said)) as master:
+    with open_master(TcpLink(endpoint_in(said))) as master:
         assert master.ask(1, READ) == VALUES
     terminal.await_shown("playing")
     terminal.type(" ")
@@ -91,7 +92,7 @@ def test_it_can_be_paused_and_ended_with_keys(capture: Path) -> None:
     [
         (["--match", "time", "--speed", "max"], "--match time goes by the recording's clock"),
         (["--loop", "--on-end", "last"], "--loop is --on-end loop; leave it out for --on-end last"),
-        (["--start", "2", "--end", "1"], "--end 1: is not behind --start 2"),
+        (["--start", "2", "--end", "1"], "--end 1: is not after --start 2"),
         (["--start", "nan"], "--start nan: write seconds, such as 2.5"),
         (["--start", "-1"], "--start -1: write seconds, such as 2.5"),
         (["--end", "nan"], "--end nan: write seconds, such as 2.5"),

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.master.poll import TcpPoller
+from mbtool.core import TcpLink
+from mbtool.master.links import open_master
 from tests.cli.program import Program, endpoint_in, said
 from tests.workflows.evidence import READ, VALUES
 
@@ -24,7 +25,7 @@ def test_a_slave_says_where_it_is_and_answers_until_a_signal(tmp_path: Path, num
     link = "tcp:127.0.0.1:0"
     with Program("slave", "idec-ft1a-touch", "--on", link, "--image", image) as program:
         began = program.await_said("Ctrl-C ends")
-        with TcpPoller(endpoint_in(began)) as master:
+        with open_master(TcpLink(endpoint_in(began))) as master:
             assert master.ask(1, READ) == VALUES
         told = program.end(number)
     assert began.startswith("FT1A Touch operator interface, Modbus RTU slave as unit 1 on tcp:")
@@ -37,7 +38,7 @@ def test_it_shows_exchanges_and_outputs_and_keeps_its_state(tmp_path: Path) -> N
     arguments = ("slave", "fa3-th1m16y", "--on", link, "--print", "--state", state)
     with Program(*arguments) as program:
         began = program.await_said("Ctrl-C ends")
-        with TcpPoller(endpoint_in(began)) as master:
+        with open_master(TcpLink(endpoint_in(began))) as master:
             assert master.ask(0, bytes.fromhex("05 0001 FF00")) is not None
             assert master.ask(0, bytes.fromhex("06 00F5 0007")) is not None
             program.await_said("outputs: Y1 on")
@@ -67,7 +68,7 @@ def test_several_devices_answer_on_one_link_each_with_its_values(tmp_path: Path)
         *("--unit", "3=chino-lt830", "--image", first, "--image", f"3={other}"),
     ) as program:
         began = program.await_said("Ctrl-C ends")
-        with TcpPoller(endpoint_in(began)) as master:
+        with open_master(TcpLink(endpoint_in(began))) as master:
             assert master.ask(7, READ) == VALUES
             assert master.ask(3, READ) == bytes.fromhex("03 04 0005 0000")
         told = program.end(signal.SIGINT)
@@ -83,7 +84,7 @@ def test_faults_of_a_file_are_shown_on_purpose(tmp_path: Path) -> None:
     link = "tcp:127.0.0.1:0"
     with Program("slave", "idec-ft1a-touch", "--on", link, "--fault", fault) as program:
         began = program.await_said("Ctrl-C ends")
-        with TcpPoller(endpoint_in(began)) as master:
+        with open_master(TcpLink(endpoint_in(began))) as master:
             assert master.ask(1, READ) == bytes.fromhex("83 06")
         assert program.end(signal.SIGINT).err == ""
 
@@ -93,13 +94,13 @@ def test_faults_of_a_file_are_shown_on_purpose(tmp_path: Path) -> None:
     [
         (
             ["--on", "tcp:127.0.0.1:1"],
-            "--on tcp:127.0.0.1:1: it answers on tcp:127.0.0.1:0 already",
+            "--on tcp:127.0.0.1:1: a slave has one link, here tcp:127.0.0.1:0",
         ),
-        (["--unit", "256"], "--unit '256': write a number from 0 to 255, or 3=PROFILE"),
-        (["--unit", "x"], "--unit 'x': write a number"),
+        (["--unit", "256"], "--unit: '256' is no unit; write a number from 0 to 255, or 3=PROFILE"),
+        (["--unit", "x"], "--unit: 'x' is no unit; write a number"),
         (["--unit", "1", "--unit", "2"], "unit 1 already; write 2=PROFILE for another one"),
-        (["--unit", "1=wago-750"], "unit 1 is that of the first device; choose another"),
-        (["--unit", "3=wago-750", "--unit", "3=chino-lt830"], "unit 3 is given two profiles"),
+        (["--unit", "1=wago-750"], "unit 1 is the first device; choose another"),
+        (["--unit", "3=wago-750", "--unit", "3=chino-lt830"], "unit 3 has a profile already"),
         (["--unit", "3=absent"], "absent"),
         (["--image", "3=x.toml"], "--image 3=x.toml: no device is unit 3; see --unit"),
         (["--image", "a", "--image", "b"], "--image b: unit 1 has a file already; join the two"),

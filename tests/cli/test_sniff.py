@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
+from mbtool.core import TcpLink
 from mbtool.devices import NamedTransaction
 from mbtool.logs import LogReader
-from mbtool.master.poll import TcpPoller
+from mbtool.master.links import open_master
 from tests.cli.program import PATIENCE_S, CommandLine, Program, endpoint_in
 from tests.workflows.bench import Bench, be_turned_away, speak
 from tests.workflows.evidence import WRITE
@@ -38,7 +39,7 @@ def _tap_of(program: Program) -> Endpoint:
 
 
 def _ask(tap: Endpoint, count: int) -> None:
-    with TcpPoller(tap) as master:
+    with open_master(TcpLink(tap)) as master:
         for _ in range(count):
             assert master.ask(1, WRITE) == WRITE
 
@@ -86,7 +87,7 @@ def test_a_slave_that_cannot_be_reached_is_said_once_and_shown_again_from_the_lo
 def test_a_slave_that_says_its_model_is_told_once_as_it_is_heard(bench: Bench) -> None:
     with Program("sniff", bench.tap()) as program:
         tap = _tap_of(program)
-        with TcpPoller(tap) as master:
+        with open_master(TcpLink(tap)) as master:
             for _ in range(2):
                 assert master.ask(0, b"\x42\x00\x16") == b"\x42\x00\x16"
         said = program.await_said("42H")

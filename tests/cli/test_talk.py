@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli.talk import Interrupt, drawn_line, interruptible, say
+from mbtool.cli.talk import Interrupt, interruptible, redrawn_line, say
 from tests.cli.program import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -64,11 +64,11 @@ def test_without_a_signal_all_items_come() -> None:
         assert list(interrupt.breakable(iter("abc"))) == list("abc")
 
 
-def test_a_drawn_line_is_taken_away_before_something_is_said(
+def test_a_redrawn_line_is_erased_before_something_is_said(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     wiped: list[str] = []
-    with drawn_line(lambda: wiped.append(capsys.readouterr().err)):
+    with redrawn_line(lambda: wiped.append(capsys.readouterr().err)):
         say("one")
         say("two")
     say("three")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.cli.tls_options import listen_tls, target_tls, with_tls
+from mbtool.cli.tls_options import TlsOptions
 from mbtool.core import Endpoint, ListenTls, TapLink, TargetTls, UsageError, parse_link
 from tests.certificates import CA, MASTER, SLAVE, master_context
 from tests.cli.program import PATIENCE_S, CommandLine, Program, endpoint_in
@@ -24,25 +24,32 @@ TAP = "tap:127.0.0.1:0=127.0.0.1:9"
 
 
 def test_without_options_no_side_has_tls() -> None:
-    assert listen_tls(None, None, None) is None
-    assert target_tls(None, None, None, None, unverified=False) is None
+    none = TlsOptions()
+    assert (none.listen(), none.target()) == (None, None)
     link = parse_link("rtu:/dev/ttyUSB0")
-    assert with_tls([link], None, None) == [link]
+    assert none.on_taps([link]) == [link]
 
 
 def test_the_files_of_a_side_go_to_every_tap() -> None:
-    listen = listen_tls("cert.pem", "key.pem", "ca.pem")
-    target = target_tls("ca.pem", "cert.pem", "key.pem", "plc", unverified=False)
-    assert listen == ListenTls("cert.pem", "key.pem", "ca.pem")
-    assert target == TargetTls("ca.pem", "cert.pem", "key.pem", "plc")
+    options = TlsOptions(
+        tls_cert="cert.pem",
+        tls_key="key.pem",
+        tls_ca="ca.pem",
+        tls_target_ca="target-ca.pem",
+        tls_target_cert="target-cert.pem",
+        tls_target_key="target-key.pem",
+        tls_target_name="plc",
+    )
+    listen = ListenTls("cert.pem", "key.pem", "ca.pem")
+    target = TargetTls("target-ca.pem", "target-cert.pem", "target-key.pem", "plc")
     links = [parse_link(text) for text in (TAP, "net:eth0", "tap:127.0.0.1:0=127.0.0.1:10")]
-    taps = [one for one in with_tls(links, listen, target) if isinstance(one, TapLink)]
+    taps = [one for one in options.on_taps(links) if isinstance(one, TapLink)]
     assert [(tap.listen_tls, tap.target_tls) for tap in taps] == [(listen, target)] * 2
     assert taps[0].target == Endpoint("127.0.0.1", 9)
 
 
 def test_an_unverified_target_is_one_without_a_ca() -> None:
-    assert target_tls(None, None, None, None, unverified=True) == TargetTls(None)
+    assert TlsOptions(tls_target_unverified=True).target() == TargetTls(None)
 
 
 @pytest.mark.parametrize(
@@ -70,14 +77,17 @@ def test_options_that_lack_another_are_wrong_usage(
 
 
 @pytest.mark.parametrize(
-    ("listen", "target", "option"),
-    [(ListenTls("a.pem"), None, "--tls-cert"), (None, TargetTls(None), "--tls-target-...")],
+    ("options", "option"),
+    [
+        (TlsOptions(tls_cert="a.pem"), "--tls-cert"),
+        (TlsOptions(tls_target_unverified=True), "--tls-target-..."),
+    ],
 )
 def test_where_there_is_no_tap_the_options_are_wrong_usage(
-    listen: ListenTls | None, target: TargetTls | None, option: str
+    options: TlsOptions, option: str
 ) -> None:
     with pytest.raises(UsageError, match=rf"^{option} is for taps, and there is none; write tap:"):
-        with_tls([parse_link("net:eth0")], listen, target)
+        options.on_taps([parse_link("net:eth0")])
 
 
 @pytest.mark.parametrize(

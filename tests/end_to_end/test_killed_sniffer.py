@@ -16,8 +16,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
-from mbtool.core import Direction, Endpoint, SerialFormat, SerialLink
-from mbtool.master.poll import Poller, TcpPoller
+from mbtool.core import Direction, Endpoint, SerialFormat, SerialLink, TcpLink
+from mbtool.master.links import MasterLink, open_master
 from mbtool.modbus import encode_pdu
 from mbtool.sources.virtual_line import VirtualLine
 from tests.end_to_end.programs import answering, decoded, sniffing, tcp_port
@@ -48,7 +48,7 @@ def test_a_killed_tap_loses_at_most_a_second(
         slave = stack.enter_context(answering("slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0"))
         tap = f"tap:127.0.0.1:0=127.0.0.1:{tcp_port(slave)}"
         sniffer = stack.enter_context(sniffing(tap, "-w", str(log), "--device", "all=fa3-at1m8x"))
-        master = stack.enter_context(TcpPoller(Endpoint("127.0.0.1", tcp_port(sniffer))))
+        master = stack.enter_context(open_master(TcpLink(Endpoint("127.0.0.1", tcp_port(sniffer)))))
         answered_ns = write_one_after_another(master, 0x0107, pace_s, count)
         threading.Event().wait(rest_s)
         killed_ns = time.time_ns()
@@ -69,7 +69,7 @@ def test_a_killed_serial_sniffer_loses_at_most_a_second_and_leaves_no_process(
         sniffer = stack.enter_context(sniffing(str(links[1]), "-w", str(log)))
         readers = [os.pidfd_open(pid) for pid in children(sniffer.process.pid)]
         assert len(readers) == 1
-        master = stack.enter_context(Poller(links[2]))
+        master = stack.enter_context(open_master(links[2]))
         answered_ns = write_one_after_another(master, 0, pace_s, count)
         threading.Event().wait(rest_s)
         killed_ns = time.time_ns()
@@ -80,7 +80,9 @@ def test_a_killed_serial_sniffer_loses_at_most_a_second_and_leaves_no_process(
     assert_nothing_is_missing(log, answered_ns, killed_ns)
 
 
-def write_one_after_another(master: Poller, address: int, pace_s: float, count: int) -> list[int]:
+def write_one_after_another(
+    master: MasterLink, address: int, pace_s: float, count: int
+) -> list[int]:
     """Write 0, 1, 2... to one register; the answer is when each had been acknowledged."""
     never = threading.Event()
     answered_ns = []

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient
 
-from mbtool.core import Direction, Endpoint, SerialFormat, SerialLink
-from mbtool.master.poll import TcpPoller
+from mbtool.core import Direction, Endpoint, SerialFormat, SerialLink, TcpLink
+from mbtool.master.links import open_master
 from mbtool.modbus import Response, encode_pdu, rtu_adu
 from mbtool.slave.device import Units
 from mbtool.slave.shells import SerialSlave
@@ -114,7 +114,7 @@ def fa3_at1m8x_setup(name: str) -> None:
         stack.enter_context(recording(*log))
         log = (f"{name}.mcap", len(requests), "tap:127.0.0.1:0=127.0.0.1:502", *device)
         sniffer = stack.enter_context(recording(*log))
-        with TcpPoller(Endpoint("127.0.0.1", tcp_port(sniffer))) as master:
+        with open_master(TcpLink(Endpoint("127.0.0.1", tcp_port(sniffer)))) as master:
             for pdu in requests:
                 assert master.ask(MODULE_UNIT, pdu)
         threading.Event().wait(SETTLE_S)

@@ -23,7 +23,7 @@ from mbtool.devices.checking.rules import RULES, DeviceCode, Rule, rule_of
 from mbtool.devices.naming import Namer
 from mbtool.devices.profile_checks import finding_prefix
 from mbtool.modbus import Adu, Transaction
-from mbtool.workflows.check import Checking
+from mbtool.workflows.check import CheckRun
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.cases.worked_examples import WorkedExample, worked_examples
 from tests.devices.transactions import transaction_of
@@ -185,7 +185,7 @@ def codes_of(path: Path) -> set[str]:
     options = ReadingOptions(line=line, **PORTS.get(path.name, {}))  # type: ignore[arg-type]
     codes = set()
     with suppress(InputError):
-        for placed in Checking([str(path)], options).findings():
+        for placed in CheckRun([str(path)], options).findings():
             codes.add(placed.finding.code)
     return codes
 

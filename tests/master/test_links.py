@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink, UsageError, parse_link
-from mbtool.master.links import Answered, MasterLink, SerialMaster, open_master
+from mbtool.master.links import MasterLink, ReceivedResponse, SerialMaster, open_master
 from mbtool.modbus import Response, mbap_adu, rtu_adu
 from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
@@ -28,9 +28,9 @@ def _answers(unit: int, pdu: bytes) -> Response | None:
     return Response({READ: VALUES}.get(pdu, pdu)) if unit else None
 
 
-def _received(master: MasterLink, count: int = 1) -> list[Answered]:
+def _received(master: MasterLink, count: int = 1) -> list[ReceivedResponse]:
     """So many answers, or fails when they do not come."""
-    answers: list[Answered] = []
+    answers: list[ReceivedResponse] = []
     until = time.monotonic() + PATIENCE_S
     while len(answers) < count:
         assert time.monotonic() < until
@@ -50,7 +50,7 @@ def _link(server: socket.socket, *, rtu: bool = False) -> TcpLink:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_an_answer_over_tcp_has_its_requests_number(scheme: str) -> None:
+def test_a_response_over_tcp_has_the_number_of_its_request(scheme: str) -> None:
     link = parse_link(f"{scheme}:127.0.0.1:0")
     assert isinstance(link, TcpLink)
     with (
@@ -67,7 +67,7 @@ def test_an_answer_over_tcp_has_its_requests_number(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 @pytest.mark.parametrize("pdu", [READ, VENDOR])
-def test_an_answer_on_a_line_has_its_requests_number(scheme: str, pdu: bytes) -> None:
+def test_a_response_on_a_serial_line_has_the_number_of_its_request(scheme: str, pdu: bytes) -> None:
     with VirtualLine() as line:
         ours, slaves = (parse_link(f"{scheme}:{port}@115200-8N1") for port in line.ports)
         assert isinstance(slaves, SerialLink)
@@ -79,7 +79,7 @@ def test_an_answer_on_a_line_has_its_requests_number(scheme: str, pdu: bytes) ->
                 assert (answer.number, answer.pdu) == (number, VALUES if pdu == READ else VENDOR)
 
 
-def test_waiting_differently_long_leaves_the_ports_settings_alone() -> None:
+def test_different_timeouts_do_not_change_the_settings_of_the_port() -> None:
     """Parity, which a pseudo-terminal may refuse when it is set a second time."""
     with VirtualLine() as line:
         ours, slaves = (parse_link(f"rtu:{port}@19200-8E1") for port in line.ports)
@@ -92,7 +92,7 @@ def test_waiting_differently_long_leaves_the_ports_settings_alone() -> None:
             assert answer.pdu == VALUES
 
 
-def test_answers_in_another_order_find_their_requests(listening: socket.socket) -> None:
+def test_responses_in_another_order_are_matched_by_transaction_id(listening: socket.socket) -> None:
     with open_master(_link(listening), SECOND_NS) as master:
         peer, _ = listening.accept()
         with peer:
@@ -106,7 +106,7 @@ def test_answers_in_another_order_find_their_requests(listening: socket.socket) 
             assert [answer.number for answer in _received(master, 3)] == [2, 0, 1]
 
 
-def test_an_answer_that_nobody_asked_for_has_no_number(listening: socket.socket) -> None:
+def test_a_response_without_a_pending_request_has_no_number(listening: socket.socket) -> None:
     with open_master(_link(listening), SECOND_NS) as master:
         peer, _ = listening.accept()
         with peer:
@@ -114,7 +114,7 @@ def test_an_answer_that_nobody_asked_for_has_no_number(listening: socket.socket)
             assert _received(master)[0].number == -1
 
 
-def test_another_units_frame_is_no_answer(listening: socket.socket) -> None:
+def test_a_frame_from_another_unit_is_not_the_response(listening: socket.socket) -> None:
     with open_master(_link(listening, rtu=True), SECOND_NS) as master:
         peer, _ = listening.accept()
         with peer:
@@ -135,7 +135,7 @@ def test_a_connection_that_was_closed_is_opened_again(listening: socket.socket) 
             assert [answer.number for answer in _received(master)] == [1]
 
 
-def test_without_a_slave_requests_have_no_answer() -> None:
+def test_without_a_slave_requests_are_lost() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         master = open_master(_link(server), SECOND_NS)
     with master:
@@ -145,7 +145,7 @@ def test_without_a_slave_requests_have_no_answer() -> None:
             assert master.lost() == [number]
 
 
-def test_what_was_asked_on_a_connection_that_closes_is_lost(listening: socket.socket) -> None:
+def test_pending_requests_of_a_connection_that_closes_are_lost(listening: socket.socket) -> None:
     with open_master(_link(listening), SECOND_NS) as master:
         peer, _ = listening.accept()
         with peer:
@@ -185,14 +185,14 @@ def test_a_refused_connection_is_told_once_and_when_it_is_back() -> None:
         assert said[1:] == [f"mbtool: {link}: connected again"]
 
 
-def test_a_slave_that_is_not_there_is_said_to_be() -> None:
+def test_a_slave_that_cannot_be_reached_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         link = _link(server)
     with pytest.raises(LinkError, match="cannot be reached: Connection refused; does a slave"):
         open_master(link, SECOND_NS)
 
 
-def test_receive_returns_when_the_time_is_over(listening: socket.socket) -> None:
+def test_receive_returns_at_the_timeout(listening: socket.socket) -> None:
     with open_master(_link(listening), SECOND_NS) as master, VirtualLine() as line:
         begin_ns = time.monotonic_ns()
         assert list(master.receive(20_000_000)) == []
@@ -202,7 +202,7 @@ def test_receive_returns_when_the_time_is_over(listening: socket.socket) -> None
         assert time.monotonic_ns() - begin_ns >= 40_000_000
 
 
-def test_a_lost_port_ends_it() -> None:
+def test_a_lost_serial_port_is_an_error() -> None:
     line = VirtualLine()
     with line:
         master = open_master(parse_link(f"rtu:{line.ports[0]}@115200-8N1"), SECOND_NS)
@@ -217,7 +217,7 @@ def test_a_lost_port_ends_it() -> None:
         ask_on()
 
 
-def test_nobody_asks_on_an_interface() -> None:
+def test_a_master_cannot_use_an_interface() -> None:
     with pytest.raises(UsageError, match="a master needs rtu:PORT"):
         open_master(parse_link("net:eth0"), SECOND_NS)
     with pytest.raises(UsageError, match="name one"):

@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import Endpoint, SerialFormat, SerialLink, TapLink, TcpLink
-from mbtool.master.poll import TcpPoller
+from mbtool.master.links import open_master
 from mbtool.modbus import rtu_adu
 from mbtool.slave.shells import TcpSlave
 from mbtool.sources.tap import TapSource
@@ -72,7 +72,7 @@ class Bench:
 def ask(sniffer: Sniffer, pdu: bytes, count: int = 1, tap: int = 0) -> None:
     """Ask the slave behind a sniffer's tap, and get its answers."""
     taps = [source for source in sniffer.sources if isinstance(source, TapSource)]
-    with TcpPoller(taps[tap].endpoint) as master:
+    with open_master(TcpLink(taps[tap].endpoint)) as master:
         for _ in range(count):
             assert master.ask(1, pdu) == pdu
 

@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import InputError, UsageError
 from mbtool.devices import Assignments, load_profile, parse_assignment, profile_to_json
 from mbtool.logs import LogWriter
-from mbtool.workflows.check import Checking, Selection
+from mbtool.workflows.check import CheckRun, CodeFilter
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.golden.findings_captures import Bus, Net
 
@@ -22,18 +22,14 @@ FINDINGS = FOLDER / "findings"
 BROKEN = "05 0000 0001"
 
 
-def checked(
-    *paths: Path, devices: Sequence[str] = (), selection: Selection | None = None
-) -> Checking:
+def checked(*paths: Path, devices: Sequence[str] = (), codes: CodeFilter | None = None) -> CheckRun:
     options = ReadingOptions(assignments=Assignments(map(parse_assignment, devices)))
-    return Checking([str(path) for path in paths], options, selection)
+    return CheckRun([str(path) for path in paths], options, codes)
 
 
-def codes(
-    *paths: Path, devices: Sequence[str] = (), selection: Selection | None = None
-) -> list[str]:
-    checking = checked(*paths, devices=devices, selection=selection)
-    return [placed.finding.code for placed in checking.findings()]
+def codes(*paths: Path, devices: Sequence[str] = (), codes: CodeFilter | None = None) -> list[str]:
+    run = checked(*paths, devices=devices, codes=codes)
+    return [placed.finding.code for placed in run.findings()]
 
 
 def test_a_capture_is_held_against_the_rules_of_all() -> None:
@@ -45,28 +41,28 @@ def test_a_device_that_the_user_names_has_its_rules() -> None:
     assert codes(FINDINGS / "FT1A-Q16.pcap", devices=["1=idec-ft1a-touch"]) == ["FT1A-Q16"]
 
 
-def test_a_log_brings_its_devices_and_its_lines() -> None:
+def test_a_log_names_its_devices_and_its_lines() -> None:
     assert codes(FOLDER / "ft1a-touch-line.mcap") == ["FT1A-F15", "FT1A-A3"]
     log = FOLDER / "torn-and-glued-frames.mcap"
     assert "RTU-104" in codes(log)
     assert "MB-402" in codes(log)
 
 
-def test_what_the_user_names_stands_in_place_of_the_logs_devices() -> None:
+def test_the_users_profiles_replace_those_of_the_log() -> None:
     log = FOLDER / "ft1a-touch-line.mcap"
     found = codes(log, devices=["1=idec-ft1a-smartaxis"])
     assert not [code for code in found if code.startswith("FT1A")]
 
 
 def test_findings_are_counted_and_placed() -> None:
-    checking = checked(FINDINGS / "MB-401.pcap", FINDINGS / "MB-103.pcap")
-    placed = [(one.finding.code, Path(one.place).name) for one in checking.findings()]
+    run = checked(FINDINGS / "MB-401.pcap", FINDINGS / "MB-103.pcap")
+    placed = [(one.finding.code, Path(one.file).name) for one in run.findings()]
     assert placed == [("MB-401", "MB-401.pcap"), ("MB-103", "MB-103.pcap")]
-    assert checking.counts == {"MB-401": 1, "MB-103": 1}
-    assert checking.transactions == 6
+    assert run.counts == {"MB-401": 1, "MB-103": 1}
+    assert run.transactions == 6
 
 
-def test_captures_do_not_speak_to_one_another(tmp_path: Path) -> None:
+def test_each_capture_is_checked_on_its_own(tmp_path: Path) -> None:
     """A request that one leaves open is not answered in another of an earlier time."""
     net = Net()
     talk = net.open()
@@ -90,15 +86,15 @@ def test_the_parts_of_one_capture_are_one(tmp_path: Path) -> None:
     assert codes(tmp_path / "a.pcap", tmp_path / "b.pcap") == []
 
 
-def test_what_stands_before_a_cut_is_checked(tmp_path: Path) -> None:
+def test_a_cut_capture_is_checked_up_to_the_cut(tmp_path: Path) -> None:
     net = Net()
     talk = net.open()
     data = net.asked(talk, BROKEN, "85 03").asked(talk).file()
     (tmp_path / "cut.pcap").write_bytes(data[:-5])
-    checking = checked(tmp_path / "cut.pcap")
+    run = checked(tmp_path / "cut.pcap")
     with pytest.raises(InputError, match="middle of a record"):
-        list(checking.findings())
-    assert checking.counts == {"MB-103": 1}
+        list(run.findings())
+    assert run.counts == {"MB-103": 1}
 
 
 def test_a_packed_capture_is_read(tmp_path: Path) -> None:
@@ -106,7 +102,7 @@ def test_a_packed_capture_is_read(tmp_path: Path) -> None:
     assert codes(tmp_path / "x.pcap.gz") == ["MB-103"]
 
 
-def test_bytes_without_times_tell_nothing_of_times(tmp_path: Path) -> None:
+def test_bytes_without_times_give_no_findings_about_times(tmp_path: Path) -> None:
     bus = Bus()
     for number in range(48):
         bus.frame(1, "03 0000 0001", after_ms=200 if number % 8 else 400)
@@ -117,7 +113,7 @@ def test_bytes_without_times_tell_nothing_of_times(tmp_path: Path) -> None:
     from mbtool.core import parse_line
 
     options = ReadingOptions(line=parse_line("rtu"))
-    assert not [*Checking([str(tmp_path / "line.bin")], options).findings()]
+    assert not [*CheckRun([str(tmp_path / "line.bin")], options).findings()]
 
 
 @pytest.mark.parametrize(
@@ -136,29 +132,29 @@ def test_bytes_without_times_tell_nothing_of_times(tmp_path: Path) -> None:
 def test_codes_are_selected_by_their_beginning(
     select: list[str], ignore: list[str], taken: list[str]
 ) -> None:
-    selection = Selection.parse(select, ignore)
+    codes = CodeFilter.parse(select, ignore)
     every = ["FT1A-Q16", "MB-101", "MB-401", "RTU-101"]
-    assert [code for code in every if selection.takes(code)] == taken
+    assert [code for code in every if codes.takes(code)] == taken
 
 
-def test_what_is_not_wanted_is_not_counted() -> None:
-    checking = checked(FINDINGS / "MB-103.pcap", selection=Selection.parse([], ["MB"]))
-    assert not [*checking.findings()]
-    assert not checking.counts
+def test_findings_that_are_not_chosen_are_not_counted() -> None:
+    run = checked(FINDINGS / "MB-103.pcap", codes=CodeFilter.parse([], ["MB"]))
+    assert not [*run.findings()]
+    assert not run.counts
 
 
 @pytest.mark.parametrize(
     "known", ["RTU", "rtu-1", "MB-401", "F", "FA3-X", "FA3", "FT1A-Q16", "WAGO-"]
 )
 def test_a_beginning_that_some_code_has_is_taken(known: str) -> None:
-    checked(FINDINGS / "MB-103.pcap", selection=Selection.parse([known], [])).demand_selection()
+    checked(FINDINGS / "MB-103.pcap", codes=CodeFilter.parse([known], [])).demand_codes()
 
 
 @pytest.mark.parametrize("unknown", ["RUT", "RTU-9", "FT1A-Z", "Q16", "FT1A-1"])
 def test_a_beginning_that_no_code_has_is_refused(unknown: str) -> None:
-    checking = checked(FINDINGS / "MB-103.pcap", selection=Selection.parse([], [unknown]))
+    run = checked(FINDINGS / "MB-103.pcap", codes=CodeFilter.parse([], [unknown]))
     with pytest.raises(UsageError, match=f"no code begins with '{unknown}'"):
-        checking.demand_selection()
+        run.demand_codes()
 
 
 OWN_DEVICE = """
@@ -171,16 +167,16 @@ finding_prefix = "LINE7"
 
 def test_codes_of_the_users_own_device_are_known(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text(OWN_DEVICE)
-    selection = Selection.parse(["LINE7-Q"], [])
+    codes = CodeFilter.parse(["LINE7-Q"], [])
     with pytest.raises(UsageError):
-        checked(FINDINGS / "FT1A-Q16.pcap", selection=selection).demand_selection()
-    checking = checked(
+        checked(FINDINGS / "FT1A-Q16.pcap", codes=codes).demand_codes()
+    run = checked(
         FINDINGS / "FT1A-Q16.pcap",
         devices=[f"1={tmp_path / 'own.toml'}"],
-        selection=selection,
+        codes=codes,
     )
-    checking.demand_selection()
-    assert [one.finding.code for one in checking.findings()] == ["LINE7-Q16"]
+    run.demand_codes()
+    assert [one.finding.code for one in run.findings()] == ["LINE7-Q16"]
 
 
 def test_codes_of_a_device_that_a_log_carries_are_known(tmp_path: Path) -> None:
@@ -189,20 +185,20 @@ def test_codes_of_a_device_that_a_log_carries_are_known(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "x.mcap", capture={}) as log:
         log.add_profile(profile.name, profile_to_json(profile))
         log.add_device("1", profile.name)
-    checked(tmp_path / "x.mcap", selection=Selection.parse(["LINE7"], [])).demand_selection()
+    checked(tmp_path / "x.mcap", codes=CodeFilter.parse(["LINE7"], [])).demand_codes()
     with pytest.raises(UsageError, match=r"no code begins with 'LINE8'; they begin with .*LINE7"):
-        checked(tmp_path / "x.mcap", selection=Selection.parse(["LINE8"], [])).demand_selection()
+        checked(tmp_path / "x.mcap", codes=CodeFilter.parse(["LINE8"], [])).demand_codes()
 
 
 def test_silences_that_are_too_few_for_a_finding_are_a_remark() -> None:
-    checking = checked(FINDINGS / "RTU-101-nearly.pcap")
-    assert not [*checking.findings()]
-    remark = checking.remarks[-1]
+    run = checked(FINDINGS / "RTU-101-nearly.pcap")
+    assert not [*run.findings()]
+    remark = run.remarks[-1]
     assert ": a silence longer than t1.5 inside a frame in 1 of 16 transactions; so few" in remark
 
 
 def test_a_slave_that_says_its_model_is_a_remark() -> None:
-    checking = checked(FOLDER / "fa3-at1m8x-setup.pcap")
-    assert not [*checking.findings()]
-    (remark,) = checking.remarks
+    run = checked(FOLDER / "fa3-at1m8x-setup.pcap")
+    assert not [*run.findings()]
+    (remark,) = run.remarks
     assert remark.endswith("name it with --device 127.0.0.1/0=fa3-at1m8x")

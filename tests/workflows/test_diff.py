@@ -56,7 +56,7 @@ def test_a_range_that_no_device_has_is_an_error() -> None:
         _compared(LINE, LINE, ignore=("RWr99",))
 
 
-def test_of_a_damaged_log_what_is_whole_is_compared(tmp_path: Path) -> None:
+def test_a_damaged_log_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> None:
     whole, damaged = tmp_path / "a.pcap", damaged_log(tmp_path / "b.mcap", 1)
     whole.write_bytes(capture_file(2))
     compared, remarks = _compared(whole, damaged)
@@ -71,7 +71,7 @@ def test_a_file_without_transactions_is_an_error(tmp_path: Path) -> None:
         _compared(empty, LINE)
 
 
-def test_captures_cut_anew_or_in_disorder_say_the_same(public_captures: Path) -> None:
+def test_captures_split_or_reordered_differently_are_equal(public_captures: Path) -> None:
     origin = next(public_captures.glob("nopnoplabs*/hist_*modbus.pcap"))
     compared, _ = _compared(origin, public_captures / "derived" / "reseg9_nopnop.pcap")
     assert compared.a_transactions == 234

@@ -67,7 +67,7 @@ def test_every_byte_is_heard_and_counted(capture: Path) -> None:
     assert (report.bytes, report.pieces) == (len(WHOLE), 6)
 
 
-def test_as_fast_as_can_be_no_lateness_is_told(capture: Path) -> None:
+def test_at_full_speed_no_lateness_is_reported(capture: Path) -> None:
     with _line() as (link, near):
         report = BusRun(str(capture), BusOptions(rate=None), link).play()
         assert _heard(near, len(WHOLE)) == WHOLE
@@ -80,7 +80,7 @@ def test_it_ends_when_it_is_told_to(capture: Path) -> None:
     assert (report.bytes, report.lateness_p99_ns) == (0, None)
 
 
-class _Desk:
+class _Controls:
     """Someone who pauses at once, steps twice, and goes on as fast as he can."""
 
     def __init__(self) -> None:
@@ -98,13 +98,13 @@ class _Desk:
         self.shown.append(progress)
 
 
-def test_it_is_steered_from_a_desk(capture: Path) -> None:
-    desk = _Desk()
+def test_it_is_paused_and_stepped_from_the_keyboard(capture: Path) -> None:
+    controls = _Controls()
     with _line() as (link, near):
-        BusRun(str(capture), BusOptions(), link).play(desk=desk)
+        BusRun(str(capture), BusOptions(), link).play(controls=controls)
         assert _heard(near, len(WHOLE)) == WHOLE
-    assert any(one.is_paused for one in desk.shown)
-    assert desk.shown[-1].rate == 64
+    assert any(one.is_paused for one in controls.shown)
+    assert controls.shown[-1].rate == 64
 
 
 def test_a_loop_goes_on_until_it_is_stopped(capture: Path) -> None:

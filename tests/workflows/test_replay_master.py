@@ -191,7 +191,7 @@ def test_what_was_asked_is_what_was_recorded(capture: Path) -> None:
     assert scripted.asked == [(1, READ)] * 3
 
 
-class _Desk:
+class _Controls:
     """Someone who pauses at once, steps once, and then goes on."""
 
     def __init__(self) -> None:
@@ -207,15 +207,15 @@ class _Desk:
         self.shown.append(progress)
 
 
-def test_it_is_steered_from_a_desk(capture: Path) -> None:
-    desk = _Desk()
+def test_it_is_paused_and_stepped_from_the_keyboard(capture: Path) -> None:
+    controls = _Controls()
     report = _report(
         _run(capture, rate=Fraction(1)),
         lambda _, __: Response(VALUES),
-        desk=desk,  # type: ignore[arg-type]
+        controls=controls,  # type: ignore[arg-type]
     )
     assert (report.requests, report.different) == (3, 0)
-    assert any(one.is_paused and one.done.startswith("1 requests") for one in desk.shown)
+    assert any(one.is_paused and one.done.startswith("1 requests") for one in controls.shown)
 
 
 def test_only_a_window_is_asked(capture: Path) -> None:

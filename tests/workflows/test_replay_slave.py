@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InputError, UsageError, parse_line, parse_link
+from mbtool.core import InputError, TcpLink, UsageError, parse_line, parse_link
 from mbtool.devices import NamedTransaction
-from mbtool.master.poll import TcpPoller
+from mbtool.master.links import open_master
 from mbtool.modbus import Transport, mbap_adu
 from mbtool.modbus.distortion import wire_pieces
 from mbtool.query.where import parse_where
@@ -67,13 +67,13 @@ def test_a_recording_answers_as_its_slave_did(tmp_path: Path) -> None:
     run = SlaveRun(str(path), SlaveOptions(on_miss=OnMiss.EXCEPTION, rate=None))
     shell = run.on(ANYWHERE).shell
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         assert master.ask(1, READ) == VALUES
         assert master.ask(1, READ) == VALUES
         assert master.ask(1, READ) == VALUES
 
 
-def test_what_was_read_is_let_go_once_it_can_be_played(tmp_path: Path) -> None:
+def test_transactions_are_freed_once_the_recording_is_built(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(50))
 
@@ -129,7 +129,9 @@ def test_a_cut_recording_is_played_as_far_as_it_goes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("raw", [False, True])
-def test_of_a_damaged_log_what_is_there_is_played(tmp_path: Path, number: int, raw: bool) -> None:
+def test_a_damaged_log_is_played_as_far_as_it_can_be_read(
+    tmp_path: Path, number: int, raw: bool
+) -> None:
     path = damaged_log(tmp_path / "a.mcap", number)
     told: list[str] = []
     options = SlaveOptions(reading=ReadingOptions(raw=raw))
@@ -218,12 +220,12 @@ def test_what_the_recording_does_not_know_is_the_profiles() -> None:
     path = OURS / "fa3-at1m8x-setup.mcap"
     with _slave(path, rate=None).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with TcpPoller(shell.endpoint) as master:
+        with open_master(TcpLink(shell.endpoint)) as master:
             assert master.ask(0, bytes.fromhex("03 00F2 0001")) == bytes.fromhex("03 02 0258")
             assert master.ask(0, bytes.fromhex("03 5000 0001")) == bytes.fromhex("83 02")
     with _slave(path, rate=None, match=MatchStrategy.KEY).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with TcpPoller(shell.endpoint) as master:
+        with open_master(TcpLink(shell.endpoint)) as master:
             assert master.ask(0, bytes.fromhex("03 00F2 0001")) == bytes.fromhex("83 02")
 
 
@@ -232,7 +234,7 @@ def test_faults_stand_before_the_recording(capture: Path, tmp_path: Path) -> Non
     faults.write_text('[[faults]]\nkind = "exception"\ncode = 6\nnth = 2\ntimes = 1\n')
     with _slave(capture, fault_file=faults, rate=None).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with TcpPoller(shell.endpoint) as master:
+        with open_master(TcpLink(shell.endpoint)) as master:
             assert [master.ask(1, READ) for _ in range(3)] == [VALUES, b"\x83\x06", VALUES]
 
 

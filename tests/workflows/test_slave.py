@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InputError, SerialFormat, UsageError, parse_link
+from mbtool.core import InputError, SerialFormat, TcpLink, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import NamedTransaction, load_profile
-from mbtool.master.poll import TcpPoller
+from mbtool.master.links import open_master
 from mbtool.modbus import rtu_adu
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import SerialSlave, TcpSlave
@@ -35,15 +35,14 @@ def test_a_device_answers_as_its_unit_with_its_start_values(tmp_path: Path) -> N
     image.write_text("HR400001 = 4660\n")
     shell = device_slave(TOUCH, LOOPBACK, 7, image)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         assert master.ask(7, READ) == bytes.fromhex("03 02 1234")
 
 
-def test_other_units_get_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mbtool.master.poll.TIMEOUT_S", 0.2)
+def test_other_units_get_no_answer() -> None:
     shell = device_slave(TOUCH, LOOPBACK, 7)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint), 200_000_000) as master:
         assert master.ask(8, READ) is None
 
 
@@ -77,8 +76,8 @@ def test_a_device_takes_on_its_line_what_it_takes_in_that_mode(
     assert (answer.pdu[0] == 3) == answered
 
 
-def test_other_machines_can_connect_only_if_they_are_named() -> None:
-    with pytest.raises(UsageError, match="--allow"):
+def test_other_machines_are_let_in_only_if_allowed() -> None:
+    with pytest.raises(UsageError, match="--allow-remote"):
         device_slave(TOUCH, parse_link("tcp:0.0.0.0:0")).start()
 
 
@@ -91,13 +90,13 @@ def test_start_values_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         device_slave(TOUCH, LOOPBACK, image_file=wrong)
 
 
-def test_what_a_device_keeps_outlasts_its_slave(tmp_path: Path) -> None:
+def test_nonvolatile_registers_survive_a_restart(tmp_path: Path) -> None:
     module, state = load_profile("fa3-at1m8x"), tmp_path / "state.toml"
     write, read = bytes.fromhex("06 00F5 0007"), bytes.fromhex("03 00F5 0001")
     for request in (write, read):
         shell = device_slave(module, LOOPBACK, state_file=state)
         assert isinstance(shell, TcpSlave)
-        with shell, TcpPoller(shell.endpoint) as master:
+        with shell, open_master(TcpLink(shell.endpoint)) as master:
             answer = master.ask(0, request)
     assert answer == bytes.fromhex("03 02 0007")
 
@@ -111,31 +110,27 @@ def test_a_device_has_its_own_rules_for_connections() -> None:
     assert touch.places == touch.bounds.connections
 
 
-def test_exchanges_are_told() -> None:
-    exchanges = SlaveMonitor(TOUCH, LOOPBACK)
-    shell = device_slave(TOUCH, LOOPBACK, 7, exchanges=exchanges)
+def test_requests_and_responses_reach_the_monitor() -> None:
+    monitor = SlaveMonitor(TOUCH, LOOPBACK)
+    shell = device_slave(TOUCH, LOOPBACK, 7, monitor=monitor)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         master.ask(7, READ)
-    (transaction,) = exchanges.records()
+    (transaction,) = monitor.records()
     assert isinstance(transaction, NamedTransaction)
     assert transaction.reference == "HR400001"
 
 
-def test_several_devices_share_a_link_and_others_units_get_silence(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_several_devices_share_a_link_and_others_units_get_silence(tmp_path: Path) -> None:
     image = tmp_path / "other.toml"
     image.write_text("40001 = 7\n")
     others = {3: Station(load_profile("chino-lt830"), image), 4: Station(TOUCH)}
     shell = device_slave(TOUCH, LOOPBACK, 7, others=others)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint), 200_000_000) as master:
         assert master.ask(3, READ) == bytes.fromhex("03 02 0007")
         assert master.ask(7, READ) == master.ask(4, READ) == bytes.fromhex("03 02 0000")
-        monkeypatch.setattr("mbtool.master.poll.TIMEOUT_S", 0.2)
-        with TcpPoller(shell.endpoint) as impatient:
-            assert impatient.ask(5, READ) is None
+        assert master.ask(5, READ) is None
 
 
 def test_a_broadcast_on_a_line_reaches_every_device(tmp_path: Path) -> None:
@@ -156,9 +151,14 @@ def test_a_broadcast_on_a_line_reaches_every_device(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("link", "name", "unit", "says"),
     [
-        ("rtu:/dev/absent@9600", "chino-lt830", 100, "chino-lt830 can be 1 to 99"),
-        ("rtu:/dev/absent@9600", "idec-ft1a-touch", 0, "unit 0: on a line .* can be 1 to 247"),
-        ("rtu+tcp:127.0.0.1:0", "idec-ft1a-smartaxis", 248, "can be 1 to 247"),
+        ("rtu:/dev/absent@9600", "chino-lt830", 100, "chino-lt830 can be unit 1 to 99"),
+        (
+            "rtu:/dev/absent@9600",
+            "idec-ft1a-touch",
+            0,
+            "unit 0: on a serial line .* can be unit 1 to 247",
+        ),
+        ("rtu+tcp:127.0.0.1:0", "idec-ft1a-smartaxis", 248, "can be unit 1 to 247"),
     ],
 )
 def test_a_unit_that_a_device_cannot_be_is_refused(
@@ -185,7 +185,7 @@ def test_values_that_move_and_faults_are_played(tmp_path: Path) -> None:
     fault.write_text('[[faults]]\nkind = "exception"\ncode = 6\nnth = 2\ntimes = 1\n')
     shell = device_slave(TOUCH, LOOPBACK, 1, image, fault_file=fault)
     assert isinstance(shell, TcpSlave)
-    with shell, TcpPoller(shell.endpoint) as master:
+    with shell, open_master(TcpLink(shell.endpoint)) as master:
         answers = [master.ask(1, READ) for _ in range(3)]
     assert answers == [bytes.fromhex(each) for each in ("03 02 0007", "83 06", "03 02 0007")]
 

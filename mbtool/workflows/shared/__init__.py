@@ -1,1 +1,1 @@
-"""What several commands need."""
+"""Parts of the workflows that several commands use."""

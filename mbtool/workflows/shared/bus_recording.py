@@ -1,17 +1,19 @@
-"""Reads a recording into the pieces of a line that is to be played: every byte of both sides."""
+"""Reads a recording as pieces of bytes to be sent to a serial line: every byte of both sides."""
 
-# A serial line's bytes come from the evidence as they were captured, with the silences between
-# reads; what a read brought in one go began so many characters before its time. Where there was
-# the silence that parts frames, there will be one, however fast it is played. A network's
-# messages are framed for the line, each transaction's answer behind its request, since a line
-# carries one at a time: the next request waits for the answer, also where a master had several
-# requests open.
+# Recorded on a serial line: the bytes are sent as they were captured, with the silences between
+# reads. The time of a read is that of its last byte, so the piece begins as many character times
+# earlier as it has bytes. A silence of t3.5 between two pieces is kept at any speed.
 #
-# One line at a time can be played; --where 'link == ...' chooses it. What else --where leaves out
-# is left out of a network's messages only: a line's bytes are played whole.
+# Recorded on a network: each PDU is framed for the line, the response of a transaction right after
+# its request. The next request comes after the response, also if the master did not wait for it,
+# because a serial line carries one transaction at a time.
+#
+# Only one line can be played; --where 'link == ...' chooses it. Other conditions of --where leave
+# out transactions of a network only: the bytes of a serial line are always all sent.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import (
@@ -29,24 +31,27 @@ from mbtool.core import (
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
-from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
-from mbtool.replay import ByteRun, TimeRange
+from mbtool.packets import serial_pieces
+from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
-from mbtool.workflows.shared.recorded import read_recorded, unwatched, where_none
+from mbtool.workflows.shared.heard_line import serial_types
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.recorded import read_recorded, where_none
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.devices import NamedTransaction
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
-    from mbtool.workflows.shared.recorded import Watch
+    from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
-"""No piece is longer, so that a port takes it at once."""
+"""Bytes in a piece at most, so that a port takes it at once: the longest RTU ADU."""
 
 
 class Begun(NamedTuple):
-    """Bytes and when the first of them began."""
+    """Bytes, and when the first of them began."""
 
     begin_ns: int
     data: bytes
@@ -55,32 +60,27 @@ class Begun(NamedTuple):
 
 def read_pieces(
     path: str,
-    options: ReadingOptions,
-    wanted: Callable[[NamedTransaction], bool],
-    window: TimeRange,
+    options: PlayOptions,
     link: SerialLink,
     on_remark: Callable[[str], None],
     watch: Watch = unwatched,
 ) -> list[ByteRun]:
-    """What a link is to carry, in order of time, from the window's beginning on.
+    """The pieces to send to a link, in order of time, counted from the beginning of the window.
 
-    Raises InputError where there is nothing, UsageError.
+    Raises InputError if there are none, UsageError.
     """
-
-    def on_cut(error: CutError | DamageError) -> None:
-        on_remark(f"mbtool: {error}; playing what is there")
-
-    transactions = read_recorded(path, options, wanted, on_cut, on_remark, watch).transactions
+    window = options.window
+    transactions = read_recorded(path, options, on_remark, watch).transactions
     lines = {one.link for one in transactions if one.transport.is_serial}
     _demand_one_line(path, lines, transactions)
     if lines:
-        begun = _of_line(path, options, lines.pop(), link, on_remark)
+        begun = _of_line(path, options.reading, lines.pop(), link, on_remark)
     else:
         begun = _framed(transactions, is_ascii=link.ascii)
         if any(one.unit == 0 and one.response_raw is not None for one in transactions):
             on_remark(
-                f"{path}: unit 0 answers in it, and on a line unit 0 is a broadcast: "
-                "listeners take its answers for unasked ones"
+                f"{path}: unit 0 answers in it, but on a serial line unit 0 is a broadcast: "
+                "listeners take its responses for unsolicited ones"
             )
     first_ns = begun[0].begin_ns if begun else 0
     pieces = [
@@ -124,9 +124,9 @@ def _of_line(
     link: SerialLink,
     on_remark: Callable[[str], None],
 ) -> list[Begun]:
-    """The bytes of a line as they were captured."""
+    """The bytes of a serial line as they were captured."""
     if path == STANDARD_INPUT:
-        raise UsageError("standard input: the bytes of a line are read twice; name a file")
+        raise UsageError("standard input: a recording of a serial line is read twice; name a file")
     pieces: list[_Heard] = []
     untimed = False
     try:
@@ -135,15 +135,15 @@ def _of_line(
                 continue
             if line.ascii != link.ascii:
                 right = f"{'ascii' if line.ascii else 'rtu'}:{link.port}@{line.format}"
-                raise UsageError(f"{path}: {line} is what was recorded; play it on {right}")
+                raise UsageError(f"{path}: was recorded as {line}; play it on {right}")
             untimed = untimed or chunk.stamp is Stamp.UNKNOWN
             pieces += _cut(chunk, line.format)
     except (CutError, DamageError):
-        pass  # It was told when the transactions were read.
+        pass  # The user was told when the transactions were read.
     if untimed:
-        on_remark(f"{path}: says nothing of when its bytes came: they follow without a silence")
-    # By their ends: where the rate is taken for too low, a long piece seems to begin before the one
-    # that it follows.
+        on_remark(f"{path}: has no times of its bytes: they are sent without a silence")
+    # Sorted by their ends: if the assumed baud rate is too low, a long piece seems to begin before
+    # the piece ahead of it.
     pieces.sort(key=lambda one: one.end_ns)
     begun: list[Begun] = []
     end_ns: int | None = None
@@ -156,7 +156,7 @@ def _of_line(
 
 
 class _Heard(NamedTuple):
-    """Bytes, from when to when they passed, and what parted frames on that line."""
+    """Bytes, their first and last moment, and the shortest silence between frames (t3.5)."""
 
     begin_ns: int
     end_ns: int
@@ -165,7 +165,7 @@ class _Heard(NamedTuple):
 
 
 def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
-    """A chunk in pieces that are not too long."""
+    """Cut a chunk into pieces of at most MAX_PIECE bytes."""
     character_ns = line.character_ns
     begin_ns = chunk.ts_ns
     if chunk.stamp is not Stamp.AT_ONCE:
@@ -177,24 +177,24 @@ def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
 
 
 def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings, Chunk]]:
-    """The serial bytes of a file, and of which line they are."""
+    """The serial bytes of a file, each with the settings of its line."""
     given = options.line or LineSettings(SerialFormat())
     with open_capture(path, options.line) as capture:
         if capture.kind is CaptureKind.MCAP:
             log = LogReader(capture.stream, capture.name)
             lines: dict[str, LineSettings | None] = {}
             for item in log.evidence():
-                if item.link not in lines:  # Here, since links may be told behind the first item.
+                if item.link not in lines:  # Looked up late: a log may name a link after its items.
                     lines[item.link] = _settings(log.links.get(item.link, {}).get(SPEC))
                 line = lines[item.link]
                 if isinstance(item, Chunk) and line is not None:
                     yield line, item
         elif capture.kind in PACKET_KINDS:
-            types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if options.line is not None else set())
-            for packet in capture.packets():
-                for piece in serial_pieces(packet) if packet.link_type in types else ():
-                    if isinstance(piece, Chunk):
-                        yield given, piece
+            types = serial_types(options.line)
+            packets = (packet for packet in capture.packets() if packet.link_type in types)
+            for piece in chain.from_iterable(map(serial_pieces, packets)):
+                if isinstance(piece, Chunk):
+                    yield given, piece
         else:
             settings, pieces = capture.serial(options.line)
             for piece in pieces:
@@ -203,6 +203,6 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
 
 
 def _settings(spec: str | None) -> LineSettings | None:
-    """What a log's link is like; None where it is no line."""
+    """The settings of a link in a log; None if it is not a serial line."""
     link = None if spec is None else parse_link(spec)
     return LineSettings(link.format, link.ascii) if isinstance(link, SerialLink) else None

@@ -1,17 +1,16 @@
-"""Tells whether a file goes on where the file before it ended: parts of one capture."""
+"""Tells whether a file continues the file before it: parts of one capture."""
 
-# tcpdump -G and -C, dumpcap -b and sniff --rotate end a file and go on in the next in the middle of
-# connections. What was begun in one part then ends in the next. A file is taken for the next part
+# tcpdump -G and -C, dumpcap -b and sniff --rotate go on in a next file while connections are open,
+# so a transaction may begin in one file and end in the next. A file is the next part
 #
-#     of packets    if it begins no earlier than the one before it ended, and with a link type that
-#                   was in it
-#     of a log      if it says of itself that it is: the same run, links, devices and profiles, and
-#                   the next part number; and it begins no earlier
+#     of packets    if its first packet is not earlier than the last one of the file before it, and
+#                   has a link type that was in that file
+#     of a log      if it has the same run, links, devices and profiles, and the next part number;
+#                   and it does not begin earlier
 #
-# and else as a capture of its own, so that its connections are not joined to others between the
-# same ends. Packets of several interfaces and bytes of several ports stand in a file not quite in
-# the order of their times, so BACK_NS is no step back. A later file that has nothing to do with the
-# one before it does no harm: sequence numbers and the time between them tell (reassembler.py).
+# Any other file is a capture of its own, and its connections are not joined to those before it. Two
+# unrelated files of packets in order of time are taken for parts, which does no harm: sequence
+# numbers and the time between them keep their connections apart (packets/reassembler.py).
 
 from __future__ import annotations
 
@@ -25,20 +24,22 @@ if TYPE_CHECKING:
     from mbtool.logs import LogReader
 
 BACK_NS = 1_000_000_000
+"""A time this much earlier is not a step back: packets of several interfaces, and bytes of several
+ports, are written slightly out of order."""
 
 _PART = "part"
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What a file says of the capture that it is a part of; packets say nothing."""
+    """What a file tells of the capture that it is a part of. Files of packets tell nothing."""
 
     number: int | None = None
     run: tuple[object, ...] = ()
 
     @classmethod
     def of_log(cls, log: LogReader) -> Part:
-        """As it stands at the log's beginning, before its items are read."""
+        """Read from the head of a log, before its items."""
         number = log.capture.get(_PART, "")
         capture = {key: value for key, value in log.capture.items() if key != _PART}
         run = (capture, dict(log.links), dict(log.devices), dict(log.profiles))
@@ -53,7 +54,7 @@ class Part:
 
 
 class Seam:
-    """Where what was read so far ends."""
+    """The end of what has been read of a capture."""
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
@@ -68,7 +69,7 @@ class Seam:
             self._types.add(item.link_type)
 
     def is_continued_by(self, item: Evidence) -> bool:
-        """Whether the first item of a next file can come next."""
+        """True if a file that begins with this item can be the next part."""
         if self._last_ns is None:
             return True
         if isinstance(item, Packet) and self._types and item.link_type not in self._types:
@@ -76,7 +77,7 @@ class Seam:
         return item.ts_ns >= self._last_ns - BACK_NS
 
     def is_overtaken_by(self, item: Evidence) -> bool:
-        """Whether a next file begins with a packet from amidst what was read: out of order."""
+        """True if this first packet of a file is from between those read: parts out of order."""
         if self._first_ns is None or self._last_ns is None or not isinstance(item, Packet):
             return False
         is_alike = item.link_type in self._types

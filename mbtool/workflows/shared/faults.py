@@ -1,4 +1,4 @@
-"""Sets the faults of a file before whatever answers."""
+"""Adds the faults of a file to a slave."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _ENDINGS = frozenset((FaultKind.CLOSE, FaultKind.RESET))
 def faulty(
     responder: Responder, path: Path, link: SerialLink | TcpLink, profiles: Iterable[Profile] = ()
 ) -> FaultySlave:
-    """The same responder, with the faults of a file. Raises InputError, UsageError.
+    """The responder with the faults of a file. Raises InputError, UsageError.
 
-    `profiles` are those whose references the file may use.
+    The file may name registers by the references of `profiles`.
     """
     file = FaultFile(path, profiles)
     for number, fault in enumerate(file.faults, start=1):
@@ -35,11 +35,11 @@ def faulty(
 
 
 def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
-    """Why a fault cannot be on a link, and what can."""
+    """Why a link cannot have a fault, and which fault it can have; None if it can."""
     if kind is FaultKind.BAD_CRC and not isinstance(link, SerialLink) and not link.rtu:
-        return "Modbus/TCP has no checksum; truncated or extra-bytes spoil an answer there"
+        return "Modbus/TCP has no checksum; use truncated or extra-bytes"
     if kind is FaultKind.WRONG_ID and (isinstance(link, SerialLink) or link.rtu):
-        return "only Modbus/TCP has transaction ids; wrong-unit is much the same here"
+        return "only Modbus/TCP has transaction ids; use wrong-unit"
     if kind in _ENDINGS and isinstance(link, SerialLink):
-        return "a serial line has no connection to end; no-answer is what it can do"
+        return "a serial line has no connection to end; use no-answer"
     return None

@@ -1,25 +1,34 @@
-"""Doubts whether a file's bytes went over the line that they are taken to have gone over."""
+"""Checks whether the assumed baud rate can be that of the serial line in a file."""
 
-# Packets of serial link types do not say how fast the line was. Each piece ends at its time and
-# began by so many characters earlier. Where the rate is taken for lower than it was, pieces begin
-# before the one before them has ended, and the latency between them comes out as 0. One character
-# is left to the clock of who captured. Of sigrok's recordings one overlaps nowhere at 19200 baud,
-# three nowhere at 9600; at half of that rate half of their packets do.
+# Packets of serial link types and the text of a monitor do not tell the baud rate. The time of a
+# piece is that of its last byte, so it began as many character times earlier as it has bytes. If
+# the assumed rate is too low, a piece seems to begin before the piece ahead of it ends: they
+# overlap, and the latency between them comes out as 0. An overlap of one character is allowed, for
+# the clock of the recorder. Measured with recordings of sigrok: at the true rate (one at 19200
+# baud, three at 9600) no pieces overlap, at half the true rate half of them do.
 #
-# Only neighbours of one link are looked at, so nothing is held but the last one.
+# Only neighbours of one link are compared, so one piece is held.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk
+from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES
 
 if TYPE_CHECKING:
-    from mbtool.core import SerialFormat
+    from collections.abc import Set as AbstractSet
+
+    from mbtool.core import LineSettings, SerialFormat
+
+
+def serial_types(line: LineSettings | None) -> AbstractSet[int]:
+    """The link types of packets that hold serial bytes; more if the user names the line."""
+    return SERIAL_LINK_TYPES if line is None else SERIAL_LINK_TYPES | USER_LINK_TYPES
 
 
 class HeardLine:
-    """The pieces of one file, at the rate that they are taken to have had."""
+    """The pieces of one file, at an assumed baud rate."""
 
     def __init__(self, name: str, format_: SerialFormat) -> None:
         self.name = name
@@ -29,7 +38,7 @@ class HeardLine:
         self._overlaps = 0
 
     def note(self, piece: object) -> None:
-        """Look at the next piece; all but bytes of the line is passed over."""
+        """Take the next piece; ignores everything but bytes of the line."""
         if not isinstance(piece, Chunk):
             return
         self._pieces += 1
@@ -46,7 +55,7 @@ class HeardLine:
 
     @property
     def doubt(self) -> str | None:
-        """One line for a reader where pieces overlap."""
+        """One line for the user if pieces overlap, else None."""
         if not self._overlaps:
             return None
         return (

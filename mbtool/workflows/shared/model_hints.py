@@ -1,11 +1,12 @@
-"""Notices slaves that say which model they are, where the user says otherwise, or nothing."""
+"""Notices slaves that tell their model, if the user gave no profile for them or another one."""
 
-# The answer to function 42H of an FA3 module is its model code. Naming does not change by it: what
-# a register means would depend on where a reader begins. It is a hint for the user, and a warning
-# where he named another model, whose registers have the same addresses and other meanings.
+# The response to function 42H of an FA3 module holds its model code. The model does not choose the
+# profile, since the meaning of a register would then depend on where in a capture one begins to
+# read. It is told to the user: as a hint, or as a warning if another model's profile is in use,
+# whose registers have the same addresses and other meanings.
 #
-# Holds a hint for each slave, MAX_HINTS at most. Built-in profiles are read when the first word of
-# a maker's own function is seen.
+# Holds one hint for each slave, at most MAX_HINTS. Built-in profiles are loaded when the first
+# response to a vendor's own function is seen.
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ MAX_HINTS = 64
 
 
 class ModelHints:
-    """Hints from the records of one pass."""
+    """Collects hints from the records of one pass."""
 
     def __init__(self, profile_for: Callable[[NamedTransaction], Profile | None]) -> None:
         self._profile_for = profile_for
@@ -35,10 +36,7 @@ class ModelHints:
         self._hints: dict[tuple[str, int], str] = {}
 
     def note(self, record: Record) -> str | None:
-        """Take the next record, and give the hint where it is the first about a slave.
-
-        Records that tell no model cost a look at their function.
-        """
+        """Take the next record; return its hint if it is the first one about its slave."""
         if isinstance(record, WireEvent) or record.function in FUNCTIONS:
             return None
         word = answer_word(record)
@@ -55,7 +53,7 @@ class ModelHints:
 
     @property
     def remarks(self) -> list[str]:
-        """A line for each slave that is not named by the model that it says it is."""
+        """One line for each slave whose profile is not that of the model it tells."""
         return list(self._hints.values())
 
     def _model(self, function: int, word: int) -> Profile | None:

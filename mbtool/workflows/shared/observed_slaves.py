@@ -1,8 +1,7 @@
-"""Finds out which slaves recordings hold, and what each was asked and answered."""
+"""Collects the slaves in a recording, with the requests and responses of each."""
 
-# Holds what devices/observed_slave.py keeps of each slave, of at most MAX_SLAVES; the
-# transactions of further ones are counted. Values are kept of the slaves that `with_values`
-# picks.
+# Holds an ObservedSlave (devices/observed_slave.py) for each of at most MAX_SLAVES slaves; the
+# transactions of further slaves are only counted. Register values are kept if `with_values`.
 
 from __future__ import annotations
 
@@ -20,13 +19,14 @@ if TYPE_CHECKING:
 
 MAX_SLAVES = 2048
 _SHOWN = 12
+"""Slaves that an error names."""
 
 
 class ObservedSlaves:
-    """The slaves of some recordings, in the order in which they were first seen."""
+    """The slaves of a recording, in the order in which they first appear."""
 
     def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
-        """With `who` only the slaves that it fits."""
+        """With `who` only the slaves that it describes."""
         self._who = who
         self._with_values = with_values
         self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
@@ -42,7 +42,7 @@ class ObservedSlaves:
         destination, unit = transaction.destination, transaction.unit
         if self._who is not None and not self._who.fits_slave(destination, unit):
             return
-        # A slave on a network is where it is, whatever interface heard it.
+        # A slave on a network has an address, so the interface that heard it does not matter.
         key = (transaction.link if destination is None else "", destination, unit)
         seen = self._slaves.get(key)
         if seen is None:
@@ -57,11 +57,13 @@ class ObservedSlaves:
         return list(self._slaves.values())
 
     def only(self, option: str) -> ObservedSlave:
-        """The one slave that there is. Raises UsageError where there are others, or none."""
+        """The only slave, or the only one that answers. Raises UsageError if there is none.
+
+        `option` is the option that chooses a slave, for the error.
+        """
         slaves = self.slaves
         if len(slaves) == 1:
             return slaves[0]
-        # A unit that never answers is no device to speak of beside one that does.
         answering = [one for one in slaves if one.has_responded]
         if len(answering) == 1:
             return answering[0]

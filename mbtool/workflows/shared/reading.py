@@ -1,14 +1,15 @@
-"""Reads recordings of any kind into named transactions and events."""
+"""Reads captures and logs of any kind into named transactions and events."""
 
-# A packet capture is decoded, and so are the bytes of a serial line in a file, which is a line of
-# its own. A log gives back what was decoded when it was made, or with `raw`
-# decodes its evidence afresh: by the line settings and profiles that it carries, unless the user
-# gives others. Files that are parts of one capture (parts.py), named in their order, are decoded as
-# one: a connection may begin in one and end in the next. Where one is cut or damaged, the next are
-# read all the same, behind a gap.
+# A packet capture is decoded. A file with the bytes of a serial line is decoded as one line. A log
+# gives the transactions and events that it holds; with `raw` its packets and bytes are decoded
+# again, with the line settings and profiles of the log, unless the user gives others.
 #
-# Raises InputError for what cannot be read, and after all else, what was cut (CutError) or damaged
-# (DamageError) first.
+# Files that are parts of one capture (capture_parts.py), named in their order, are decoded as one,
+# since a connection may begin in one part and end in the next. If a part is cut or damaged, the
+# next parts are read behind a gap.
+#
+# Raises InputError for a file that cannot be read. If a file is cut (CutError) or damaged
+# (DamageError), the first such error is raised after everything else has been given.
 
 from __future__ import annotations
 
@@ -18,7 +19,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import (
-    Chunk,
     CutError,
     DamageError,
     EventKind,
@@ -34,7 +34,7 @@ from mbtool.core import (
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer, profile_from_json
-from mbtool.logs import LogReader, follow
+from mbtool.logs import LogReader
 from mbtool.logs.links import (
     PORTS,
     RTU_PORTS,
@@ -43,21 +43,22 @@ from mbtool.logs.links import (
     ports_of,
     serial_lines,
 )
-from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
+from mbtool.packets import serial_pieces
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
-from mbtool.workflows.shared.heard_line import HeardLine
+from mbtool.workflows.shared.heard_line import HeardLine, serial_types
+from mbtool.workflows.shared.log_records import log_records
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from mbtool.decode.decoder import Evidence, Record
-    from mbtool.devices import Profile
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.sources.files import CaptureFile
 
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
-_UNREAD_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
+_UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
 
@@ -68,17 +69,18 @@ class ReadingOptions:
 
     assignments: Assignments = field(default_factory=Assignments)
     ports: Sequence[int] = ()
-    """TCP ports of slaves; none for the log's own, or 502."""
+    """TCP ports of slaves. If empty, those that a log names, else 502."""
     rtu_ports: Sequence[int] = ()
+    """TCP ports of slaves with RTU over TCP."""
     any_port: bool = False
-    """Look for Modbus in the connections of all other ports, too."""
+    """True to look for Modbus on all other TCP ports, too."""
     line: LineSettings | None = None
-    """The line that the serial bytes of a file were heard on."""
+    """The serial line that the bytes of a file were heard on."""
     t1_5: Silence | None = None
-    """Silences in place of those that the line has by its settings."""
+    """In place of the silences that follow from the line's settings."""
     t3_5: Silence | None = None
     raw: bool = False
-    """Decode a log's evidence afresh."""
+    """True to decode the packets and bytes of a log again."""
 
 
 class Reading:
@@ -89,22 +91,25 @@ class Reading:
         self._options = options
         self._current: CaptureFile | None = None
         self._decoder: Decoder | None = None
-        """Of the capture that is being read, with what its parts so far have left open."""
+        """Decodes the capture that is being read; holds what is unfinished between its parts."""
         self._part: Part | None = None
         self._seam = Seam()
-        self._done = 0
-        self._evidence = 0
+        self._files_read = 0
+        self._items = 0
+        """Packets, reads of a serial line and marks that were decoded."""
         self._serial_packets = 0
-        """How many pieces of the evidence these are."""
-        self._found = False
-        self._has_read = False
-        self._unread: str | None = None
-        """What was said first of what cannot be looked into."""
+        """Packets with bytes of a serial line, which are among the items."""
+        self._has_found = False
+        """True if there was a transaction or an event."""
+        self._has_decoded = False
+        """True if there was one that does not tell of data that cannot be decoded."""
+        self._first_undecodable: str | None = None
+        """The message of the first event about data that cannot be decoded."""
         self._heard: list[HeardLine] = []
-        """Of each file whose serial bytes do not say how fast they were."""
-        self._not_closed: list[str] = []
+        """One for each file with serial bytes that does not tell their baud rate."""
+        self._unclosed_logs: list[str] = []
         self._broken: list[InputError] = []
-        """What ended files early, or was damaged in them."""
+        """The errors of files that are cut or damaged."""
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
@@ -115,31 +120,34 @@ class Reading:
         )
         self._any_port = options.any_port
         self.assignments = options.assignments
-        """The profiles in use: those of the options, and those of the log that is being read."""
+        """The profiles in use: those of the user, and those of the log that is being read."""
         self.captures = 0
-        """How many captures came to their end before the last record; parts of one are one."""
-        self.place = ""
-        """The file that the last record came from."""
+        """How many captures ended before the last record; all parts of a capture count as one."""
+        self.file = ""
+        """The file of the last record."""
         self.is_log = False
-        """Whether the last record stood in a log as it is."""
+        """True if the last record was taken from a log without being decoded again."""
         self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
-        """A serial link's settings; None where the times of its bytes are not known."""
+        """Settings of a serial link, by its name; None if the times of its bytes are unknown."""
+
+    def profile_for(self, transaction: NamedTransaction) -> Profile | None:
+        return self.assignments.profile_for(transaction)
 
     @property
     def fraction(self) -> float | None:
-        """How much has been read, 0 to 1; None where that cannot be known."""
+        """How much of the files has been read, 0 to 1; None if that is unknown, as for a pipe."""
         part = self._current.fraction() if self._current is not None else 0.0
-        return None if part is None else (self._done + part) / len(self._paths)
+        return None if part is None else (self._files_read + part) / len(self._paths)
 
     @property
     def why_empty(self) -> str | None:
-        """One line for a reader where a whole pass brought nothing, not even an event."""
-        if self._found or self._done < len(self._paths):
+        """Why a whole pass gave neither a transaction nor an event, in one line for the user."""
+        if self._has_found or not self._is_complete:
             return None
         names = self._names
-        if not self._evidence and not self._kinds <= _SERIAL_KINDS:
+        if not self._items and not self._kinds <= _SERIAL_KINDS:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
-        if self._evidence == self._serial_packets:
+        if self._items == self._serial_packets:
             return f"{names}: no byte of a serial line in it"
         if self._any_port:
             return f"{names}: no Modbus at any TCP port"
@@ -149,12 +157,15 @@ class Reading:
             "name other ports with --port, for RTU over TCP with --rtu-port"
         )
 
+    def demand_readable(self) -> None:
+        """Raise InputError where a whole pass gave only events of what cannot be decoded."""
+        why = self._first_undecodable
+        if why is not None and not self._has_decoded and self._is_complete:
+            raise InputError(f"{self._names}: nothing in it could be read: {why}")
+
     @property
-    def why_unread(self) -> str | None:
-        """One line where all that a pass brought is that the capture cannot be looked into."""
-        if self._unread is None or self._has_read or self._done < len(self._paths):
-            return None
-        return f"{self._names}: nothing in it could be read: {self._unread}"
+    def _is_complete(self) -> bool:
+        return self._files_read == len(self._paths)
 
     @property
     def _names(self) -> str:
@@ -163,7 +174,7 @@ class Reading:
 
     @property
     def remarks(self) -> list[str]:
-        """What a reader should know of the files beside what is in them, a line each."""
+        """What a user should know of the files beside their records, a line each."""
         remarks = []
         heard_names = [heard.name for heard in self._heard if heard.has_bytes]
         if heard_names and self._options.line is None:
@@ -178,12 +189,12 @@ class Reading:
         if self._options.line is not None and set() < kinds <= PACKET_KINDS and not self._heard:
             remarks.append("--link has no effect: these are packets of a network")
         broken = [str(error) for error in self._broken[1:]]  # The first is raised.
-        return remarks + self._misordered + self._not_closed + broken
+        return remarks + self._misordered + self._unclosed_logs + broken
 
     def demand_files(self) -> None:
-        """See that each file is there, named once, and of a kind that can be read.
+        """See that each file exists, is named once, and is of a kind that can be read.
 
-        A pipe is not looked into, as it can be read only once. Raises InputError, UsageError.
+        A pipe is not opened, as it can be read only once. Raises InputError, UsageError.
         """
         known: set[object] = set()
         for path in self._paths:
@@ -196,7 +207,7 @@ class Reading:
             known.add(place)
 
     def profiles_of_logs(self) -> list[Profile]:
-        """What the logs among the files carry; a pipe is not looked into. Raises InputError."""
+        """The profiles in the logs among the files; pipes are not opened. Raises InputError."""
         profiles = []
         for path in self._paths:
             if not place_of(path)[1]:
@@ -212,12 +223,12 @@ class Reading:
     def records(self) -> Iterator[Record]:
         """Give everything, file by file."""
         for record in self._records():
-            self._found = True
+            self._has_found = True
             self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
-            if isinstance(record, WireEvent) and record.kind in _UNREAD_EVENTS:
-                self._unread = self._unread or record.message
+            if isinstance(record, WireEvent) and record.kind in _UNDECODABLE_EVENTS:
+                self._first_undecodable = self._first_undecodable or record.message
             else:
-                self._has_read = True
+                self._has_decoded = True
             yield record
 
     def _records(self) -> Iterator[Record]:
@@ -229,7 +240,7 @@ class Reading:
                     self._broken.append(error)
                     if number < len(self._paths):
                         yield from self._break_off(error)
-                self._done += 1
+                self._files_read += 1
         except InputError:
             yield from self._end_capture()
             raise
@@ -249,7 +260,7 @@ class Reading:
                 yield from self._serial_records(capture)
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
-        """A file ends before its end, and the next part may go on behind the gap."""
+        """Report a gap: this file ends early, and the next part may go on behind it."""
         is_of_packets = self._part is not None and self._part.number is None
         gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
         if self._decoder is None:
@@ -261,7 +272,7 @@ class Reading:
             yield from self._decoder.feed(gap)
 
     def _own_decoder(self) -> Decoder:
-        """For a file that says nothing of its links."""
+        """A decoder for a file that does not describe its links."""
         options = self._options
         return Decoder(
             Namer(options.assignments),
@@ -270,7 +281,7 @@ class Reading:
             ports=options.ports or (DEFAULT_PORT,),
             rtu_ports=options.rtu_ports,
             any_port=options.any_port,
-            across=True,  # Who made the file put them together.
+            across=True,  # Packets of several interfaces in one file belong together.
         )
 
     def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
@@ -280,17 +291,16 @@ class Reading:
         self.format_of = decoder.format_of
         decoder.begin_line(line.on(capture.link))
         for piece in pieces:
-            self._evidence += 1
+            self._items += 1
             yield from decoder.feed(piece)
         yield from self._end_capture()
 
     def _heard_packets(self, capture: CaptureFile) -> Iterator[Packet]:
-        """A capture's packets; those of a serial line are looked at as they pass."""
-        given = self._options.line is not None
-        serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if given else frozenset())
+        """The packets of a capture; those of a serial line are counted and checked for overlap."""
+        types = serial_types(self._options.line)
         heard: HeardLine | None = None
         for packet in capture.packets():
-            if packet.link_type in serial_types:
+            if packet.link_type in types:
                 self._serial_packets += 1
                 heard = heard or self._hear(capture)
                 for piece in serial_pieces(packet):
@@ -306,14 +316,14 @@ class Reading:
     def _demand_line_is_open(self, capture: CaptureFile) -> None:
         if capture.kind is CaptureKind.MCAP and self._options.line is not None:
             raise UsageError(
-                f"{capture.name}: a log knows its lines, so --link is not for it; "
-                "for other silences there is --t3-5 with --raw"
+                f"{capture.name}: --link is not for a log, which has the settings of its lines; "
+                "to change their silences use --raw with --t3-5"
             )
 
     def _decoded(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
-        """Decode a file, on from the one before where it is that one's next part."""
+        """Decode a file; if it is the next part, with the decoder of the file before it."""
         if not part.follows(self._part):
             yield from self._end_capture()
         self._part = part
@@ -329,21 +339,21 @@ class Reading:
             if self._decoder is None:
                 self._decoder = begin()
                 self.format_of = self._decoder.format_of
-            self._evidence += 1
+            self._items += 1
             self._seam.note(item)
             yield from self._decoder.feed(item)
 
     def _note_order(self, item: Evidence) -> None:
-        """Remember, once, that a file may be a part that was named too late."""
+        """Remember the first file that begins before the file named ahead of it ends."""
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
                 f"{self._current.name if self._current is not None else ''}: begins before "
-                f"{self.place} ends, so it is taken for another capture; "
-                "parts of one are named in the order of their times"
+                f"{self.file} ends, so it is read as another capture; "
+                "name the parts of one capture in the order of their times"
             )
 
     def _end_capture(self) -> Iterator[Record]:
-        """What comes next is another capture's; what this one has left open comes out."""
+        """End the capture: give what its decoder still holds."""
         decoder, self._decoder = self._decoder, None
         self._part, self._seam = None, Seam()
         if decoder is not None:
@@ -352,8 +362,8 @@ class Reading:
         self._enter()
 
     def _enter(self, *, is_log: bool = False) -> None:
-        """What comes next comes from the file that is open."""
-        self.place = self._current.name if self._current is not None else ""
+        """The next records come from the file that is open."""
+        self.file = self._current.name if self._current is not None else ""
         self.is_log = is_log
 
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
@@ -364,8 +374,8 @@ class Reading:
             yield from self._decoded_again(log)
         elif self._options.t1_5 is not None or self._options.t3_5 is not None:
             raise UsageError(
-                f"{capture.name}: a log gives what was decoded when it was made; "
-                "--t1-5 and --t3-5 go with --raw, which decodes it afresh"
+                f"{capture.name}: a log holds what was decoded when it was made; "
+                "--t1-5 and --t3-5 need --raw, which decodes it again"
             )
         else:
             part = Part.of_log(log)
@@ -373,7 +383,7 @@ class Reading:
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            # The log's transactions are named and timed: where these fail, only figures lack.
+            # The transactions of the log have names and times, so it can be read without these.
             with suppress(UsageError):
                 self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}
@@ -381,21 +391,21 @@ class Reading:
                 lines = serial_lines(log)
             timing = LineTiming(self.assignments)
             self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
-            yield from _renamed(log, self._options.assignments)
+            yield from log_records(log.items(), self._options.assignments)
         if not log.closed:
             end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
             end = end if log.end_ns else "holds nothing"
-            self._not_closed.append(f"{capture.name}: was not closed; it {end}")
+            self._unclosed_logs.append(f"{capture.name}: was not closed; it {end}")
 
     def _decoded_again(self, log: LogReader) -> Iterator[Record]:
-        """Decode a log's evidence afresh."""
+        """Decode the packets and bytes of a log again."""
         options = self._options
         self._ports = (
             options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,),
             options.rtu_ports or ports_of(log, RTU_PORTS),
         )
         ports, rtu_ports = self._ports
-        # What the user names stands in place of what the log says.
+        # The user's ports replace those of the log.
         self._any_port = options.any_port or (not options.ports and names_any_port(log))
         lines = serial_lines(log)
 
@@ -410,28 +420,3 @@ class Reading:
             )
 
         yield from self._decoded(log.evidence(), Part.of_log(log), begin)
-
-
-def followed(path: str, options: ReadingOptions, wait: Callable[[], bool]) -> Iterator[Record]:
-    """Read a log that is being written; `wait` says when to look again, or False to end."""
-    if path == STANDARD_INPUT:
-        raise UsageError("--follow reads a log on disk, not standard input; name the log")
-    with open_capture(path) as capture:
-        if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
-            raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
-    namer = Namer(options.assignments)
-    for item in follow(path, wait):
-        if not isinstance(item, Chunk | Packet):
-            yield _named_anew(item, namer)
-
-
-def _renamed(log: LogReader, assignments: Assignments) -> Iterator[Record]:
-    namer = Namer(assignments)
-    for item in log.items():
-        if not isinstance(item, Chunk | Packet):
-            yield _named_anew(item, namer)
-
-
-def _named_anew(item: Record, namer: Namer) -> Record:
-    """A transaction in the words of the profile that the user gives, where he gives one."""
-    return item if isinstance(item, WireEvent) else namer.rename(item)

@@ -3,70 +3,76 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import CutError, DamageError, UsageError, WireEvent
+from mbtool.core import UsageError, WireEvent
+from mbtool.devices import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.replay import TimeRange
 from mbtool.replay.damaged import DAMAGED_KINDS
+from mbtool.workflows.shared.read_all import Watch, read_all, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from mbtool.decode.decoder import Record
-    from mbtool.devices import Assignments, NamedTransaction
-
-Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
-"""Passes records on, and may show how far their reading has come."""
+    from mbtool.devices import Assignments
+    from mbtool.replay.traffic import Sample
 
 
-def unwatched(_: Reading, records: Iterator[Record]) -> Iterator[Record]:
-    return records
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlayOptions:
+    """What is played of a recording, and how fast: the same for each side."""
+
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    rate: Fraction | None = Fraction(1)
+    """Recorded seconds for each real second; None plays as fast as the link allows."""
+    window: TimeRange = field(default_factory=TimeRange)
 
 
 class Recorded(NamedTuple):
-    """What is to be played, and the devices in it."""
+    """The transactions to be played, and the profiles of their devices."""
 
     transactions: list[NamedTransaction]
     assignments: Assignments
     damage: list[WireEvent]
-    """Bytes that could not be read."""
+    """Events about damaged frames."""
 
 
 def read_recorded(
     path: str,
-    options: ReadingOptions,
-    wanted: Callable[[NamedTransaction], bool],
-    on_cut: Callable[[CutError | DamageError], None],
+    options: PlayOptions,
     on_remark: Callable[[str], None] = lambda _: None,
     watch: Watch = unwatched,
 ) -> Recorded:
     """The transactions of a capture or a log, in the order in which they ended.
 
-    Of a file that is cut or damaged what is there is given, and `on_cut` is told; `on_remark` is
-    told what else there is to know of it. Raises InputError, and UsageError for a unit that is on
-    several links.
+    `on_remark` gets a line where the file is cut or damaged; what could be read is played. Raises
+    InputError, and UsageError for a unit that is on several links.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
-    reading = Reading([path], options)
-    try:
-        for record in watch(reading, reading.records()):
-            if isinstance(record, WireEvent):
-                if record.kind in DAMAGED_KINDS:
-                    damage.append(record)
-            elif wanted(record):
-                transactions.append(record)
-    except (CutError, DamageError) as error:
-        on_cut(error)
-    for remark in reading.remarks:
-        on_remark(remark)
+    reading = Reading([path], options.reading)
+    for record in read_all(reading, on_remark, "mbtool: {error}; playing what is there", watch):
+        if isinstance(record, WireEvent):
+            if record.kind in DAMAGED_KINDS:
+                damage.append(record)
+        elif options.wanted(record):
+            transactions.append(record)
     _demand_one_slave_each(path, transactions)
     return Recorded(transactions, reading.assignments, damage)
 
 
+def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
+    """The 99th percentile of how late things were sent; None if no time was to be kept."""
+    late = sorted(sample.values)
+    return late[len(late) * 99 // 100] if late and options.rate else None
+
+
 def within(transactions: list[NamedTransaction], window: TimeRange) -> list[NamedTransaction]:
-    """Those that begin in a window, which counts from the first request."""
+    """The transactions that begin in a window, whose time counts from the first request."""
     first_ns = min(
         (one.request_ns for one in transactions if one.request_ns is not None), default=0
     )
@@ -74,14 +80,17 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """Where there is nothing to play, and what helps; for a message."""
+    """The end of the message `nothing to play ...`: where, and what the user can do."""
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"
 
 
 def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> None:
-    """A unit that several recorded slaves share could only be played as a mixture of them."""
+    """See that no unit is on several links, as one unit cannot play two slaves.
+
+    Raises UsageError.
+    """
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:
         if one.outcome not in (Outcome.BROADCAST, Outcome.UNSOLICITED):

@@ -1,17 +1,18 @@
-"""Values of a capture for a slave that repeats them."""
+"""Finds register values in a capture, for a slave that repeats them."""
 
-# A value is that which a register of the capture was last read as, or written, at the moment that
-# the slave has come to; before its first sighting, the first one. The moments count from the
-# capture's first request. Each capture is read once.
+# At each moment a register has the value that was last read from it or written to it in the
+# capture; before that, the first value that was seen. Time counts from the capture's first request.
+# Each capture is read once.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import CutError, DamageError, UsageError, WireEvent
+from mbtool.core import UsageError, WireEvent
 from mbtool.devices import write_reference
 from mbtool.modbus import Outcome
 from mbtool.replay import Recording
+from mbtool.workflows.shared.read_all import read_all
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
     from mbtool.slave.device import Course, FromCapture, Recall
 
 
-def recaller(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
-    """What finds the values of captures, and speaks of them in the words of a profile.
+def recorded_values(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
+    """A function that finds the values of a register in a capture.
 
-    `on_remark` is told what there is to know of a capture, such as that it is cut. What it returns
-    raises InputError for a file that cannot be read, UsageError for one without the value.
+    `profile` gives the register's name in errors. `on_remark` is told what a reader should know of
+    a capture, such as that it is cut. The function raises InputError for a file that cannot be
+    read, UsageError for a file without the value.
     """
     captures: dict[Path, list[NamedTransaction]] = {}
     recordings: dict[tuple[Path, str | None], Recording] = {}
@@ -48,15 +50,12 @@ def recaller(profile: Profile, on_remark: Callable[[str], None] = lambda _: None
 
 
 def _read(path: Path, on_remark: Callable[[str], None]) -> list[NamedTransaction]:
-    transactions: list[NamedTransaction] = []
     reading = Reading([str(path)], ReadingOptions(any_port=True))
-    try:
-        transactions += (each for each in reading.records() if not isinstance(each, WireEvent))
-    except (CutError, DamageError) as error:
-        on_remark(f"{error}; taking what is there")
-    for remark in reading.remarks:
-        on_remark(remark)
-    return [one for one in transactions if one.outcome is not Outcome.UNSOLICITED]
+    return [
+        record
+        for record in read_all(reading, on_remark, "{error}; taking what is there")
+        if not isinstance(record, WireEvent) and record.outcome is not Outcome.UNSOLICITED
+    ]
 
 
 def _unit(wanted: FromCapture, transactions: list[NamedTransaction]) -> int:

@@ -14,6 +14,7 @@ from mbtool.query.where import parse_where
 from mbtool.replay import ByteRun, TimeRange
 from mbtool.workflows.shared.bus_recording import MAX_PIECE, read_pieces
 from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.recorded import PlayOptions
 from tests.packets.building import Talk, pcap
 from tests.workflows.evidence import READ, VALUES, capture_file
 
@@ -44,9 +45,9 @@ def _pieces(
     told: list[str] = []
     pieces = read_pieces(
         str(path),
-        options or ReadingOptions(),
-        wanted,
-        window or TimeRange(),
+        PlayOptions(
+            reading=options or ReadingOptions(), wanted=wanted, window=window or TimeRange()
+        ),
         link or _line(),
         told.append,
     )
@@ -104,8 +105,8 @@ def test_requests_that_were_open_at_once_go_one_after_the_other(tmp_path: Path) 
 def test_unit_0_is_told_to_be_a_broadcast() -> None:
     _, told = _pieces(OURS / "fa3-at1m8x-setup.pcap")
     assert [line.partition(": ")[2] for line in told] == [
-        "unit 0 answers in it, and on a line unit 0 is a broadcast: "
-        "listeners take its answers for unasked ones"
+        "unit 0 answers in it, but on a serial line unit 0 is a broadcast: "
+        "listeners take its responses for unsolicited ones"
     ]
 
 
@@ -131,7 +132,7 @@ def test_bytes_without_times_follow_each_other_in_pieces_that_a_port_takes(tmp_p
     assert max(len(piece.data) for piece in pieces) == MAX_PIECE
     assert [piece.position_ns for piece in pieces] == [0, 256 * CHARACTER_NS, 512 * CHARACTER_NS]
     assert [line.partition(": ")[2] for line in told] == [
-        "says nothing of when its bytes came: they follow without a silence"
+        "has no times of its bytes: they are sent without a silence"
     ]
 
 
@@ -139,7 +140,7 @@ def test_an_ascii_line_is_played_on_one_only() -> None:
     path = OURS / "ascii-line.mcap"
     pieces, _ = _pieces(path, link=_line("ascii:/dev/x@9600-7E1"))
     assert pieces[0].data[:1] == b":"
-    with pytest.raises(UsageError, match=r"what was recorded; play it on ascii:/dev/x@9600-7E1"):
+    with pytest.raises(UsageError, match=r"was recorded as .*; play it on ascii:/dev/x@9600-7E1"):
         _pieces(path)
 
 
@@ -154,7 +155,9 @@ def test_of_several_lines_one_is_to_be_chosen(tmp_path: Path) -> None:
 def test_a_line_from_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with (OURS / "torn-and-glued-frames.mcap").open("rb") as stream:
         monkeypatch.setattr("sys.stdin", _Standard(stream))
-        with pytest.raises(UsageError, match="bytes of a line are read twice; name a file"):
+        with pytest.raises(
+            UsageError, match="a recording of a serial line is read twice; name a file"
+        ):
             _pieces(Path("-"))
 
 

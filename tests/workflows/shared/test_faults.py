@@ -44,7 +44,7 @@ def test_registers_are_written_as_the_profile_does(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "link", "reason"),
     [
-        ("bad-crc", TCP, "Modbus/TCP has no checksum; truncated or extra-bytes"),
+        ("bad-crc", TCP, "Modbus/TCP has no checksum; use truncated or extra-bytes"),
         ("wrong-id", LINE, "only Modbus/TCP has transaction ids"),
         ("wrong-id", RTU_TCP, "only Modbus/TCP has transaction ids"),
         ("close", LINE, "a serial line has no connection to end"),

@@ -23,7 +23,8 @@ from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment, profile_to_json
 from mbtool.logs import LogWriter
 from mbtool.logs.layout import Opcode
-from mbtool.workflows.shared.reading import Reading, ReadingOptions, followed
+from mbtool.workflows.shared.log_records import followed
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.logs.samples import changed, records_of
 from tests.packets.building import Pcapng, packet, pcap
 from tests.workflows.evidence import (
@@ -380,7 +381,7 @@ class _Growing:
 def test_follows_a_log_until_it_is_closed_or_nobody_waits(tmp_path: Path, closes: bool) -> None:
     path = tmp_path / "a.mcap"
     growing = _Growing(path, 3, closes=closes)
-    records = list(followed(str(path), ReadingOptions(), growing.wait))
+    records = list(followed(str(path), Assignments(), growing.wait))
     growing.close()
     assert len(records) == 3
 
@@ -389,7 +390,7 @@ def test_follows_in_the_words_of_a_given_profile(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     growing = _Growing(path, 1, closes=True)
     options = ReadingOptions(assignments=_devices("1=idec-ft1a-touch"))
-    (one,) = followed(str(path), options, growing.wait)
+    (one,) = followed(str(path), options.assignments, growing.wait)
     assert isinstance(one, NamedTransaction)
     assert one.reference == "HR400001..400002"
 
@@ -404,11 +405,11 @@ def test_only_a_log_on_disk_can_be_followed(tmp_path: Path) -> None:
     packed = tmp_path / "a.mcap.gz"
     packed.write_bytes(gzip.compress(_serial_log(tmp_path / "a.mcap").read_bytes()))
     with pytest.raises(UsageError, match=r"a\.pcap: not a log"):
-        next(followed(str(path), ReadingOptions(), _never))
+        next(followed(str(path), Assignments(), _never))
     with pytest.raises(UsageError, match="name the log"):
-        next(followed("-", ReadingOptions(), _never))
+        next(followed("-", Assignments(), _never))
     with pytest.raises(UsageError, match=r"a\.mcap\.gz: not a log \(\.mcap\); only a plain one"):
-        next(followed(str(packed), ReadingOptions(), _never))
+        next(followed(str(packed), Assignments(), _never))
 
 
 def test_events_of_a_log_come_in_their_place(tmp_path: Path) -> None:
@@ -608,5 +609,5 @@ def test_a_log_knows_its_lines(tmp_path: Path, raw: bool) -> None:
     path = _serial_log(tmp_path / "a.mcap")
     reading = Reading([str(path)], ReadingOptions(line=RTU, raw=raw))
     for look in (reading.demand_files, lambda: list(reading.records())):
-        with pytest.raises(UsageError, match=r"a log knows its lines.*--t3-5 with --raw"):
+        with pytest.raises(UsageError, match=r"--link is not for a log.*--raw with --t3-5"):
             look()

@@ -13,7 +13,7 @@ from mbtool.devices import Namer, load_profile
 from mbtool.logs import LogWriter
 from mbtool.modbus import Table
 from mbtool.slave.device import FromCapture
-from mbtool.workflows.shared.recorded_values import recaller
+from mbtool.workflows.shared.recorded_values import recorded_values
 from tests.workflows.evidence import LINE, MS, capture_file, heard
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def _wanted(path: Path) -> FromCapture:
 
 
 def test_a_value_is_what_was_last_seen_at_that_moment(tmp_path: Path) -> None:
-    course = recaller(TOUCH)(_wanted(_log(tmp_path / "a.mcap")))
+    course = recorded_values(TOUCH)(_wanted(_log(tmp_path / "a.mcap")))
     assert [course(round(second * S)) for second in (0, 0.9, 1.1, 2.5, 3)] == [
         [10],
         [10],
@@ -65,7 +65,7 @@ def test_a_value_is_what_was_last_seen_at_that_moment(tmp_path: Path) -> None:
 
 def test_it_begins_again_or_stays_and_goes_faster(tmp_path: Path) -> None:
     wanted = _wanted(_log(tmp_path / "a.mcap"))
-    recall = recaller(TOUCH)
+    recall = recorded_values(TOUCH)
     assert recall(wanted)(4 * S) == [10]
     assert recall(replace(wanted, loop=False))(1000 * S) == [13]
     assert recall(replace(wanted, speed=2.0))(round(1.25 * S)) == [12]
@@ -73,12 +73,12 @@ def test_it_begins_again_or_stays_and_goes_faster(tmp_path: Path) -> None:
 
 def test_several_registers_are_taken_together(tmp_path: Path) -> None:
     wanted = replace(_wanted(_log(tmp_path / "a.mcap")), address=0, words=2)
-    assert recaller(TOUCH)(wanted)(2 * S + 500 * MS) == [0x1234, 12]
+    assert recorded_values(TOUCH)(wanted)(2 * S + 500 * MS) == [0x1234, 12]
 
 
 def test_which_unit_and_which_link_must_be_said_where_there_are_several(tmp_path: Path) -> None:
     wanted = _wanted(_log(tmp_path / "a.mcap", (1, 2), ("left", "right")))
-    recall = recaller(TOUCH)
+    recall = recorded_values(TOUCH)
     with pytest.raises(UsageError, match=r"a\.mcap has the units 1, 2; write one, as unit = 1"):
         recall(wanted)
     with pytest.raises(UsageError, match="has unit 2 on left, right; write one, as link = 'left'"):
@@ -88,7 +88,7 @@ def test_which_unit_and_which_link_must_be_said_where_there_are_several(tmp_path
 
 def test_what_a_capture_does_not_hold_is_refused(tmp_path: Path) -> None:
     wanted = _wanted(_log(tmp_path / "a.mcap"))
-    recall = recaller(TOUCH)
+    recall = recorded_values(TOUCH)
     with pytest.raises(UsageError, match=r"a\.mcap holds no value of HR400008 of unit 1"):
         recall(replace(wanted, address=7))
     with pytest.raises(UsageError, match="holds no value of HR400002 of unit 9"):
@@ -101,7 +101,7 @@ def test_of_a_cut_capture_what_is_there_is_taken(tmp_path: Path) -> None:
     path = tmp_path / "cut.pcap"
     path.write_bytes(capture_file()[:-1])
     told: list[str] = []
-    course = recaller(TOUCH, told.append)(_wanted(path))
+    course = recorded_values(TOUCH, told.append)(_wanted(path))
     assert course(0) == [0x5678]
     assert len(told) == 1
     assert told[0].endswith("; taking what is there")

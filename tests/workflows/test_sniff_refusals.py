@@ -7,7 +7,7 @@ import pytest
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus import Outcome
-from mbtool.workflows.refusals import MAX_REASONS, Refusals
+from mbtool.workflows.sniff import MAX_REASONS, Refusals
 from tests.devices.transactions import transaction
 
 LINK = "10.0.0.9"

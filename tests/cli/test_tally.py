@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from mbtool.cli.output import Tally
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome, Verdict
-from mbtool.workflows.shared.tally import Tally
 from tests.logs.samples import transaction
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink, parse_link
 from mbtool.modbus import ascii_adu, rtu_adu
-from mbtool.workflows.settling import settled
+from mbtool.workflows.sniff import with_settings
 from tests.workflows.evidence import READ
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def test_a_line_is_settled_and_it_is_said(pty: tuple[int, str], ascii_: bool) ->
     master.start()
     try:
         other = parse_link("tcp:127.0.0.1:1502")
-        links = settled([other, AutoLink((port,))], said.append)
+        links = with_settings([other, AutoLink((port,))], said.append)
     finally:
         done.set()
         master.join()
@@ -59,4 +59,4 @@ def test_a_line_is_settled_and_it_is_said(pty: tuple[int, str], ascii_: bool) ->
 
 def test_a_port_that_is_not_there_is_said_like_any(pty: tuple[int, str]) -> None:
     with pytest.raises(LinkError, match="serial port /dev/tty-no: is not there"):
-        settled([AutoLink(("/dev/tty-no",))], lambda _: None)
+        with_settings([AutoLink(("/dev/tty-no",))], lambda _: None)

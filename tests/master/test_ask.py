@@ -1,4 +1,4 @@
-"""Masters that ask one request at a time."""
+"""Masters that send one request and wait for its response."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink
-from mbtool.master import poll as asking
-from mbtool.master.poll import Poller, TcpPoller
+from mbtool.master.links import open_master
 from mbtool.modbus import Response, mbap_adu
 from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
@@ -20,6 +19,8 @@ from tests.workflows.evidence import READ, VALUES, WRITE
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+SHORT_NS = 200_000_000
 
 
 def _only_writes(unit: int, pdu: bytes) -> Response | None:
@@ -32,31 +33,25 @@ def _device(unit: int, pdu: bytes) -> Response | None:
 
 def test_asks_over_tcp() -> None:
     script = Scripted(lambda _unit, _pdu: Response(VALUES))
-    with TcpSlave(TcpLink(ANY), script) as slave, TcpPoller(slave.endpoint) as master:
+    with TcpSlave(TcpLink(ANY), script) as slave, open_master(TcpLink(slave.endpoint)) as master:
         assert master.ask(1, READ) == VALUES
         assert master.ask(5, READ) == VALUES
     assert script.asked == [(1, READ), (5, READ)]
 
 
-def test_silence_over_tcp_is_no_answer_and_a_late_one_is_not_the_next_ones(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(asking, "TIMEOUT_S", 1.0)
+def test_no_response_over_tcp_gives_none_and_a_late_response_is_not_taken_for_the_next() -> None:
     with (
         TcpSlave(TcpLink(ANY), Scripted(_only_writes)) as slave,
-        TcpPoller(slave.endpoint) as master,
+        open_master(TcpLink(slave.endpoint), SHORT_NS) as master,
     ):
         assert master.ask(1, READ) is None
         assert master.ask(1, WRITE) == WRITE
 
 
-def test_a_closed_connection_is_no_answer_and_is_opened_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(asking, "TIMEOUT_S", 0.2)
+def test_a_closed_connection_gives_none_and_is_opened_again() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        TcpPoller(Endpoint("127.0.0.1", server.getsockname()[1])) as master,
+        open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1])), SHORT_NS) as master,
     ):
         server.accept()[0].close()
         assert master.ask(1, READ) is None
@@ -68,30 +63,29 @@ def test_a_closed_connection_is_no_answer_and_is_opened_again(
             assert answer.result(PATIENCE_S) is None
 
 
-def test_says_whom_it_cannot_reach() -> None:
+def test_the_error_names_the_slave_that_cannot_be_reached() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(LinkError, match=f"127.0.0.1:{port}: cannot be reached"):
-        TcpPoller(Endpoint("127.0.0.1", port))
+        open_master(TcpLink(Endpoint("127.0.0.1", port)))
 
 
 def test_asks_on_a_serial_line() -> None:
     with VirtualLine(ends=2, format=FAST) as line:
         slave, master = (SerialLink(port, FAST) for port in line.ports)
-        with SerialSlave(slave, Scripted(_device)), Poller(master) as rtu:
+        with SerialSlave(slave, Scripted(_device)), open_master(master) as rtu:
             assert rtu.ask(1, WRITE) == WRITE
             assert rtu.ask(2, READ) == VALUES
 
 
-def test_silence_on_a_serial_line_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(asking, "TIMEOUT_S", 0.2)
+def test_no_response_on_a_serial_line_gives_none() -> None:
     with (
         VirtualLine(ends=2, format=FAST) as line,
-        Poller(SerialLink(line.ports[1], FAST)) as rtu,
+        open_master(SerialLink(line.ports[1], FAST), SHORT_NS) as rtu,
     ):
         assert rtu.ask(1, READ) is None
 
 
 def test_a_port_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="absent: is not there"):
-        Poller(SerialLink(str(tmp_path / "absent"), FAST))
+        open_master(SerialLink(str(tmp_path / "absent"), FAST))

@@ -1,0 +1,60 @@
+"""Lets a command take several of its options as one object."""
+
+# typer makes an option of each parameter of a function. A parameter whose type is a subclass of
+# OptionGroup stands for the fields of that class, in their order: each field becomes an option, and
+# the command gets an object that holds their values.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@dataclass(frozen=True, slots=True)
+class OptionGroup:
+    """Base of the groups. Each field of a subclass is typed as a parameter of a command would be.
+
+    Every field has a default.
+    """
+
+
+def takes_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """The same command, with an option in place of each field of its groups."""
+    types = get_type_hints(command, include_extras=True)
+    groups: dict[str, type[OptionGroup]] = {}
+    parameters: list[Parameter] = []
+    for parameter in signature(command).parameters.values():
+        type_ = types[parameter.name]
+        if isinstance(type_, type) and issubclass(type_, OptionGroup):
+            groups[parameter.name] = type_
+            parameters += _parameters_of(type_)
+        else:
+            parameters.append(parameter.replace(annotation=type_, kind=Parameter.KEYWORD_ONLY))
+
+    @wraps(command)
+    def ungrouped(**values: Any) -> None:
+        objects = {
+            name: group(**{field.name: values.pop(field.name) for field in fields(group)})
+            for name, group in groups.items()
+        }
+        command(**values, **objects)
+
+    # typer reads the signature, and looks up annotations only if the function has any.
+    ungrouped.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    ungrouped.__annotations__ = {}
+    return ungrouped
+
+
+def _parameters_of(group: type[OptionGroup]) -> list[Parameter]:
+    types = get_type_hints(group, include_extras=True)
+    return [
+        Parameter(
+            field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=types[field.name]
+        )
+        for field in fields(group)
+    ]

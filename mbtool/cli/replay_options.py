@@ -1,0 +1,324 @@
+"""The options of `mbtool replay`: for each side that can be played, and what all sides share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from mbtool.cli.option_groups import OptionGroup
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from fractions import Fraction
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.replay import TimeRange
+    from mbtool.workflows.replay_bus import BusOptions
+    from mbtool.workflows.replay_master import MasterOptions
+    from mbtool.workflows.replay_slave import SlaveOptions
+    from mbtool.workflows.shared.reading import ReadingOptions
+
+AS_SLAVE, AS_MASTER, AS_BUS = "--as-slave", "--as-master", "--as-bus"
+
+_MAX_S = 1e9
+"""The largest --start and --end in seconds: 31 years."""
+_MAX_SPEED_CHARACTERS = 20
+"""Times are divided by the speed, exactly; a longer number would make that slow."""
+
+
+# The values of replay.MatchStrategy, OnMiss and OnEnd. To import those would make --help slow.
+MatchChoice = Literal["auto", "sequence", "key", "time", "image"]
+MissChoice = Literal["image", "exception", "silent"]
+EndChoice = Literal["last", "loop", "image", "silent"]
+
+
+@dataclass(frozen=True, slots=True)
+class SideOptions(OptionGroup):
+    """Which side is played, and on which link."""
+
+    as_slave: Annotated[
+        bool, typer.Option(AS_SLAVE, help="Answer a live master as the recorded slaves did.")
+    ] = False
+    as_master: Annotated[
+        bool,
+        typer.Option(
+            AS_MASTER, help="Ask a live slave what was recorded, and compare its answers."
+        ),
+    ] = False
+    as_bus: Annotated[
+        bool,
+        typer.Option(
+            AS_BUS, help="Send every byte of both sides, with its timing, to a serial line."
+        ),
+    ] = False
+    on: Annotated[
+        str | None,
+        typer.Option(
+            "--on",
+            metavar="LINK",
+            help="Where to answer as the slave: rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, "
+            "tcp:HOST:PORT or rtu+tcp:HOST:PORT; as the bus: one of the first two.",
+        ),
+    ] = None
+    to: Annotated[
+        str | None,
+        typer.Option("--to", metavar="LINK", help="Where the slave is that is asked, likewise."),
+    ] = None
+
+    def side_and_link(self) -> tuple[str, str]:
+        """The one side that is chosen, and the text of its link. Raises UsageError."""
+        from mbtool.core import UsageError
+
+        chosen = {AS_SLAVE: self.as_slave, AS_MASTER: self.as_master, AS_BUS: self.as_bus}
+        sides = [side for side, is_chosen in chosen.items() if is_chosen]
+        if len(sides) != 1:
+            raise UsageError(
+                "say which side to play: --as-slave --on LINK, --as-master --to LINK, "
+                "or --as-bus --on LINK"
+            )
+        (side,) = sides
+        links = {"--on": self.on, "--to": self.to}
+        needed = "--to" if side == AS_MASTER else "--on"
+        link = links.pop(needed)
+        if link is None or any(other is not None for other in links.values()):
+            raise UsageError(f"{side} goes with {needed} LINK")
+        return side, link
+
+
+@dataclass(frozen=True, slots=True)
+class AsSlaveOptions(OptionGroup):
+    """Options for --as-slave only."""
+
+    match: Annotated[
+        MatchChoice,
+        typer.Option(
+            "--match",
+            help="As the slave: how the answer to a request is found. key: the next one to the "
+            "same request; sequence: the recording's exact order; time: the one nearest to the "
+            "recording's clock; image: from the registers as they were at that moment; auto: by "
+            "key, else from the registers, else by the device's profile.",
+        ),
+    ] = "auto"
+    on_miss: Annotated[
+        MissChoice,
+        typer.Option(
+            "--on-miss",
+            help="What a request gets that was never recorded: an answer from the registers as "
+            "they were at that moment of the recording, an exception, or silence.",
+        ),
+    ] = "image"
+    on_end: Annotated[
+        EndChoice | None,
+        typer.Option(
+            "--on-end",
+            help="What a request gets when its recorded answers are over: the last one again, the "
+            "first and so on, the registers as they were last, or silence. [default: last]",
+        ),
+    ] = None
+    latency: Annotated[
+        str,
+        typer.Option(
+            "--latency",
+            metavar="recorded|none|sampled|5ms",
+            help="As the slave: how long answers take; sampled draws from the recorded ones.",
+        ),
+    ] = "recorded"
+    faults_as_recorded: Annotated[
+        bool,
+        typer.Option(
+            "--faults-as-recorded",
+            help="As the slave: also answer with a wrong check or in part where that was so.",
+        ),
+    ] = False
+    fault: Annotated[
+        Path | None,
+        typer.Option(
+            "--fault", metavar="FILE.toml", help="As the slave: spoil answers; docs/faults.md."
+        ),
+    ] = None
+
+    def read(self, shared: dict[str, Any], *, is_loop: bool) -> SlaveOptions:
+        """Raises UsageError."""
+        from mbtool.replay import MatchStrategy, OnEnd, OnMiss
+        from mbtool.workflows.replay_slave import SlaveOptions
+
+        return SlaveOptions(
+            **shared,
+            match=MatchStrategy(self.match),
+            on_miss=OnMiss(self.on_miss),
+            on_end=OnEnd(self._end(is_loop=is_loop)),
+            latency=self.latency,
+            with_damage=self.faults_as_recorded,
+            fault_file=self.fault,
+        )
+
+    def _end(self, *, is_loop: bool) -> EndChoice:
+        from mbtool.core import UsageError
+
+        if is_loop and self.on_end not in (None, "loop"):
+            raise UsageError(f"--loop is --on-end loop; leave it out for --on-end {self.on_end}")
+        return "loop" if is_loop else self.on_end or "last"
+
+
+@dataclass(frozen=True, slots=True)
+class PaceOptions(OptionGroup):
+    """Options for every side: how fast, how often, and which part of the recording."""
+
+    speed: Annotated[
+        str,
+        typer.Option(
+            "--speed",
+            metavar="FACTOR|max",
+            help="How fast: recorded times and latencies are divided by this; max leaves them out.",
+        ),
+    ] = "1.0"
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Again from the beginning, until Ctrl-C.")
+    ] = False
+    start: Annotated[
+        float, typer.Option("--start", metavar="S", help="Where to begin, in seconds of it.")
+    ] = 0.0
+    end: Annotated[
+        float | None, typer.Option("--end", metavar="S", help="Where to end, likewise.")
+    ] = None
+
+    def shared(
+        self, reading: ReadingOptions, wanted: Callable[[NamedTransaction], bool]
+    ) -> dict[str, Any]:
+        """The fields of PlayOptions. Raises UsageError."""
+        return {
+            "reading": reading,
+            "wanted": wanted,
+            "rate": self._rate(),
+            "window": self._window(),
+        }
+
+    def as_bus(self, shared: dict[str, Any]) -> BusOptions:
+        from mbtool.workflows.replay_bus import BusOptions
+
+        return BusOptions(**shared, is_loop=self.loop)
+
+    def _rate(self) -> Fraction | None:
+        from fractions import Fraction
+
+        from mbtool.core import UsageError
+
+        if self.speed == "max":
+            return None
+        try:
+            rate = Fraction(self.speed)
+        except (ValueError, ZeroDivisionError):
+            rate = Fraction(0)
+        if rate <= 0 or len(self.speed) > _MAX_SPEED_CHARACTERS:
+            raise UsageError(f"--speed {self.speed!r}: write a factor more than 0, or max")
+        return rate
+
+    def _window(self) -> TimeRange:
+        from mbtool.core import UsageError
+        from mbtool.replay import TimeRange
+
+        for option, seconds in (("--start", self.start), ("--end", self.end)):
+            if seconds is not None and not 0 <= seconds <= _MAX_S:  # NaN is outside, too.
+                raise UsageError(f"{option} {seconds:g}: write seconds, such as 2.5")
+        if self.end is not None and self.end <= self.start:
+            raise UsageError(f"--end {self.end:g}: is not after --start {self.start:g}")
+        end_ns = None if self.end is None else round(self.end * 1e9)
+        return TimeRange(round(self.start * 1e9), end_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class AsMasterOptions(OptionGroup):
+    """Options for --as-master only."""
+
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--ignore",
+            metavar="RANGE",
+            help="As the master: registers whose values may differ, HR400010..400020 as the "
+            "device's manual writes them, or 'holding 9..19'. Repeatable.",
+        ),
+    ] = None
+    ignore_from: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--ignore-from", metavar="FILE", help="The same, from a file with a range in each line."
+        ),
+    ] = None
+    learn: Annotated[
+        Path | None,
+        typer.Option(
+            "--learn",
+            metavar="FILE",
+            help="As the master: take registers that differ for ones that may, and add them to "
+            "FILE for --ignore-from.",
+        ),
+    ] = None
+    timeout: Annotated[
+        float,
+        typer.Option(
+            "--timeout",
+            metavar="S",
+            min=0.001,
+            max=3600,
+            help="As the master: how long to wait for an answer, in seconds.",
+        ),
+    ] = 1.0
+    latency_tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--latency-tolerance",
+            metavar="PERCENT",
+            min=0,
+            max=100_000,
+            help="As the master: how much longer than recorded answers may take (median and 95th "
+            "percentile). [default: any time]",
+        ),
+    ] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="FILE",
+            help="As the master: write what differs, .json or JUnit .xml.",
+        ),
+    ] = None
+
+    def read(self, shared: dict[str, Any], *, is_loop: bool) -> MasterOptions:
+        """Raises InputError for a file of ranges that cannot be read."""
+        from mbtool.cli.replay_master import ranges_of
+        from mbtool.replay import Tolerance
+        from mbtool.workflows.replay_master import MasterOptions
+
+        tolerance = None
+        if self.latency_tolerance is not None:
+            tolerance = Tolerance(share=self.latency_tolerance / 100)
+        return MasterOptions(
+            **shared,
+            is_loop=is_loop,
+            timeout_ns=round(self.timeout * 1e9),
+            ignore=[*(self.ignore or ()), *ranges_of(self.ignore_from or ())],
+            learns=self.learn is not None,
+            tolerance=tolerance,
+        )
+
+
+_SIDE_OF_OPTION = {
+    **dict.fromkeys([field.name for field in fields(AsSlaveOptions)], AS_SLAVE),
+    "allow": AS_SLAVE,
+    **dict.fromkeys([field.name for field in fields(AsMasterOptions)], AS_MASTER),
+}
+"""The side that an option is for, by the option's parameter."""
+
+
+def demand_side(context: typer.Context, side: str) -> None:
+    """See that no option is given that is for another side only. Raises UsageError."""
+    from mbtool.core import UsageError
+
+    for name, only in _SIDE_OF_OPTION.items():
+        source = context.get_parameter_source(name)
+        if only != side and source is not None and source.name == "COMMANDLINE":
+            raise UsageError(f"--{name.replace('_', '-')} goes with {only}, not {side}")

@@ -1,0 +1,28 @@
+"""Reads the numbers that a user writes, such as units and TCP ports."""
+
+from __future__ import annotations
+
+from mbtool.core.errors import UsageError
+
+UNITS = range(0x100)
+"""All that the unit's byte can hold. Serial lines use 0 to 247; Modbus/TCP also has 255."""
+
+
+def parse_unit(text: str, where: str, others: str = "") -> int:
+    """Read a unit number; the arguments are those of parse_number. Raises UsageError."""
+    return parse_number(text, "unit", UNITS, where, others)
+
+
+def parse_number(text: str, what: str, allowed: range, where: str, others: str = "") -> int:
+    """Read a decimal number of ASCII digits.
+
+    `what` names the number in an error, `where` says which option or text it is part of, and
+    `others` what else can be written there. Raises UsageError.
+    """
+    is_short = len(text) <= len(str(allowed.stop))
+    if text.isascii() and text.isdecimal() and is_short and int(text) in allowed:
+        return int(text)
+    raise UsageError(
+        f"{where}: {text!r} is no {what}; write a number from {allowed.start} to "
+        f"{allowed.stop - 1}{others}"
+    )

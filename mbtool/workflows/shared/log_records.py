@@ -1,0 +1,45 @@
+"""The records of a log as they were decoded when it was made, named by today's profiles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Chunk, Packet, UsageError, WireEvent
+from mbtool.devices import Namer
+from mbtool.logs import follow
+from mbtool.sources.files import STANDARD_INPUT, CaptureKind, open_capture
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import Assignments
+
+
+def log_records(
+    items: Iterable[Record | Chunk | Packet], assignments: Assignments
+) -> Iterator[Record]:
+    """The transactions and events among a log's items.
+
+    A transaction that the user has assigned a profile to is named by it.
+    """
+    namer = Namer(assignments)
+    for item in items:
+        if isinstance(item, WireEvent):
+            yield item
+        elif not isinstance(item, Chunk | Packet):
+            yield namer.rename(item)
+
+
+def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> Iterator[Record]:
+    """Read a log that is being written.
+
+    `wait` is called at the end of what is written; it returns True to look again, False to end.
+    Raises UsageError, InputError.
+    """
+    if path == STANDARD_INPUT:
+        raise UsageError("--follow reads a log on disk, not standard input; name the log")
+    with open_capture(path) as capture:
+        if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
+            raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
+    yield from log_records(follow(path, wait), assignments)
