@@ -81,7 +81,7 @@ def _latency_ns(request: Adu, response: Adu) -> int | None:
 
 
 def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
-    """A request that nobody answered."""
+    """A request without a response."""
     return _alone(ends, request, Outcome.NO_ANSWER, retries)
 
 

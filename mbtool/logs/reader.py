@@ -124,7 +124,7 @@ class LogReader(ClosesOnExit):
     def _read_header(self, name: str) -> None:
         record = self._records.read()
         if record.opcode != Opcode.HEADER:
-            raise self._records.damaged(record.offset, "no header where it must stand")
+            raise self._records.damaged(record.offset, "the header record is missing")
         header = self._records.parse(record, Header.read)
         if header.profile != PROFILE:
             raise InputError(
@@ -248,13 +248,13 @@ class LogReader(ClosesOnExit):
 
     def _decode(self, record: McapRecord, wanted: frozenset[str] | set[str]) -> Iterator[LogItem]:
         if len(record.content) < MESSAGE_HEAD.size:
-            raise self._records.damaged(record.offset, "a message without a head")
+            raise self._records.damaged(record.offset, "a message shorter than its header")
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(record.content)
         data = record.content[MESSAGE_HEAD.size :]
         schema = self._channels.get(channel_id)
         if schema is None:
             if not self._damage:
-                what = f"a message of no channel ({channel_id})"
+                what = f"a message of an unknown channel ({channel_id})"
                 self._damage.add(self._records.damaged(record.offset, what))
             schema = self._channels[channel_id] = self._schema_of(data)
         if schema not in wanted:

@@ -72,7 +72,7 @@ class RecordStream:
             raise InputError(f"{self._name}: the file is empty")
         if not MAGIC.startswith(magic):
             if at == 0:
-                raise InputError(f"{self._name}: no MCAP file, so no log")
+                raise InputError(f"{self._name}: not an MCAP file, so not a log")
             raise self.damaged(at, "the file does not end as an MCAP file does")
         if len(magic) < len(MAGIC):
             raise self._cut(at)
@@ -85,7 +85,7 @@ class RecordStream:
         if length > MAX_RECORD:
             raise self.damaged(
                 offset,
-                f"a record of {length} bytes; {MAX_RECORD} is the most, and what follows is lost",
+                f"a record of {length} bytes; {MAX_RECORD} is the maximum, and the rest is lost",
             )
         return McapRecord(offset, opcode, self._read(length, offset))
 
@@ -93,7 +93,7 @@ class RecordStream:
         """Raise DamageError if the bytes before a DataEnd, just read, do not match its CRC."""
         expected = self._unpack(_DATA_END, data_end)[0]
         if expected not in (0, self._crc_before):
-            raise self.damaged(data_end.offset, "the bytes before are not those that were written")
+            raise self.damaged(data_end.offset, "the CRC of the data section does not match")
 
     def seek(self, offset: int) -> None:
         """Go back to an offset, to read what was written there meanwhile."""
@@ -169,15 +169,15 @@ class RecordStream:
 
 def _decompress(chunk: Chunk) -> bytes:
     if chunk.uncompressed_size > MAX_RECORD:
-        raise ValueError(f"{chunk.uncompressed_size} bytes; {MAX_RECORD} is the most")
+        raise ValueError(f"{chunk.uncompressed_size} bytes; {MAX_RECORD} is the maximum")
     if chunk.compression == "":
         return chunk.data
     if chunk.compression != "zstd":
-        raise ValueError(f"it is packed with {chunk.compression!r}; zstd would be right")
+        raise ValueError(f"its compression is {chunk.compression!r}, not zstd")
     # zstd unpacks a frame that states its own size to that size, regardless of the limit.
     stated = zstandard.get_frame_parameters(chunk.data).content_size
     if stated not in (0, zstandard.CONTENTSIZE_UNKNOWN, chunk.uncompressed_size):
-        raise ValueError("its size is not what its record says")
+        raise ValueError("its frame states another size than its record")
     return zstandard.ZstdDecompressor().decompress(
         chunk.data, max_output_size=chunk.uncompressed_size
     )

@@ -56,7 +56,7 @@ def parse_where(text: str) -> Where:
             warnings.simplefilter("ignore")  # Python warns of "\d", which is a valid text here.
             tree = ast.parse(text, mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise UsageError(f"--where {_short(text)!r} is no expression; {_EXAMPLE}") from error
+        raise UsageError(f"--where {_short(text)!r} is not an expression; {_EXAMPLE}") from error
     return _Compiler(text).condition(tree.body, MAX_DEPTH)
 
 

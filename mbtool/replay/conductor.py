@@ -46,7 +46,7 @@ class _SentRequest:
 
 
 class Conductor:
-    """Plays a script once, or in a loop until it is told to end."""
+    """Plays a script once, or in a loop without end."""
 
     def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
         self._queue = PlayQueue(script.steps, clock)

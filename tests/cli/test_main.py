@@ -93,7 +93,10 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["decode", "a", "--format", "xml"], "'xml' is not one of 'table', 'jsonl', 'csv'"),
         (["decode", "a", "--limit", "0"], "greater than or equal to 1; see mbtool decode"),
         (["decode", "a", "--port", "70000"], "Invalid value for '--port'"),
-        (["decode", "a", "--where", "unit ="], "--where 'unit =' is no expression; for example"),
+        (
+            ["decode", "a", "--where", "unit ="],
+            "--where 'unit =' is not an expression; for example",
+        ),
         (["decode", "a", "--device", "5"], "device '5': write WHO=PROFILE, for example"),
         (["decode", "a", "--device", "x=fa3-at1m8x"], "device 'x': WHO is 5, "),
         (["decode", "a", "--device", "5=pump"], "profile 'pump'"),

@@ -186,7 +186,7 @@ def test_a_device_is_no_log(bench: Bench, mbtool: CommandLine) -> None:
     told = mbtool("sniff", bench.tap(), "-w", "/dev/full", "--overwrite", "--duration", 0)
     assert told.code == exit_codes.USAGE
     assert told.err == (
-        "mbtool: /dev/full: no regular file, so no log can be kept in it; name another\n"
+        "mbtool: /dev/full: not a regular file, so it cannot hold a log; name another\n"
     )
     assert Path("/dev/full").is_char_device()
 

@@ -63,7 +63,7 @@ def test_a_path_can_be_checked_before(tmp_path: Path) -> None:
 def test_a_pipe_is_refused_and_stays(tmp_path: Path, replace: bool) -> None:
     path = tmp_path / "x.mcap"
     os.mkfifo(path)
-    with pytest.raises(UsageError, match="no regular file, so no log can be kept in it"):
+    with pytest.raises(UsageError, match="not a regular file, so it cannot hold a log"):
         create_file(path, replace=replace)
     assert stat.S_ISFIFO(path.stat().st_mode)
 
@@ -74,7 +74,7 @@ def test_a_device_is_refused_and_stays_through_a_link_too(tmp_path: Path, replac
     link = tmp_path / "x.mcap"
     link.symlink_to("/dev/full")
     for path in (Path("/dev/full"), link):
-        with pytest.raises(UsageError, match=f"^{path}: no regular file"):
+        with pytest.raises(UsageError, match=f"^{path}: not a regular file"):
             create_file(path, replace=replace)
     assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
     assert link.is_symlink()

@@ -195,7 +195,7 @@ def test_damage_between_the_records_of_items_costs_none(tmp_path: Path) -> None:
     found, error = read(changed(data, offset + 9 + size - 1))
     assert found == whole
     assert isinstance(error, DamageError)
-    assert "the bytes before are not those that were written" in str(error)
+    assert "the CRC of the data section does not match" in str(error)
 
 
 def test_a_damaged_and_truncated_log_reports_both(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_a_log_with_a_damaged_length_ends_there_with_an_error(tmp_path: Path) ->
     found, error = read(changed(data, offset + 8))
     assert found == whole[:2]
     assert isinstance(error, DamageError)
-    assert str(error).endswith("is the most, and what follows is lost")
+    assert str(error).endswith("is the maximum, and the rest is lost")
 
 
 def test_following_goes_on_behind_damage(tmp_path: Path) -> None:
@@ -290,7 +290,7 @@ def test_a_message_without_a_channel_is_damage() -> None:
     writer.start(profile="mbtool")
     writer.add_message(5, 1, b"{}", 1)
     writer.finish()  # type: ignore[no-untyped-call]
-    assert "a message of no channel (5)" in str(read(stream.getvalue())[1])
+    assert "a message of an unknown channel (5)" in str(read(stream.getvalue())[1])
 
 
 @pytest.mark.parametrize("name", ["absent.mcap", "a\0b"])

@@ -145,11 +145,11 @@ def test_a_comparison_that_can_be_true_is_accepted(expression: str) -> None:
 @pytest.mark.parametrize(
     ("expression", "problem"),
     [
-        ("", "--where '' is no expression"),
-        ("unit =", "--where 'unit =' is no expression"),
-        ("unit = 5", "--where 'unit = 5' is no expression"),
-        ("unit == 5 and", "--where 'unit == 5 and' is no expression"),
-        ("unit == 1\0", "is no expression"),
+        ("", "--where '' is not an expression"),
+        ("unit =", "--where 'unit =' is not an expression"),
+        ("unit = 5", "--where 'unit = 5' is not an expression"),
+        ("unit == 5 and", "--where 'unit == 5 and' is not an expression"),
+        ("unit == 1\0", "is not an expression"),
         ("unit", "'unit' is not a comparison"),
         ("unit + 1", "'unit + 1' is not a comparison"),
         ("print(unit)", "'print(unit)' is not a comparison"),
