@@ -5,11 +5,22 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: help install demo test lint test-peers truth format clean
+# Many tests wait for a time or for another process, so two run for each core. `make test WORKERS=1` is
+# for a machine with little memory: each takes about 250 MB.
+WORKERS ?= $(shell $(PYTHON) -c 'import os; print(2 * (os.cpu_count() or 1))')
+IN_PARALLEL := --numprocesses $(WORKERS) --dist worksteal
+
+# Tests start hundreds of processes; without byte code each would compile all it imports again.
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: help install demo test quick coverage mutants lint test-peers truth format clean
 
 help:
 	@echo "make demo        install into .venv and run mbtool demo"
 	@echo "make test        install what tests need, then lint, types, import contracts, tests"
+	@echo "make quick       ruff and the quick tests: under a minute"
+	@echo "make coverage    which lines no test runs; takes several times as long as the tests"
+	@echo "make mutants     change the code in 60 small ways, list the changes that no test notices"
 	@echo "make test-peers  install mbpoll, tshark and libmodbus (Debian), run the tests that need them"
 	@echo "make truth       compare every capture made by others with its truth, as a table"
 	@echo "make install     install into .venv only: then .venv/bin/mbtool"
@@ -38,7 +49,18 @@ lint: $(VENV)/installed-test
 	$(RUN)/lint-imports
 
 test: lint
-	$(RUN)/pytest
+	$(RUN)/pytest $(IN_PARALLEL)
+
+quick: $(VENV)/installed-test
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/pytest --numprocesses auto --quick
+
+coverage: $(VENV)/installed-test
+	COVERAGE_FILE=$(VENV)/coverage $(RUN)/pytest $(IN_PARALLEL) --cov --cov-report=term:skip-covered
+
+mutants: $(VENV)/installed-test
+	nice -n 10 $(RUN)/python -m tests.mutants
 
 test-peers: $(VENV)/installed-test
 	sudo=$$(test $$(id -u) = 0 || echo sudo); \

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.captures import FOLDER, public_folder
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 # How long an example takes depends on what else the machine does, so no test fails for it.
 settings.register_profile(
     "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
+settings.register_profile("quick", settings.get_profile("any machine"), max_examples=10)
 settings.load_profile("any machine")
+
+# --quick leaves these out: they start processes, keep to real times, try very many bytes or read
+# many captures.
+SLOW = frozenset((
+    "benchmarks", "differential", "end_to_end", "golden", "properties",
+    "cli/test_decode.py", "cli/test_line.py", "cli/test_main.py", "cli/test_output.py",
+    "cli/test_replay.py", "cli/test_replay_slave.py", "cli/test_slave.py", "cli/test_sniff.py",
+    "devices/test_wrong_profiles.py", "logs/test_reader.py", "logs/test_writer.py",
+    "sources/test_line_guess.py", "sources/test_serial_capture.py", "test___main__.py",
+    "test_mutants.py",
+))  # fmt: skip
+_HERE = Path(__file__).parent
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -25,6 +35,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="Write what captures/ decodes to into its .expected.jsonl files, to be read by eye.",
     )
+    parser.addoption(
+        "--quick",
+        action="store_true",
+        help="Leave slow tests out, and try a tenth as many examples in the others.",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--quick"):
+        settings.load_profile("quick")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    if not config.getoption("--quick") or not collection_path.is_relative_to(_HERE):
+        return None
+    return collection_path.relative_to(_HERE).as_posix() in SLOW or None
 
 
 @pytest.fixture(scope="session")
