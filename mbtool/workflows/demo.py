@@ -57,6 +57,9 @@ _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
 """Time for the last bytes to reach the sniffer."""
 
+_TIMEOUT_NS = 30_000_000_000
+"""Slaves of the demo always respond; on a busy machine that may take seconds."""
+
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
@@ -113,7 +116,7 @@ class Demo:
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
         slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
-        with slave, open_master(TcpLink(slave.endpoint)) as master:
+        with slave, open_master(TcpLink(slave.endpoint), _TIMEOUT_NS) as master:
             answers = [master.ask(unit, pdu) for unit, pdu, _ in self._exchanges]
         differences = tuple(
             (unit, pdu, answer)
@@ -124,7 +127,10 @@ class Demo:
 
     def _ask_all(self, serial: SerialLink, tap: Endpoint) -> None:
         try:
-            with open_master(serial) as rtu, open_master(TcpLink(tap)) as tcp:
+            with (
+                open_master(serial, _TIMEOUT_NS) as rtu,
+                open_master(TcpLink(tap), _TIMEOUT_NS) as tcp,
+            ):
                 self._ask(tcp, MODULE_UNIT, module_requests())
                 self._ask(rtu, TOUCH_UNIT, touch_requests())
         except Exception as error:

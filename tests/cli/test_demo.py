@@ -5,20 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.cli import exit_codes
-from tests.cli.program import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import pytest
 
     from tests.cli.program import CommandLine
 
 
 def test_shows_the_loop_and_keeps_the_log_that_is_asked_for(
-    mbtool: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mbtool: CommandLine, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("mbtool.master.poll.TIMEOUT_S", PATIENCE_S)
     path = tmp_path / "demo.mcap"
     told = mbtool("demo", "-w", path)
     assert told.code == exit_codes.DONE

@@ -69,7 +69,7 @@ def test_json_lines_leave_out_what_is_not_known(mbtool: CommandLine) -> None:
             "low_latency": False,
             "holders": [{"pid": 412, "command": "picocom"}],
             "unseen_processes": 3,
-            "troubles": [{"problem": "glued", "mend": "echo 1"}, {"problem": "held"}],
+            "troubles": [{"problem": "glued", "remedy": "echo 1"}, {"problem": "held"}],
         },
         {
             "kind": "interface",

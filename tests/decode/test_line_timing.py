@@ -140,7 +140,7 @@ def test_a_log_is_decoded_with_other_silences_only_from_its_raw_bytes(tmp_path: 
     log.write(replace(heard(5, WRITE), data=frame[4:]))
     log.close({})
     nine = Silence.parse("9ms")
-    with pytest.raises(UsageError, match="go with --raw"):
+    with pytest.raises(UsageError, match="need --raw"):
         list(Reading([str(path)], ReadingOptions(t3_5=nine)).records())
     for options, verdict in (
         (ReadingOptions(raw=True), [Verdict.T1_5_BROKEN]),  # The log keeps what the LINK said.

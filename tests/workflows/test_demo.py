@@ -10,16 +10,12 @@ from mbtool.core import UsageError, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.workflows.demo import MODULE_UNIT, TOUCH_UNIT, Demo, module_requests, touch_requests
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
-from tests.workflows.bench import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_the_log_answers_as_the_devices_did(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mbtool.master.poll.TIMEOUT_S", PATIENCE_S)
+def test_the_log_answers_as_the_devices_did(tmp_path: Path) -> None:
     path = tmp_path / "demo.mcap"
     run = Demo(str(path))
     records = list(run.record())

@@ -77,7 +77,7 @@ def test_a_device_takes_on_its_line_what_it_takes_in_that_mode(
 
 
 def test_other_machines_are_let_in_only_if_allowed() -> None:
-    with pytest.raises(UsageError, match="--allow-remote"):
+    with pytest.raises(UsageError, match=r"--allow 192\.168\.1\.0/24"):
         device_slave(TOUCH, parse_link("tcp:0.0.0.0:0")).start()
 
 
