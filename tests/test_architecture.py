@@ -64,6 +64,20 @@ def test_a_pure_room_imports_nothing_that_does_input_or_output(room: str) -> Non
         assert "import random" not in path.read_text(), "chance comes from a seeded Random"
 
 
+def test_no_modules_import_each_other_in_a_circle_not_even_for_their_types() -> None:
+    names = {
+        ".".join(("mbtool", *module.with_suffix("").parts)).removesuffix(".__init__"): module
+        for module in MODULES
+    }
+    needs = {
+        name: {one for one in imported_modules(SOURCE / module) if one in names and one != name}
+        for name, module in names.items()
+    }
+    while free := {name for name in needs if not needs[name] & needs.keys()}:
+        needs = {name: others for name, others in needs.items() if name not in free}
+    assert sorted(needs) == []
+
+
 def test_core_needs_the_standard_library_only() -> None:
     for path in SOURCE.glob("core/*.py"):
         roots = {name.partition(".")[0] for name in imports(path)}
@@ -196,6 +210,15 @@ def imports(path: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
+
+
+def imported_modules(path: Path) -> Iterator[str]:
+    """The same, with the modules that are imported by name from their package."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                file = SOURCE.parent / node.module.replace(".", "/") / f"{alias.name}.py"
+                yield f"{node.module}.{alias.name}" if file.exists() else node.module
 
 
 def kind(name: str) -> int:

@@ -1,4 +1,4 @@
-"""Faults of a response on the wire: what a faulty slave or a bad line does to its bytes."""
+"""Makes the bytes of a response on the wire, with the faults of a faulty slave or a bad line."""
 
 # A Response carries a PDU and a Distortion. The shell that sends it calls `wire_pieces` for the
 # bytes to send: the ADU with another unit or transaction id, with a wrong check, cut short, with
@@ -8,51 +8,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.response import Distortion
 
 if TYPE_CHECKING:
     from mbtool.modbus.response import Response
 
 _CR_LF_BYTES = 2
 _HEX_DIGITS = b"0123456789ABCDEF"
-
-
-class ConnectionEnding(StrEnum):
-    """How a connection is ended after a response."""
-
-    CLOSE = "close"
-    """With a FIN, in order."""
-    RESET = "reset"
-    """With a RST, at once."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Distortion:
-    """The faults of one response; by default none."""
-
-    unit_by: int = 0
-    """A number to add to the unit."""
-    id_by: int = 0
-    """A number to add to the transaction id of Modbus/TCP."""
-    wrong_check: bool = False
-    """True if the CRC or LRC is wrong."""
-    cut: int = 0
-    """How many bytes are missing at the end of the ADU."""
-    extra: bytes = b""
-    """Bytes that follow the ADU."""
-    pieces: int = 1
-    """In how many pieces the bytes are sent."""
-    gap_ns: int = 0
-    """The pause between two pieces, in ns."""
-    silent: bool = False
-    """True if nothing is sent."""
-    ending: ConnectionEnding | None = None
-    """How the connection ends after the response; None if it stays open."""
 
 
 def wire_pieces(

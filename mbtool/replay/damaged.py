@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome, Response, Transport, whole_pdu
-from mbtool.modbus.distortion import Distortion
 from mbtool.modbus.functions import EXCEPTION_BIT, READS
+from mbtool.modbus.response import Distortion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

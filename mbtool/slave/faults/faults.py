@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.devices import Span
 from mbtool.modbus import Response, Table, exception_pdu, parse_pdu, register_access, response_to
-from mbtool.modbus.distortion import ConnectionEnding, Distortion
+from mbtool.modbus.response import ConnectionEnding, Distortion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -32,7 +32,8 @@ from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import MAX_TCP_ADU, Adu, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_adu
-from mbtool.modbus.distortion import ConnectionEnding, wire_pieces
+from mbtool.modbus.distortion import wire_pieces
+from mbtool.modbus.response import ConnectionEnding
 from mbtool.ports.tcp_listener import reset
 from mbtool.slave.device.connection_policy import Loss
 

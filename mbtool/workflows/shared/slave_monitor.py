@@ -20,7 +20,8 @@ from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, Who
 from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.distortion import ConnectionEnding, wire_pieces
+from mbtool.modbus.distortion import wire_pieces
+from mbtool.modbus.response import ConnectionEnding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.modbus import Response
-    from mbtool.modbus.distortion import Distortion
+    from mbtool.modbus.response import Distortion
     from mbtool.modbus.transaction import Transaction
     from mbtool.slave.device import Behaviour, DeviceOutput
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices import Span, load_profile
 from mbtool.modbus import Response, Table
-from mbtool.modbus.distortion import ConnectionEnding, Distortion
+from mbtool.modbus.response import ConnectionEnding, Distortion
 from mbtool.slave.device import DeviceResponder, RegisterImage
 from mbtool.slave.families import make_device
 from mbtool.slave.faults.faults import Fault, FaultCondition, FaultKind, FaultySlave

@@ -16,7 +16,7 @@ import serial
 from mbtool.core import LinkError, SerialFormat, SerialLink
 from mbtool.devices import load_profile
 from mbtool.modbus import Response, Table, ascii_adu, rtu_adu
-from mbtool.modbus.distortion import Distortion
+from mbtool.modbus.response import Distortion
 from mbtool.ports.serial_opening import port_in_use
 from mbtool.slave.device import RegisterImage, units_on
 from mbtool.slave.families import make_device

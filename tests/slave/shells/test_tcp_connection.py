@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Endpoint, TcpLink
 from mbtool.modbus import Response, mbap_adu, rtu_adu
-from mbtool.modbus.distortion import ConnectionEnding, Distortion
+from mbtool.modbus.response import ConnectionEnding, Distortion
 from mbtool.slave.device.connection_policy import ConnectionPolicy, KeepAlive, Loss, Peer
 from mbtool.slave.shells import TcpSlave
 from mbtool.slave.shells.tcp_connection import MasterConnection

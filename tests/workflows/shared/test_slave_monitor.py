@@ -9,7 +9,7 @@ from mbtool.devices import NamedTransaction, load_profile
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import Outcome, Response, mbap_adu, rtu_adu
 from mbtool.modbus.adu import Adu
-from mbtool.modbus.distortion import ConnectionEnding, Distortion
+from mbtool.modbus.response import ConnectionEnding, Distortion
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
 from mbtool.workflows.shared.slave_monitor import MAX_PENDING, SlaveMonitor
