@@ -278,6 +278,25 @@ def test_elsewhere_a_frame_is_looked_for_in_the_first_bytes_only(before: int, fo
         assert len(adus(decoded)) == found
 
 
+@pytest.mark.parametrize(
+    ("size", "state"),
+    [(NOISE - 1, ProtocolState.UNDECIDED), (NOISE, ProtocolState.FOREIGN)],
+)
+def test_elsewhere_a_connection_is_given_up_once_so_much_noise_has_come(
+    size: int, state: ProtocolState
+) -> None:
+    recognition = ProtocolDetector(CONNECTION, joined=True, expected=False, tcp=False, rtu=True)
+    fed(recognition, [(REQUEST, b"\xff" * size)])
+    assert recognition.state is state
+
+
+def test_a_connection_that_was_given_up_holds_nothing() -> None:
+    recognition = anywhere()
+    fed(recognition, [(REQUEST, TLS)])
+    assert recognition.state is ProtocolState.FOREIGN
+    assert recognition._readings == []
+
+
 def test_a_connection_joined_at_any_port_shows_who_is_the_master() -> None:
     recognition = anywhere(joined=True)
     recognition.hold(
