@@ -291,8 +291,9 @@ def test_elsewhere_a_connection_is_given_up_once_so_much_noise_has_come(
 
 
 def test_a_connection_that_was_given_up_holds_nothing() -> None:
-    recognition = anywhere()
-    fed(recognition, [(REQUEST, TLS)])
+    recognition = anywhere(joined=True)
+    for at in range(ENOUGH_BYTES // GAP_COUNTS):
+        recognition.gap(REQUEST, 1, at, EventKind.GAP)
     assert recognition.state is ProtocolState.FOREIGN
     assert recognition._readings == []
 
