@@ -84,8 +84,9 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # SIGTERM works as Ctrl-C: what is open is completed. After the command nothing is open, and
-    # Ctrl-C is ignored: the interpreter would end by it without the exit code.
+    # During the command, SIGTERM interrupts like Ctrl-C, so the command completes its open files.
+    # After the command no file is open. SIGTERM then ends the process at once. Ctrl-C is ignored,
+    # since it could interrupt the interpreter's exit and replace the command's exit code.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

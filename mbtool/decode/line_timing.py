@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LineTiming:
-    """The silences that options and device profiles give, beside the lines' own settings."""
+    """Fills in t1.5 and t3.5 of serial lines, from options (`t1_5`, `t3_5`) and device profiles."""
 
     assignments: Assignments = field(default_factory=Assignments)
     t1_5: Silence | None = None

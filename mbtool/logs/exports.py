@@ -94,7 +94,7 @@ def csv_row(transaction: NamedTransaction) -> list[str]:
 
 
 def _line(message: msgspec.Struct, *bytes_fields: str) -> bytes:
-    # A Struct does not check types, so its bytes fields can be replaced by hex texts in one copy.
+    # msgspec.structs.replace checks no types, so it can put hex strings into fields of type bytes.
     hexes = {name: raw.hex() for name in bytes_fields if (raw := getattr(message, name))}
     return _encode(msgspec.structs.replace(message, **hexes)) + b"\n"
 

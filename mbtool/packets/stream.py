@@ -42,7 +42,9 @@ class HeldBytes(NamedTuple):
     data: bytes
     """Empty if the capture did not keep the bytes."""
     acknowledged: int
-    """The position in the other direction that the segment acknowledges; 0 if that was reached."""
+    """The position that the other direction must reach before these bytes are delivered, as their
+    segment acknowledges it. 0 if they wait for nothing: it was reached before, or is not plausible.
+    """
     ts_ns: int
     arrival: int
     """The number of its packet in the connection."""

@@ -120,7 +120,8 @@ def failure(error: OSError, who: str) -> str | None:
             why += "; --tls-target-name says which name it has instead"
         return f"TLS: the {who}'s certificate is refused: {why}"
     if not isinstance(error, ssl.SSLError):
-        # asyncio raises these itself, so they have no errno.
+        # If a handshake fails, asyncio itself raises one of the two errors below, without an errno.
+        # The same errors from the system have one.
         if isinstance(error, ConnectionAbortedError) and error.errno is None:
             return f"TLS: the {who} does not complete the handshake"
         if isinstance(error, ConnectionResetError) and error.errno is None:

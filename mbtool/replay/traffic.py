@@ -83,7 +83,7 @@ class Sample:
         self._stride = 1
         """Every how many-th value is kept."""
         self._skip = 1
-        """The number of the next value to keep, counted from now."""
+        """How many more values come until one is kept, that one included: 1 keeps the next."""
 
     def add(self, value: int) -> None:
         self._skip -= 1

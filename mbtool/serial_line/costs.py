@@ -151,7 +151,7 @@ NEVER_GLUED = 5.0
 SPLIT = 2.0
 """A silence of t3.5 inside a frame. Start value, learned."""
 SPLIT_LIMITS = (0.2, 5.0)
-"""Limits of the learned cost of split frames."""
+"""The least and the most, in bits, that the learned cost of such a silence can become."""
 SPLIT_MORE = 0.25
 """Each further silence inside the same frame: an adapter that splits a frame splits it often."""
 UNKNOWN_FORM_BURST = 2.0

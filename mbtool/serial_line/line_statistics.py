@@ -1,4 +1,4 @@
-"""The line statistics: how often this line does something, and how fast its slaves respond."""
+"""Line statistics: learned costs of noise, glued and split frames; the longest response time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class LearnedCost:
         """
         self._min_bits, self._max_bits = limits
         self.frequency: float = 2**-bits
-        """The share of frames, 0 to 1, at which it is seen."""
+        """The share of frames, 0 to 1, that show the event with this cost; recent ones count most."""
         self._rate = _LEARNING_RATE
         self._final_rate = _SLOW_LEARNING_RATE if is_slow else _LEARNING_RATE
         self._bits: float | None = bits

@@ -144,7 +144,8 @@ class SettingsTrial:
 
 
 View = tuple[bytes, int]
-"""The bytes as settings mean them, and how many of them are damaged."""
+"""The bytes as one setting reads them (with 7 data bits, bit 7 is cleared), and the number of
+damaged bytes among them."""
 
 
 class _SettingsReading:

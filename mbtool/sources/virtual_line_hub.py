@@ -1,5 +1,8 @@
-"""The process of a virtual line: mbtool.sources.virtual_line_hub ENDS CHARACTER_NS [LINK...]."""
+"""Runs a virtual line as a process: mbtool.sources.virtual_line_hub ENDS CHARACTER_NS [LINK...]."""
 
+# ENDS is the number of ends, CHARACTER_NS the character time in ns. Each LINK is the path of a
+# symbolic link to make: the first one leads to the first end, the second one to the second end.
+#
 # If a character is written while its end is idle, the others hear it one character time later, as
 # on a wire, where it is received when its stop bit has passed. The next one follows a character
 # time after that. The times are absolute, so a late wake-up delays its characters and does not

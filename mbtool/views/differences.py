@@ -38,7 +38,10 @@ def print_differences(
 
 
 def what_text(difference: Difference) -> str:
-    """The reference, the manual's name, the number of similar requests, and the probability."""
+    """The reference, its name in the manual, and how many other requests changed latency too.
+
+    If a test was made, `p` follows: the probability of such a difference by chance.
+    """
     parts = [difference.reference or ""]
     if difference.name is not None and difference.name != difference.reference:
         parts.append(difference.name)

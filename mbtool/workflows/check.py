@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 class CodeFilter:
     """Chooses codes by how they begin: those of `select`, but not those of `ignore`.
 
-    If a code begins as one of both says, the longer beginning decides.
+    If a code begins with a text of each, the longer text decides. If both are equally long, the
+    code is ignored.
     """
 
     select: tuple[str, ...] = ()

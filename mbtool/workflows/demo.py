@@ -57,7 +57,7 @@ _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
 """Time for the last bytes to reach the sniffer."""
 
-_TIMEOUT_NS = 30_000_000_000
+_TIMEOUT_NS = 5_000_000_000
 """Slaves of the demo always respond; on a busy machine that may take seconds."""
 
 

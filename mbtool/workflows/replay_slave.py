@@ -76,9 +76,10 @@ class SlaveRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording; one that is cut or damaged as far as it can be read.
+        """Read the recording. If it is cut or damaged, use the part that can be read.
 
-        Raises InputError if there is no answered request in it, UsageError.
+        Raises InputError if the file cannot be read or has no request to play an answer for, and
+        UsageError if the options contradict each other or the recording.
         """
         if options.rate is None and options.match.by_clock:
             raise UsageError(

@@ -15,8 +15,11 @@ if TYPE_CHECKING:
 def test_shows_the_loop_and_keeps_the_log_that_is_asked_for(
     mbtool: CommandLine, tmp_path: Path
 ) -> None:
-    path = tmp_path / "demo.mcap"
-    told = mbtool("demo", "-w", path)
+    for number in range(5):  # A busy machine may lose a request: see tests/workflows/test_demo.py.
+        path = tmp_path / f"{number}.mcap"
+        told = mbtool("demo", "-w", path)
+        if "does not answer" not in told.err:
+            break
     assert told.code == exit_codes.DONE
     assert "0102H A/D conversion enable/disable setting: CH1 CH2 CH6 CH8 enabled" in told.out
     assert "! FT1A-Q16 limit is 100" in told.out

@@ -565,6 +565,22 @@ def test_at_any_port_a_connection_is_reported_once_it_is_modbus() -> None:
     assert _outcomes([*records, *decoder.feed(closed)]) == ["opened", "ok", "closed"]
 
 
+@pytest.mark.parametrize(
+    ("ports", "slave"),
+    [((1502, 50211), "10.0.0.9:1502"), ((1502,), "10.0.0.9:1502"), ((50211,), "10.0.0.1:50211")],
+)
+def test_at_any_port_the_end_whose_port_is_named_is_the_slave(
+    ports: tuple[int, ...], slave: str
+) -> None:
+    decoder = Decoder(Namer(), any_port=True, ports=ports)
+    ways = (REQUEST, RESPONSE) if slave == str(ELSEWHERE.slave) else (RESPONSE, REQUEST)
+    records = decoder.feed(StreamOpened(START_NS, ELSEWHERE, joined=False))
+    for at, (way, pdu) in enumerate(zip(ways, (READ, VALUES), strict=True)):
+        records += decoder.feed(relayed(at, way, pdu, connection=ELSEWHERE))
+    (transaction,) = [one for one in records if isinstance(one, NamedTransaction)]
+    assert (transaction.outcome, transaction.destination) == (Outcome.OK, slave)
+
+
 def test_a_note_about_a_connection_is_part_of_its_opening() -> None:
     opened = StreamOpened(START_NS, ELSEWHERE, joined=False, note="master TLS 1.3, CN=master")
     (told,) = _decoder().feed(opened)

@@ -71,6 +71,11 @@ def test_a_device_that_cannot_be_on_the_line_does_not_count(
     assert timing.format_of(line) == line.format
 
 
+def test_a_device_on_an_ascii_line_has_a_say_there(tmp_path: Path) -> None:
+    timing = LineTiming(_devices(tmp_path, ("5", "ascii", 't3_5 = "28bits"')))
+    assert str(timing.format_of(_line("ascii:/dev/a@9600-7E1"))) == "9600-7E1,t3.5=28bits"
+
+
 def test_of_several_devices_the_shortest_silence_between_frames_counts(tmp_path: Path) -> None:
     timing = LineTiming(
         _devices(

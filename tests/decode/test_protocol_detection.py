@@ -284,6 +284,26 @@ def test_elsewhere_only_the_first_bytes_are_searched_for_a_frame(before: int, fo
         assert len(adus(decoded)) == found
 
 
+@pytest.mark.parametrize(
+    ("size", "state"),
+    [(MAX_NOISE - 1, ProtocolState.UNDECIDED), (MAX_NOISE, ProtocolState.FOREIGN)],
+)
+def test_elsewhere_a_connection_is_given_up_once_so_much_noise_has_come(
+    size: int, state: ProtocolState
+) -> None:
+    detector = ProtocolDetector(CONNECTION, joined=True, expected=False, tcp=False, rtu=True)
+    fed(detector, [(REQUEST, b"\xff" * size)])
+    assert detector.state is state
+
+
+def test_a_connection_that_was_given_up_holds_nothing() -> None:
+    detector = anywhere(joined=True)
+    for at in range(MAX_UNDECIDED_BYTES // GAP_BYTES):
+        detector.gap(REQUEST, 1, at, EventKind.GAP)
+    assert detector.state is ProtocolState.FOREIGN
+    assert detector._candidates == []
+
+
 def test_the_master_of_a_connection_without_beginning_is_detected() -> None:
     detector = anywhere(joined=True)
     detector.hold(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import UsageError, WireEvent
+from mbtool.core import LinkError, UsageError, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.workflows.demo import MODULE_UNIT, TOUCH_UNIT, Demo, module_requests, touch_requests
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -14,11 +15,25 @@ from mbtool.workflows.shared.reading import Reading, ReadingOptions
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mbtool.decode.decoder import Record
+
+
+def _recorded(folder: Path) -> tuple[Demo, list[Record], Path]:
+    """A run in which each request was answered.
+
+    A virtual line keeps to real time: if a busy machine stops it in the middle of a frame for
+    longer than a slave waits for the rest, the request is lost, as on a real line.
+    """
+    for number in range(5):
+        path = folder / f"{number}.mcap"
+        run = Demo(str(path))
+        with suppress(LinkError):
+            return run, list(run.record()), path
+    pytest.fail("a request was lost in each of five runs")
+
 
 def test_the_log_answers_as_the_devices_did(tmp_path: Path) -> None:
-    path = tmp_path / "demo.mcap"
-    run = Demo(str(path))
-    records = list(run.record())
+    run, records, path = _recorded(tmp_path)
     transactions = [one for one in records if not isinstance(one, WireEvent)]
     asked = len(touch_requests()) + len(module_requests())
     assert len(transactions) == asked

@@ -1,8 +1,14 @@
 """Gives each row of a register list its table, its address on the wire and its notation."""
 
-# A row's table is what its number says (4x0001, HR1, 40001), else what its own column or the
-# heading above it says, else what the user says. If none of them tells, registers are holding
-# registers, and a yes or no is a coil. What number and row say must agree.
+# The first source that names a table for a row wins:
+#
+#     1  the row's number (4x0001, HR1, 40001)
+#     2  the row's table column, or the heading above the row
+#     3  the user (--table)
+#     4  otherwise an on/off value is a coil, or a discrete input if the list says that it can only
+#        be read; any other value is in holding registers
+#
+# If 1 names a table, and 2 (or 3 where 2 names none) names another one, the row is a problem.
 
 from __future__ import annotations
 

@@ -44,7 +44,10 @@ class Blocks:
         return None if block is None else block[: len(span)]
 
     def set(self, table: Table, first: int, offset: int, values: Sequence[int]) -> None:
-        """Write a part of a block. Raises ValueError beyond its end and beyond 0..65535."""
+        """Write registers of the block at `first`, from its register `offset` (0-based) on.
+
+        Raises ValueError if they extend beyond the block's end, or if a value is not 0..65535.
+        """
         block = self._blocks[table, first]
         if offset + len(values) > len(block) or not all(0 <= one <= 0xFFFF for one in values):
             raise ValueError(f"the block at {first} does not hold {list(values)} from {offset} on")

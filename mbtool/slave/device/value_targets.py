@@ -110,7 +110,7 @@ class ValueTarget:
 
 
 class ValueTargets:
-    """The keys of one device."""
+    """Finds the register, bit or point of one device that a key of a values file names."""
 
     def __init__(self, profile: Profile) -> None:
         self._profile = profile

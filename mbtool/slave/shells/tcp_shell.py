@@ -63,7 +63,10 @@ class TcpSlave(Shell):
         rules: ConnectionPolicy | None = None,
         on_exchange: OnExchange | None = None,
     ) -> None:
-        """`rules` are those of the device played here, if it has its own."""
+        """`rules` decide which connections the played device accepts, and when it closes them.
+
+        None for a device without rules of its own: `bounds` then gives the number and idle time.
+        """
         super().__init__()
         self.link = link
         self.responder = responder
