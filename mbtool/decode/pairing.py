@@ -68,7 +68,7 @@ class Pairing:
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Give up requests that have waited longer than the timeout. Returns them as transactions."""
+        """Give up requests that have waited longer than the timeout; return their transactions."""
         done: list[Transaction] = []
         while self._open and now_ns - self._open[0].adu.end_ns > self._timeout_ns:
             self._give_up(done)

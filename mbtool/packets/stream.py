@@ -42,8 +42,8 @@ class HeldBytes(NamedTuple):
     data: bytes
     """Empty if the capture did not keep the bytes."""
     acknowledged: int
-    """The position that the other direction must reach before these bytes are delivered, as their
-    segment acknowledges it. 0 if they wait for nothing: it was reached before, or is not plausible.
+    """The position that the other direction must reach before these bytes are delivered, since
+    their segment acknowledges it. 0 if they need not wait, for example as it was reached before.
     """
     ts_ns: int
     arrival: int

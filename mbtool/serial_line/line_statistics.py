@@ -26,7 +26,7 @@ class LearnedCost:
         """
         self._min_bits, self._max_bits = limits
         self.frequency: float = 2**-bits
-        """The share of frames, 0 to 1, that show the event with this cost; recent ones count most."""
+        """Share of frames, 0 to 1, that show the event with this cost. Recent frames weigh most."""
         self._rate = _LEARNING_RATE
         self._final_rate = _SLOW_LEARNING_RATE if is_slow else _LEARNING_RATE
         self._bits: float | None = bits
