@@ -37,6 +37,7 @@ _WORDS = {
     Outcome.OK: "ok",
     Outcome.EXCEPTION: "exception",
     Outcome.NO_ANSWER: "without answer",
+    Outcome.NOT_CAPTURED: "not captured",
     Outcome.UNSOLICITED: "unsolicited",
     Outcome.BROADCAST: "broadcast",
     Outcome.MALFORMED: "malformed",

@@ -10,7 +10,16 @@ from mbtool.core.errors import (
     UsageError,
 )
 from mbtool.core.events import CONNECTION_JOINED, CONNECTION_OPENED, EventKind, WireEvent
-from mbtool.core.evidence import Chunk, Connection, Direction, Endpoint, Packet, Quiet, Stamp
+from mbtool.core.evidence import (
+    Chunk,
+    Connection,
+    Direction,
+    Endpoint,
+    Packet,
+    Quiet,
+    Stamp,
+    StreamPlace,
+)
 from mbtool.core.line_settings import LineSettings, parse_line
 from mbtool.core.link_spec import (
     AutoLink,
@@ -51,6 +60,7 @@ __all__ = [
     "SerialLink",
     "Silence",
     "Stamp",
+    "StreamPlace",
     "TapLink",
     "TargetTls",
     "TcpLink",

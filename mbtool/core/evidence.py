@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class Direction(StrEnum):
@@ -51,6 +52,20 @@ class Connection:
         return self.slave.host if self.slave.port == 502 else str(self.slave)
 
 
+class StreamPlace(NamedTuple):
+    """Where the bytes of a TCP segment belong in their connection. Positions count bytes."""
+
+    position: int
+    """The position of the first byte in its direction."""
+    acknowledged: int | None
+    """The position in the other direction up to which the sender had received all bytes when it
+    sent the segment; None if unknown."""
+
+    def after(self, count: int) -> StreamPlace:
+        """The place of the bytes after the first `count` bytes."""
+        return self._replace(position=self.position + count)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chunk:
     """The bytes of one read of a port, or the payload of one TCP segment."""
@@ -64,6 +79,8 @@ class Chunk:
     stamp: Stamp = Stamp.LAST_BYTE
     connection: Connection | None = None
     """None on a serial line."""
+    place: StreamPlace | None = field(default=None, compare=False)
+    """Its place in the TCP connection; None if unknown, as with a tap or a serial line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.core.wording import counted
+from mbtool.decode.network_pairing import NetworkPairing
 from mbtool.decode.pairing import Pairing
+from mbtool.decode.stream_progress import OTHER, AduPlace, StreamProgress
 from mbtool.decode.transactions import Ends
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
@@ -20,7 +22,7 @@ from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
-    from mbtool.core import Connection, SerialFormat
+    from mbtool.core import Connection, SerialFormat, StreamPlace
 
 Decoded = Adu | Transaction | WireEvent
 
@@ -40,7 +42,7 @@ class Bus:
         self._ends = Ends(link, timed=timed)
         splitter = AsciiSplitter if ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(line, timed=timed)
-        self._pairing = Pairing(self._ends, bus=True)
+        self._pairing = Pairing(self._ends)
 
     def feed(self, data: bytes, ts_ns: int) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one."""
@@ -75,11 +77,30 @@ class ConnectionDecoder:
         }
         """The sender and the receiver of each direction."""
         self._splitters = {direction: splitter(direction) for direction in self._endpoints}
-        self._pairing = Pairing(Ends(self._link, master, slave), bus=False)
+        self._pairing = NetworkPairing(Ends(self._link, master, slave))
+        self._progress = StreamProgress()
+        self._unread = dict.fromkeys(OTHER, 0)
+        """By direction, how many bytes the splitter holds. Counted while positions are known."""
 
-    def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
+    def feed(
+        self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
+    ) -> list[Decoded]:
         """Take the payload of one segment."""
-        return self._paired(self._splitters[direction].feed(data, ts_ns), direction)
+        events = self._splitters[direction].feed(data, ts_ns)
+        if place is None:
+            return self._paired(events, direction)
+        decoded: list[Decoded] = []
+        other = OTHER[direction]
+        lost = self._progress.take(direction, other, place, len(data))
+        if lost:
+            decoded += self._pairing.note_loss(other, lost)
+        end = place.position - self._unread[direction]
+        self._unread[direction] += len(data)
+        for event in events:
+            end += len(event.raw)
+            self._unread[direction] -= len(event.raw)
+            decoded += self._paired([event], direction, AduPlace(end, place.acknowledged))
+        return decoded
 
     def gap(
         self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
@@ -98,7 +119,12 @@ class ConnectionDecoder:
             destination=destination,
             missing=missing,
         )
-        return [*self._paired(self._splitters[direction].gap(), direction), lost]
+        decoded = self._paired(self._splitters[direction].gap(), direction)
+        self._unread[direction] = 0
+        unexplained = self._progress.skip(direction, missing)
+        if unexplained or not missing:
+            decoded += self._pairing.note_loss(direction, unexplained)
+        return [*decoded, lost]
 
     def advance(self, now_ns: int) -> list[Decoded]:
         """Note that nothing arrived until `now_ns`."""
@@ -111,19 +137,25 @@ class ConnectionDecoder:
             decoded += self._paired(splitter.close(), direction)
         return [*decoded, *self._pairing.close()]
 
-    def _paired(self, events: list[Adu | Skipped], direction: Direction) -> list[Decoded]:
-        return _paired(events, self._pairing, self._link, self._endpoints[direction])
+    def _paired(
+        self, events: list[Adu | Skipped], direction: Direction, place: AduPlace | None = None
+    ) -> list[Decoded]:
+        return _paired(events, self._pairing, self._link, self._endpoints[direction], place)
 
 
 def _paired(
-    events: list[Adu | Skipped], pairing: Pairing, link: str, endpoints: tuple[str, str]
+    events: list[Adu | Skipped],
+    pairing: Pairing | NetworkPairing,
+    link: str,
+    endpoints: tuple[str, str],
+    place: AduPlace | None = None,
 ) -> list[Decoded]:
     """Pass ADUs through the pairing; `endpoints` are the sender and receiver of skipped bytes."""
     decoded: list[Decoded] = []
     for event in events:
         if isinstance(event, Adu):
             decoded.append(event)
-            decoded += pairing.feed(event)
+            decoded += pairing.feed(event, place)
         else:
             decoded += pairing.advance(event.ts_ns)
             decoded.append(skipped_event(event, link, endpoints))

@@ -175,7 +175,7 @@ class Decoder:
             return self._to_records(bus.feed(chunk.data, chunk.ts_ns))
         # Without a StreamOpened before it, the connection may go on from a log's previous file.
         detector = self._detector(chunk.connection, joined=True)
-        decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns)
+        decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
         records = self._reported(detector, decoded)
         if len(self._detectors) > MAX_CONNECTIONS:
             _, oldest = self._detectors.popitem(last=False)

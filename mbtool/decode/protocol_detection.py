@@ -56,7 +56,7 @@ from mbtool.modbus.transaction import Outcome, Transaction
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from mbtool.core import Connection
+    from mbtool.core import Connection, StreamPlace
 
 ENOUGH_ADUS = 3
 MAX_MALFORMED = 3
@@ -136,10 +136,12 @@ class ProtocolDetector:
         if len(self._held) < MAX_HELD_EVENTS:
             self._held.append(replace(event, raw=event.raw[:MAX_UNDECIDED_BYTES]))
 
-    def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
+    def feed(
+        self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
+    ) -> list[Decoded]:
         """Take the payload of one segment."""
         if self.state is ProtocolState.MODBUS:
-            return self._candidates[0].feed(direction, data, ts_ns)
+            return self._candidates[0].feed(direction, data, ts_ns, place)
         if self.state is ProtocolState.FOREIGN:
             return []
         # The limit counts the connection's bytes, so that the result does not depend on where
@@ -154,12 +156,14 @@ class ProtocolDetector:
         if not self._candidates or self._is_tls():
             return self._reject()
         for candidate in self._candidates:
-            candidate.feed_undecided(direction, now, ts_ns)
+            candidate.feed_undecided(direction, now, ts_ns, place)
         is_last = self._seen >= MAX_UNDECIDED_BYTES
         decoded = self._decide(is_last=is_last)
         if not decoded and is_last and self.state is ProtocolState.UNDECIDED:
             return self._reject()
-        return [*decoded, *self.feed(direction, later, ts_ns)] if later else decoded
+        if not later:
+            return decoded
+        return [*decoded, *self.feed(direction, later, ts_ns, place and place.after(len(now)))]
 
     def gap(
         self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
@@ -327,20 +331,24 @@ class _ProtocolCandidate:
         self._noise = {Direction.REQUEST: 0, Direction.RESPONSE: 0} if needs_frame else {}
         """By direction, how many bytes came before its first frame."""
 
-    def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
-        return self.decoder.feed(self._role(direction), data, ts_ns)
+    def feed(
+        self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
+    ) -> list[Decoded]:
+        return self.decoder.feed(self._role(direction), data, ts_ns, place)
 
-    def feed_undecided(self, direction: Direction, data: bytes, ts_ns: int) -> None:
+    def feed_undecided(
+        self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
+    ) -> None:
         """Feed bytes and hold the results; rule out RTU after MAX_NOISE bytes without a frame."""
         noise = self._noise.get(direction)
         room = len(data) if noise is None else MAX_NOISE - noise
-        decoded = self.feed(direction, data[:room], ts_ns)
+        decoded = self.feed(direction, data[:room], ts_ns, place)
         self.add(decoded)
         if noise is None:
             return
         if any(isinstance(one, Adu) for one in decoded):
             del self._noise[direction]
-            self.add(self.feed(direction, data[room:], ts_ns))
+            self.add(self.feed(direction, data[room:], ts_ns, place and place.after(room)))
             return
         self._noise[direction] += len(data[:room])
         if self._noise[direction] >= MAX_NOISE:

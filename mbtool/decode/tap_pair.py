@@ -66,7 +66,7 @@ class TapPair:
 
     def __init__(self, link: str, line: SerialFormat, *, ascii: bool = False) -> None:  # noqa: A002
         self._link = link
-        self._pairing = Pairing(Ends(link), bus=True)
+        self._pairing = Pairing(Ends(link))
         self._sides = {
             speaker: _TapSide(speaker, line, ascii=ascii)
             for speaker in (Direction.REQUEST, Direction.RESPONSE)

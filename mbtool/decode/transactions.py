@@ -85,13 +85,20 @@ def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
     return _alone(ends, request, Outcome.NO_ANSWER, retries)
 
 
+def response_not_captured(
+    ends: Ends, request: Adu, verdicts: tuple[Verdict, ...] = ()
+) -> Transaction:
+    """A request whose response the capture lacks."""
+    return _alone(ends, request, Outcome.NOT_CAPTURED, 0, verdicts)
+
+
 def broadcast(ends: Ends, request: Adu) -> Transaction:
     """A request to all units, which no unit answers (Serial Line V1.02, 2.1)."""
     return _alone(ends, request, Outcome.BROADCAST, 0)
 
 
-def unsolicited(ends: Ends, response: Adu) -> Transaction:
-    """A response without a request."""
+def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> Transaction:
+    """A response without a request; `outcome` is NOT_CAPTURED if the capture lacks the request."""
     pdu = parse_pdu(response.pdu, Direction.RESPONSE)
     malformed = [Verdict.MALFORMED_RESPONSE] if pdu.problem else []
     return _record(
@@ -99,7 +106,7 @@ def unsolicited(ends: Ends, response: Adu) -> Transaction:
         response,
         _RequestFacts.of(Pdu(pdu.function, pdu.fields, None)),
         pdu.exception_code,
-        outcome=Outcome.UNSOLICITED,
+        outcome=outcome,
         response_values=_listed(_values(pdu)),
         response_ns=response.end_ns,
         retries=0,
@@ -109,7 +116,9 @@ def unsolicited(ends: Ends, response: Adu) -> Transaction:
     )
 
 
-def _alone(ends: Ends, request: Adu, outcome: Outcome, retries: int) -> Transaction:
+def _alone(
+    ends: Ends, request: Adu, outcome: Outcome, retries: int, verdicts: tuple[Verdict, ...] = ()
+) -> Transaction:
     facts = _request_facts(request.pdu)
     malformed = [Verdict.MALFORMED_REQUEST] if facts.is_malformed else []
     return _record(
@@ -122,7 +131,7 @@ def _alone(ends: Ends, request: Adu, outcome: Outcome, retries: int) -> Transact
         request_ns=request.end_ns,
         retries=retries,
         request_raw=request.raw,
-        verdicts=[*request.verdicts, *malformed],
+        verdicts=[*request.verdicts, *malformed, *verdicts],
         confidence=request.confidence,
     )
 

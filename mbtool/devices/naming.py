@@ -138,7 +138,7 @@ class _Vocabulary:
         if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
             return []  # Its bytes may be a different frame.
         # Without a request, no rule about requests can be broken.
-        has_request = transaction.outcome is not _UNSOLICITED
+        has_request = transaction.request_raw is not None
         findings = [*meaning.findings] if has_request else []
         findings += form_codes(transaction)
         profile = self.profile

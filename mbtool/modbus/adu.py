@@ -74,6 +74,8 @@ class Verdict(StrEnum):
     """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
     """Its transaction id differs from that of the only request that it can belong to."""
+    OVER_LIMIT = "over-limit"
+    """Dropped by the decoder's limit of open requests; nothing is known of its response."""
 
 
 class Checksum(msgspec.Struct, frozen=True, gc=False):

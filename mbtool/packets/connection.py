@@ -34,7 +34,7 @@
 
 from __future__ import annotations
 
-from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, WireEvent
+from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, StreamPlace, WireEvent
 from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment
 from mbtool.packets.stream import LEAD, HeldBytes, Stream
 from mbtool.packets.stream_events import (
@@ -204,14 +204,15 @@ class TcpConnection:
             start = self._continue_at(sender, sequence)
         data, missing = segment.payload, segment.missing
         end = start + len(data)
+        receipt = _receipt(segment, other)
         if data:
-            piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival)
+            piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt)
             if start == sender.position and not sender.held and acknowledged <= other.position:
                 self._deliver(sender, piece)  # Most segments; this saves the calls of _take_piece.
             else:
                 self._take_piece(sender, other, piece)
         if missing:
-            cut = HeldBytes(end, end + missing, b"", acknowledged, ts_ns, arrival)
+            cut = HeldBytes(end, end + missing, b"", acknowledged, ts_ns, arrival, receipt)
             self._take_piece(sender, other, cut)
 
     def _continue_at(self, stream: Stream, sequence: int) -> int:
@@ -334,6 +335,7 @@ class TcpConnection:
                     direction=stream.direction,
                     stamp=Stamp.AT_ONCE,
                     connection=identity,
+                    place=StreamPlace(piece.start, piece.receipt),
                 )
             )
         else:
@@ -347,6 +349,16 @@ class TcpConnection:
             and (stream.joining or stream.position >= stream.finish)
             for stream in self._directions[0]
         )
+
+
+def _receipt(segment: TcpSegment, other: Stream) -> int | None:
+    """The position in the other stream that a segment acknowledges, if that is plausible."""
+    if not segment.flags & ACK or other.origin is None:
+        return None
+    position = other.position_of(segment.acknowledgement)
+    if other.finish is not None:
+        position = min(position, other.finish)
+    return position if -WINDOW <= position - other.position <= WINDOW else None
 
 
 def _note_finish(sender: Stream, sequence: int, segment: TcpSegment) -> None:

@@ -48,6 +48,8 @@ class HeldBytes(NamedTuple):
     ts_ns: int
     arrival: int
     """The number of its packet in the connection."""
+    receipt: int | None = None
+    """The position in the other direction that the segment acknowledges; None if unknown."""
 
     def part(self, start: int, end: int) -> HeldBytes:
         data = self.data[start - self.start : end - self.start]

@@ -174,7 +174,7 @@ _NOTHING = Timeline()
 
 
 def _is_asked(transaction: Transaction) -> bool:
-    return transaction.request_raw is not None and transaction.outcome is not Outcome.UNSOLICITED
+    return transaction.request_raw is not None and transaction.outcome is not Outcome.NOT_CAPTURED
 
 
 def _answered_ns(transaction: Transaction) -> int:

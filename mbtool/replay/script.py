@@ -62,7 +62,7 @@ class Script:
         asked = [
             (one.request_ns, pdu, one)
             for one in transactions
-            if one.outcome is not Outcome.UNSOLICITED and one.request_ns is not None
+            if one.request_raw is not None and one.request_ns is not None
             if (pdu := whole_pdu(one.transport, one.request_raw)) is not None
         ]
         asked.sort(key=lambda each: each[0])

@@ -121,6 +121,13 @@ def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> 
     return text.strip()
 
 
+_WITHOUT_REQUEST = {
+    Outcome.UNSOLICITED: "unsolicited",
+    Outcome.NOT_CAPTURED: "request not captured:",
+}
+"""How the result of a response without a request begins."""
+
+
 def result_text(transaction: NamedTransaction) -> str:
     """The outcome, and the values of a read."""
     if transaction.exception is not None:
@@ -128,7 +135,8 @@ def result_text(transaction: NamedTransaction) -> str:
         text = f"exception {transaction.exception:02X}"
         if not name.startswith(text):  # The name of an unknown code is `exception` and the number.
             text = f"{text} {name}".rstrip()
-        return f"unsolicited {text}" if transaction.outcome is Outcome.UNSOLICITED else text
+        word = _WITHOUT_REQUEST.get(transaction.outcome)
+        return text if word is None else f"{word} {text}"
     match transaction.outcome:
         case Outcome.NO_ANSWER:
             return "no answer"
@@ -136,9 +144,12 @@ def result_text(transaction: NamedTransaction) -> str:
             return "broadcast"
         case Outcome.MALFORMED:
             return "malformed answer"
-        case Outcome.UNSOLICITED:
+        case Outcome.NOT_CAPTURED if transaction.response_raw is None:
+            return "answer not captured"
+        case Outcome.UNSOLICITED | Outcome.NOT_CAPTURED as outcome:
             values = transaction.response_values
-            return f"unsolicited {_values(transaction, values)}" if values else "unsolicited"
+            word = _WITHOUT_REQUEST[outcome]
+            return f"{word} {_values(transaction, values)}" if values else word.rstrip(":")
     if transaction.read_points:
         return "; ".join(describe_points(transaction.read_points))
     values = transaction.response_values

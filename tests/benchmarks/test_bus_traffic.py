@@ -97,7 +97,7 @@ def test_the_truth_is_what_pairing_makes_of_frames_of_known_direction(
     lines: list[Traffic],
 ) -> None:
     for traffic in lines:
-        pairing = Pairing(Ends("line"), bus=True)
+        pairing = Pairing(Ends("line"))
         told = []
         for frame in traffic.frames:
             told += pairing.feed(adu(frame))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mbtool.core import Connection, Direction, Endpoint, EventKind, SerialFormat, WireEvent
 from mbtool.decode import Bus, ConnectionDecoder
-from mbtool.decode.pairing import BUS_TIMEOUT_NS, NETWORK_TIMEOUT_NS
+from mbtool.decode.network_pairing import TIMEOUT_NS
+from mbtool.decode.pairing import BUS_TIMEOUT_NS
 from mbtool.modbus.adu import Adu
 from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.pdu import exception_pdu
@@ -81,8 +82,8 @@ def test_open_request_stays_unanswered_when_the_connection_ends_or_time_passes()
     talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
     assert [one.outcome for one in transactions(talk.close())] == [Outcome.NO_ANSWER]
     talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
-    assert talk.advance(100 + NETWORK_TIMEOUT_NS) == []
-    decoded = talk.advance(101 + NETWORK_TIMEOUT_NS)
+    assert talk.advance(100 + TIMEOUT_NS) == []
+    decoded = talk.advance(101 + TIMEOUT_NS)
     assert [one.outcome for one in transactions(decoded)] == [Outcome.NO_ANSWER]
 
 

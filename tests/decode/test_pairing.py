@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
-from mbtool.decode.pairing import BUS_TIMEOUT_NS, NETWORK_TIMEOUT_NS, Pairing
+from mbtool.decode.network_pairing import TIMEOUT_NS, NetworkPairing
+from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.modbus.adu import Adu, DirectionBy, Transport, Verdict
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -17,12 +18,12 @@ ANSWER = "03 02 022B"
 WRITE = "06 0001 0003"
 
 
-def network() -> Pairing:
-    return Pairing(Ends("10.0.0.9", "10.0.0.1:40000", "10.0.0.9:502"), bus=False)
+def network() -> NetworkPairing:
+    return NetworkPairing(Ends("10.0.0.9", "10.0.0.1:40000", "10.0.0.9:502"))
 
 
 def bus() -> Pairing:
-    return Pairing(Ends("rs485"), bus=True)
+    return Pairing(Ends("rs485"))
 
 
 def adu(
@@ -52,7 +53,7 @@ def told(pdu: str, at_ms: int, transaction_id: int | None = None, unit: int = 1)
     return adu(RESPONSE, pdu, at_ms, unit=unit, transaction_id=transaction_id)
 
 
-def joined(pairing: Pairing, *adus: Adu) -> list[Transaction]:
+def joined(pairing: Pairing | NetworkPairing, *adus: Adu) -> list[Transaction]:
     done = [transaction for one in adus for transaction in pairing.feed(one)]
     return done + pairing.close()
 
@@ -135,8 +136,8 @@ def test_a_response_without_a_request_is_unsolicited() -> None:
 def test_request_that_stays_open_is_given_up_after_a_while() -> None:
     pairing = network()
     assert pairing.feed(asked(READ, 0, 1)) == []
-    assert pairing.advance(MS + NETWORK_TIMEOUT_NS) == []
-    assert outcomes(pairing.advance(MS + NETWORK_TIMEOUT_NS + 1)) == [Outcome.NO_ANSWER]
+    assert pairing.advance(MS + TIMEOUT_NS) == []
+    assert outcomes(pairing.advance(MS + TIMEOUT_NS + 1)) == [Outcome.NO_ANSWER]
     late = told(ANSWER, 61_000, 1)
     assert outcomes(pairing.feed(late)) == [Outcome.UNSOLICITED]
 

@@ -107,6 +107,9 @@ class ResponseRules:
         is_ambiguous = Verdict.AMBIGUOUS in transaction.verdicts
         if is_ambiguous and transaction.outcome in _UNPAIRED:
             self._forget(connection, transaction.unit)
+        if transaction.outcome is Outcome.NOT_CAPTURED:
+            self._forget(connection, transaction.unit)  # What the capture lacks is nobody's fault.
+            return
         if transaction.outcome is Outcome.UNSOLICITED:
             if _is_surely_unsolicited(state, at_ns) and not is_ambiguous:
                 yield transaction_finding("MB-403", transaction, _unsolicited_text(transaction))

@@ -93,7 +93,7 @@ def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> N
     """
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:
-        if one.outcome not in (Outcome.BROADCAST, Outcome.UNSOLICITED):
+        if one.request_raw is not None and one.outcome is not Outcome.BROADCAST:
             links[one.unit].add(one.link)
     for unit, names in sorted(links.items()):
         if len(names) > 1:

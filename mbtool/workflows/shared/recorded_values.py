@@ -54,7 +54,7 @@ def _read(path: Path, on_remark: Callable[[str], None]) -> list[NamedTransaction
     return [
         record
         for record in read_all(reading, on_remark, "{error}; taking what is there")
-        if not isinstance(record, WireEvent) and record.outcome is not Outcome.UNSOLICITED
+        if not isinstance(record, WireEvent) and record.request_raw is not None
     ]
 
 
