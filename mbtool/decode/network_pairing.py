@@ -89,8 +89,13 @@ class NetworkPairing:
         """True once two requests waited at the same time and both got their responses."""
         self._overlaps = 0
         """How many responses came while a further request waited."""
+        self._last_id: int | None = None
+        self._ids_vary = False
+        """True once two requests in a row had different ids."""
+        self._ids_count_up = False
+        """True if ids vary, and each was greater than the one before it (modulo 2^16)."""
         self._has_matching_ids = False
-        """True once a response had the id of its request."""
+        """True once a response had the id of its request, and ids vary."""
         self._lost_requests = 0
         """Requests that the capture lacks, at least, whose responses may still come."""
         self._over_limit = 0
@@ -152,6 +157,7 @@ class NetworkPairing:
                 waited_ns = request.start_ns - one.adu.end_ns
                 one.is_given_up = self._is_sequential or waited_ns > self._late_ns
         self._is_sequential = self._is_sequential or self._in_a_row >= ENOUGH_REQUESTS
+        self._note_id(request.transaction_id)
         self._open.append(_OpenRequest(request, place, is_after_loss=self._lost_requests > 0))
 
     @property
@@ -169,7 +175,7 @@ class NetworkPairing:
         del self._open[index]
         verdicts: tuple[Verdict, ...] = ()
         if found.adu.transaction_id == response.transaction_id:
-            self._has_matching_ids = True
+            self._has_matching_ids = self._has_matching_ids or self._ids_vary
         else:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
         if not found.is_given_up and response.start_ns >= found.adu.end_ns:
@@ -180,6 +186,19 @@ class NetworkPairing:
             self._lost_requests = 0  # The master has gone on behind the lost requests.
         retries = self._take_retries(found, index)
         return with_response(self._ends, found.adu, response, retries, verdicts)
+
+    @property
+    def _newest(self) -> _OpenRequest:
+        return self._open[-1]
+
+    def _note_id(self, transaction_id: int | None) -> None:
+        if transaction_id is None:
+            return
+        if self._last_id is not None:
+            counts_up = 0 < (transaction_id - self._last_id & 0xFFFF) < 0x8000
+            self._ids_count_up = counts_up and (self._ids_count_up or not self._ids_vary)
+            self._ids_vary = self._ids_vary or transaction_id != self._last_id
+        self._last_id = transaction_id
 
     def _learn_pipelining(self, answered: _OpenRequest) -> None:
         """Notice that another request waits while this one gets its response, both in time."""
@@ -219,9 +238,11 @@ class NetworkPairing:
         return found
 
     def _has_own_id(self, request: _OpenRequest) -> bool:
-        """True if no other open request has its id, and ids differ from request to request."""
+        """True if its id cannot be that of a request that the capture lacks."""
+        if self._ids_count_up:
+            return True
         ids = [one.adu.transaction_id for one in self._open]
-        return len(set(ids)) > 1 and ids.count(request.adu.transaction_id) == 1
+        return self._ids_vary and request is self._newest and ids.count(ids[-1]) == 1
 
     def _of_other_id(self, possible: list[_OpenRequest], response: Adu) -> _OpenRequest | None:
         if len(self._open) != 1 or not possible or self._has_matching_ids or self._lost_requests:

@@ -39,7 +39,6 @@ from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
 _MAX_CACHED = 4096
 
 _MASK_WRITE = 0x16
-_UNSOLICITED = Outcome.UNSOLICITED  # Looking up a member of an enumeration is slow in Python 3.11.
 
 
 class Namer:

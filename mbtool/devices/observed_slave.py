@@ -153,7 +153,7 @@ class ObservedSlave:
                 replies.ok += 1
                 if self._with_values and values:
                     self._sample(request, values)
-            else:
+            elif transaction.outcome is not Outcome.NOT_CAPTURED:
                 replies.silent += 1
 
     def _sample(self, request: ObservedRequest, values: Sequence[int]) -> None:

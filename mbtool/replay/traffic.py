@@ -147,7 +147,7 @@ class SlaveTraffic:
         self.count += 1
         self.device = transaction.device
         request = self._request(transaction)
-        if request is not None:
+        if request is not None and transaction.outcome is not Outcome.NOT_CAPTURED:
             request.count += 1
             request.outcomes[_outcome(transaction)] += 1
             if transaction.latency_ns is not None:

@@ -71,10 +71,19 @@ def test_a_gap_is_an_event_and_ends_the_incomplete_adu() -> None:
 
 def test_a_gap_in_one_direction_does_not_affect_the_other() -> None:
     talk = connection()
-    talk.feed(REQUEST, mbap_adu(1, 5, READ), 100)
+    for number in (1, 2):
+        talk.feed(REQUEST, mbap_adu(number, 5, READ), 100)
     talk.gap(REQUEST, 12, 150)
     decoded = talk.feed(RESPONSE, mbap_adu(1, 5, ANSWER), 200)
     assert [one.outcome for one in transactions(decoded)] == [Outcome.OK]
+
+
+def test_a_response_behind_a_lost_request_of_the_same_id_is_not_joined_to_an_earlier_one() -> None:
+    talk = connection()
+    talk.feed(REQUEST, mbap_adu(0, 5, READ), 100)
+    talk.gap(REQUEST, 12, 150)
+    (response,) = transactions(talk.feed(RESPONSE, mbap_adu(0, 5, ANSWER), 200))
+    assert (response.outcome, response.request_raw) == (Outcome.NOT_CAPTURED, None)
 
 
 def test_open_request_stays_unanswered_when_the_connection_ends_or_time_passes() -> None:

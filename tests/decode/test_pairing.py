@@ -168,7 +168,8 @@ def test_request_that_a_retry_replaced_is_not_counted_again() -> None:
 def test_holds_a_bounded_number_of_requests() -> None:
     pairing = network()
     done = [one for at in range(3 * MAX_OPEN_REQUESTS) for one in pairing.feed(asked(READ, at, at))]
-    assert outcomes(done) == [Outcome.NO_ANSWER] * 2 * MAX_OPEN_REQUESTS
+    assert outcomes(done) == [Outcome.NOT_CAPTURED] * 2 * MAX_OPEN_REQUESTS
+    assert {tuple(one.verdicts) for one in done} == {(Verdict.OVER_LIMIT,)}
     assert len(pairing.close()) == MAX_OPEN_REQUESTS
 
 
