@@ -34,7 +34,8 @@ PURE_ROOMS = (
 )  # fmt: skip
 
 ROOMS_OF_TESTS_ONLY = {
-    "benchmarks", "cases", "certificates", "differential", "end_to_end", "golden", "properties",
+    "adversary", "benchmarks", "cases", "certificates", "differential", "end_to_end", "golden",
+    "properties",
 }  # fmt: skip
 """Folders of tests/ that test several rooms at once, or hold what tests read."""
 
