@@ -11,16 +11,18 @@
 #                        first as far as their sizes add up. Bytes of requests likewise: the next
 #                        response may belong to a request that the capture lacks.
 #     form               the number of values and what the response repeats of its request
-#     the master         If it never sends a request while another one waits, it has given up the
-#                        earlier one: the newest request gets the response. Otherwise the oldest.
-#     time               Until that is known, an earlier request counts as given up if the master
-#                        waited longer for it than LATE times the slowest response so far.
+#     the master         If it never sends a request while another one waits, it gives a request up
+#     and time           before it sends the next: it is given up if the master waited longer than
+#                        the slowest response so far took, or LATE times as long until that is
+#                        known. Of the requests that are not given up the oldest gets the response,
+#                        unless that would be sooner than this slave ever responded.
 #
 # A request that was given up stays open for the timeout, because its response may be late. It gets
 # a response only if no other request can get it and no request is missing from the capture.
 #
 # A slave may respond with another id than the request's. Such a response belongs to the only open
-# request if it fits, no bytes are missing, and this slave never repeated an id correctly.
+# request if it fits, and if either no bytes are missing and this slave never repeated an id
+# correctly, or acknowledgements show that nothing came between the two.
 #
 # Memory: at most MAX_OPEN_REQUESTS open requests, and as many counts of unanswered requests. A
 # request beyond that is dropped with the verdict over-limit; nothing is said of its response.
@@ -81,6 +83,8 @@ class NetworkPairing:
         """By unit and PDU, how many requests in a row had no answer."""
         self._slowest_ns: int | None = None
         """The longest time that a response took; None before the first one."""
+        self._fastest_ns = TIMEOUT_NS
+        """The shortest time that a response took."""
         self._in_a_row = 0
         """How many requests came while no other one waited."""
         self._is_sequential = False
@@ -155,15 +159,18 @@ class NetworkPairing:
         if waiting and not self._pipelines:
             for one in waiting:
                 waited_ns = request.start_ns - one.adu.end_ns
-                one.is_given_up = self._is_sequential or waited_ns > self._late_ns
+                one.is_given_up = waited_ns > self._late_ns
         self._is_sequential = self._is_sequential or self._in_a_row >= ENOUGH_REQUESTS
         self._note_id(request.transaction_id)
         self._open.append(_OpenRequest(request, place, is_after_loss=self._lost_requests > 0))
 
     @property
     def _late_ns(self) -> int:
+        """A master that waited longer than this has given up the request."""
         if self._slowest_ns is None:
             return FIRST_LATE_NS
+        if self._is_sequential:
+            return self._slowest_ns
         return max(LATE * self._slowest_ns, MIN_LATE_NS)
 
     def _respond(self, response: Adu, place: AduPlace | None) -> Transaction:
@@ -181,6 +188,7 @@ class NetworkPairing:
         if not found.is_given_up and response.start_ns >= found.adu.end_ns:
             latency_ns = response.start_ns - found.adu.end_ns
             self._slowest_ns = max(self._slowest_ns or 0, latency_ns)
+            self._fastest_ns = min(self._fastest_ns, latency_ns)
         self._learn_pipelining(found)
         if found.is_after_loss and not self._pipelines:
             self._lost_requests = 0  # The master has gone on behind the lost requests.
@@ -219,7 +227,7 @@ class NetworkPairing:
         ]
         same_id = [one for one in possible if one.adu.transaction_id == response.transaction_id]
         if not same_id:
-            return self._of_other_id(possible, response)
+            return self._of_other_id(possible, response, place)
         if len(same_id) > 1:
             fitting = [
                 one
@@ -229,6 +237,8 @@ class NetworkPairing:
             same_id = fitting or same_id
         waiting = [one for one in same_id if not one.is_given_up]
         found = waiting[0] if waiting else same_id[-1]
+        if found is not same_id[0] and self._is_too_early(found, response):
+            return same_id[same_id.index(found) - 1]  # A late response.
         if self._has_own_id(found):
             return found
         if self._over_limit:
@@ -237,6 +247,10 @@ class NetworkPairing:
             return None
         return found
 
+    def _is_too_early(self, request: _OpenRequest, response: Adu) -> bool:
+        """True if a response came sooner than this slave responds."""
+        return 2 * (response.start_ns - request.adu.end_ns) < self._fastest_ns < TIMEOUT_NS
+
     def _has_own_id(self, request: _OpenRequest) -> bool:
         """True if its id cannot be that of a request that the capture lacks."""
         if self._ids_count_up:
@@ -244,11 +258,16 @@ class NetworkPairing:
         ids = [one.adu.transaction_id for one in self._open]
         return self._ids_vary and request is self._newest and ids.count(ids[-1]) == 1
 
-    def _of_other_id(self, possible: list[_OpenRequest], response: Adu) -> _OpenRequest | None:
-        if len(self._open) != 1 or not possible or self._has_matching_ids or self._lost_requests:
+    def _of_other_id(
+        self, possible: list[_OpenRequest], response: Adu, place: AduPlace | None
+    ) -> _OpenRequest | None:
+        if len(self._open) != 1 or not possible:
             return None
         (one,) = possible
-        if one.may_be_lost or one.is_given_up:
+        is_doubtful = (
+            self._has_matching_ids or self._lost_requests or one.may_be_lost or one.is_given_up
+        )
+        if is_doubtful and not one.is_next_to(response, place):
             return None
         fits = is_response_to(parse_pdu(one.adu.pdu, Direction.REQUEST), response.pdu)
         return one if fits else None
@@ -311,6 +330,13 @@ class _OpenRequest(msgspec.Struct, gc=False, eq=False):
             return False
         received = self.place.acknowledged
         return received is None or received < place.end
+
+    def is_next_to(self, response: Adu, place: AduPlace | None) -> bool:
+        """True if acknowledgements show that no byte came between request and response."""
+        if place is None or self.place is None:
+            return False
+        start = place.end - len(response.raw)
+        return place.acknowledged == self.place.end and self.place.acknowledged == start
 
     def response_sizes(self) -> tuple[int, ...]:
         """The lengths that the ADU of its response can have; empty if unknown."""
