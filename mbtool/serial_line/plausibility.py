@@ -24,7 +24,8 @@ def is_odd_request(pdu: bytes) -> bool:
 def is_odd_response(pdu: bytes) -> bool:
     """True if a PDU with the form of a response has contents that no slave sends.
 
-    That is half a register, or an exception code that neither the specification nor devices use.
+    That is an odd number of bytes where registers are due, or an exception code that neither the
+    specification nor devices use.
     """
     if pdu[0] & EXCEPTION_BIT:
         return len(pdu) == 2 and not 0 < pdu[1] < ODD_EXCEPTIONS
