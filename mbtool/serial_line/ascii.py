@@ -128,7 +128,7 @@ class AsciiSplitter:
         return events
 
     def _time(self, offset: int) -> int:
-        """When the character at an offset of the read ended, in ns; not before the last read did."""
+        """When the character at an offset of the read ended, in ns; not before the last read."""
         return max(self._read_ns + offset * self._character_ns, self._least_ns)
 
     def _take_outside(
