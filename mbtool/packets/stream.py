@@ -136,7 +136,7 @@ class Stream:
         self.acknowledge(LEAD, arrival, ts_ns)
 
     def begins_at(self, sequence: int) -> bool:
-        """True if a SYN whose first byte has this sequence number can be the SYN of this stream."""
+        """True if a SYN that directly precedes this sequence number can be the stream's own SYN."""
         if self.joining:
             return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
