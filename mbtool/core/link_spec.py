@@ -199,9 +199,9 @@ LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
 
 
 def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
-    """Read a LINK string. Raises UsageError if it has none of the forms above.
+    """Read a LINK string. Raises UsageError if it has none of the forms in docs/links.md.
 
-    `offer` is a text with the forms that the message of this error names.
+    `offer` is a text with forms of LINK that the message of this error proposes.
     """
     scheme, colon, rest = text.partition(":")
     if not colon or not rest:

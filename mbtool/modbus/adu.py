@@ -36,8 +36,8 @@ class DirectionBy(StrEnum):
     """The evidence that decided the direction of an ADU."""
 
     PORT = "port"
-    """The TCP port to which the ADU was sent, or the tap that heard it, tells its direction. This
-    is certain."""
+    """The ports of the TCP connection, or the tap that heard the ADU, tell its direction. This is
+    certain."""
     PENDING = "pending"
     """The ADU fits as a response to the pending request."""
     IDLE = "idle"
@@ -54,7 +54,7 @@ class Verdict(StrEnum):
     GLUED = "glued"
     """In the capture, no silence parts the frame from the one before or after it."""
     SPLIT = "split"
-    """The frame contains a silence longer than t3.5."""
+    """The frame contains a silence of t3.5 or longer."""
     RESYNCHRONISED = "resynchronised"
     """Before this ADU, bytes were skipped because the boundaries of ADUs were lost; from this ADU
     on they are known again."""

@@ -128,7 +128,10 @@ class AsciiSplitter:
         return events
 
     def _time(self, offset: int) -> int:
-        """When the character at an offset of the read ended, in ns; not before the last read."""
+        """When the character at an offset of the read that is being taken ended, in ns.
+
+        That is at the earliest when the last character of the previous read ended.
+        """
         return max(self._read_ns + offset * self._character_ns, self._least_ns)
 
     def _take_outside(
@@ -257,7 +260,10 @@ class AsciiSplitter:
         return classification
 
     def _verdicts(self, frame: AsciiFrame, classification: Classification) -> tuple[Verdict, ...]:
-        """The verdicts on a frame. If it ends with the requested delimiter, the line now has it."""
+        """The verdicts on a frame.
+
+        If the frame ends with the requested delimiter, that becomes the line's delimiter.
+        """
         if frame.end == bytes((CR, self._asked_delimiter)):
             self._delimiter = self._asked_delimiter
         verdicts = []

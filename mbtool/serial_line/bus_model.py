@@ -273,7 +273,10 @@ class BusModel:
     def _unexplained_silence_ns(
         self, state: BusState, role: Direction, start_ns: int, inside_ns: int
     ) -> int:
-        """The length of the last silence after a frame, or 0 if a missing response explains it."""
+        """The length, in ns, of the last silence up to the end of a frame.
+
+        It is 0 if the silence was the wait for a response that never came.
+        """
         if self.history.trusts_silences or not self.history.timed:
             return 0
         if inside_ns:

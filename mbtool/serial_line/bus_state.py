@@ -39,7 +39,7 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
     """When the wait for the response began, in ns: at the end of this request, or, if it is
     overdue, at the end of the request sent after it."""
     silence_before_ns: int | None
-    """The silence before it; None for the first frame of a capture."""
+    """The silence before this request, in ns; None for the first frame of a capture."""
 
     def is_same(self, unit: int, pdu: bytes) -> bool:
         """True if a frame's unit and PDU equal this request's."""
@@ -55,7 +55,7 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
 
 
 class BusState(msgspec.Struct, frozen=True, gc=False):
-    """What decides who may speak next."""
+    """What the frames heard so far tell about who may speak next: the master or which slave."""
 
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None
@@ -70,10 +70,10 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     direction_known: bool = False
     """True if some frame before could only be a request, or only a response, by its form."""
     last_ns: int | None = None
-    """The end of the last frame; None at the start of a capture."""
+    """When the last frame ended, in ns; None at the start of a capture."""
     unexplained_silence_ns: int = 0
-    """Length of the last silence that no missing response explains. Used only when the adapter
-    merges frames: the true position of the silence among them is then unknown."""
+    """The length, in ns, of the last silence that was not the wait for a missing response. Used
+    only when the adapter merges frames: then it is unknown between which frames the silence was."""
 
     def pending_at(self, at_ns: int) -> PendingRequest | None:
         """The pending request; None if there is none, or if MAX_PENDING_NS have passed."""

@@ -40,7 +40,7 @@ LONG_SKIP = 4
 """So many skipped bytes in a row, or more, may contain a damaged request or response."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
-"""What receivers hear when the bus changes direction: one low period, read as a byte."""
+"""The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
 (V1.1b3, 6.8.1)."""
@@ -48,7 +48,7 @@ _QUERY_DATA = b"\x08\x00\x00"
 
 @dataclass(frozen=True, slots=True)
 class ByteWindow:
-    """Bytes of a line with their times."""
+    """The bytes of a line that one search explains, with their times."""
 
     data: bytes
     times: list[int]
@@ -78,7 +78,7 @@ class FrameCandidate(msgspec.Struct, gc=False):
     """The directions that the frame can have by its size."""
     cost: float
     is_unbound: bool = False
-    """True if only its CRC tells where it ends."""
+    """True if only the frame's CRC tells where the frame ends."""
 
 
 class DamagedCandidate(msgspec.Struct, gc=False):
@@ -88,7 +88,7 @@ class DamagedCandidate(msgspec.Struct, gc=False):
     cost: float
     role: Direction = Direction.UNKNOWN
     repaired: bytes = b""
-    """The frame as it was sent, if one wrong bit explains the damage."""
+    """The frame as it was sent, if one wrong bit explains the damage; empty otherwise."""
 
 
 class _RangeCount:
@@ -111,7 +111,7 @@ class _RangeCount:
 
 
 class Candidates:
-    """The candidate segments of one window."""
+    """The whole, damaged and incomplete frames that may begin at each byte of one window."""
 
     def __init__(
         self,

@@ -34,8 +34,8 @@ REPEAT_AFTER_RESPONSE = 5.0
 """Extra cost of a request that equals the one just answered, if silences cannot tell it from a
 second response: masters usually go on to the next request of their list. Start value, learned."""
 REPEAT_AFTER_RESPONSE_LIMITS = (0.0, 10.0)
-"""The least and the most, in bits, that the learned cost of such a repeated request can become. It
-becomes 0 for a master that sends a single request again and again."""
+"""The least and the most, in bits, that the learned cost of a request that equals the one just
+answered can become. It becomes 0 for a master that sends a single request again and again."""
 LATE_RESPONSE = 2.0
 """The cost of a response to the overdue request, after its retry or after damaged bytes."""
 LATE_RESPONSE_TO_OTHER = 5.0

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _REQUEST_CONFIDENCE = 0.98
-"""On a line whose silences tell nothing, a frame that could be either is taken for a request only
-with at least this confidence (0.5 to 1). A mistake would reverse the directions of all frames after
-it."""
+"""On a line whose silences tell nothing, a frame that could be a request or a response is taken for
+a request only with at least this confidence (0.5 to 1). A mistake would reverse the directions of
+all frames after it."""
 _RESPONSE_CONFIDENCE = 0.95
-"""On a line whose silences tell nothing, a frame that could be either is taken for a response only
-with at least this confidence (0.5 to 1). It is less than for a request, since the response's
-request came just before."""
+"""On a line whose silences tell nothing, a frame that could be a request or a response is taken for
+a response only with at least this confidence (0.5 to 1). It is less than for a request, since the
+response's request came just before."""
 _REQUEST_ONLY = [Direction.REQUEST]
 _FAR_LESS_LIKELY = 10.0
 """If two frames begin at the same byte and one costs so many bits more, that one is ignored."""

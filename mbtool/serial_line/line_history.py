@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from mbtool.serial_line.bus_state import BusState, PendingRequest
 
 MAX_REQUESTS = 1024
-"""Requests remembered. Beyond that, the one not heard for the longest time is forgotten."""
+"""How many requests of a line are remembered; beyond that, the one heard least recently is
+forgotten."""
 
 
 class LineHistory:

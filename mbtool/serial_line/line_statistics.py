@@ -7,7 +7,8 @@ from math import log2
 from mbtool.serial_line import costs
 
 _LEARNING_RATE = 1 / 32
-"""Weight of one frame in a frequency: a few dozen frames outweigh the start value."""
+"""Weight of one frame when the frequency of an event is learned: a few dozen frames outweigh the
+start value."""
 _SLOW_LEARNING_RATE = 1 / 96
 """Weight of one frame in the frequency of a rare event, reached after many frames: for what happens
 once in 20 frames, a few dozen frames are too few."""
@@ -51,7 +52,7 @@ class LearnedCost:
 
 
 class LineStatistics:
-    """The learned costs of what happens at the frames of an RTU line."""
+    """The learned costs of skipped bytes, noise, glued frames, split frames and wrong bits."""
 
     def __init__(self, *, timed: bool = True) -> None:
         """`timed` is False if the bytes' times are not known: then all frames look glued."""
@@ -84,14 +85,15 @@ class LatencyStatistics:
     ADAPTER_TIMER_NS = 255_000_000
     """The longest latency timer that an FTDI adapter can be set to, in ns."""
     MARGIN_DOUBLINGS = 0.25
-    """A response is late when it takes a fifth longer (2 ** 0.25) than the longest time."""
+    """A response is late when it takes a fifth longer (2 ** 0.25) than the longest response
+    time."""
 
     def __init__(self) -> None:
         self._heard = 0
         self._longest_ns = float(self.MIN_NS)
 
     def learn(self, latency_ns: int) -> None:
-        """Take one more response. The longest time shrinks by 1 % for each shorter one."""
+        """Take the time of one more response; if it is shorter, the longest time shrinks by 1 %."""
         self._heard += 1
         self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.MIN_NS)
 
@@ -112,7 +114,8 @@ class LatencyStatistics:
         """
         longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
-            # Moves from INITIAL_NS to the longest time heard, by equal factors for each response.
+            # The longest time moves from INITIAL_NS to the longest heard, by an equal factor for
+            # each response.
             missing = 1 - self._heard / self.ENOUGH_RESPONSES
             longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)

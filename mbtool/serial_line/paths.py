@@ -51,21 +51,21 @@ class Segment(msgspec.Struct, frozen=True, gc=False):
 
 
 class Path(msgspec.Struct, eq=False):
-    """Segments from the first byte of the window to an offset."""
+    """A chain of segments from the first byte of the window to an offset, with its cost in bits."""
 
     cost: float
     state: BusState
     previous: Path | None
     segment: Segment | None
     skipped: int = 0
-    """How many bytes were skipped in a row up to here."""
+    """How many bytes at the end of the path are skipped in a row."""
     is_noise: bool = False
-    """True if the bytes skipped in a row up to here directly follow a frame and are all noise, as
-    receivers hear it when the bus changes direction."""
+    """True if the bytes skipped at the end of the path directly follow a frame and are all noise,
+    as receivers hear it when the bus changes direction."""
     runs: int = 0
     """How many runs of skipped bytes the path has: each makes the next one cheaper."""
     ends_frame: bool = False
-    """True if a frame ends here, so that another one probably begins."""
+    """True if the path ends with a frame, so that another frame probably begins behind it."""
     rivals: tuple[Path, ...] = ()
     """Paths to the same place that cost more and were dropped in favour of this one. Those that
     cost less than DOUBT_BITS more lower the confidence of its segments."""

@@ -80,7 +80,7 @@ class RtuSplitter:
         self._decided_size = 0
         """How many of the bytes held the last search called an incomplete frame."""
         self._silence_count = 0
-        """The silences since bytes were last given out."""
+        """How many silences of t3.5 there were since bytes were last given out."""
         self._silences_at: list[int] = []
         """The offsets of the bytes held that have a silence of t3.5 before them."""
         self._was_noise = False
@@ -231,7 +231,7 @@ class RtuSplitter:
                     self._hear_damage(segment, start_ns, end_ns)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
-        """Learn from damage, and compute the bus states after it."""
+        """Learn from damaged bytes, and compute the possible bus states after them."""
         self._statistics.one_bit.learn(bool(segment.repaired))
         if self._speaker is not None:
             return

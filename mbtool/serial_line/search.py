@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_statistics import LineStatistics
 
 BEAM_WIDTH = 4
-"""The most paths kept at an offset. They differ in their bus state, or in ending with a skip."""
+"""The most paths kept at an offset. They differ in their bus state, or one ends with a skipped byte
+and another does not."""
 MIN_HEAD = 3
 """The number of bytes of a frame before its registers: unit, function and byte count."""
 MAX_ENCLOSED = 2
