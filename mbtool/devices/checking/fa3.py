@@ -51,15 +51,17 @@ _COMPLETION_FLAG = "Initial data setting completion flag"
 @dataclass(slots=True)
 class _Module:
     connections: dict[str, int] = field(default_factory=dict)
-    """The master's end of each open connection, with the time of its last request; at most
-    MAX_CONNECTIONS."""
+    """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
+    most MAX_CONNECTIONS."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """Requests and connection attempts: time, and the finding to give if that is after a reset."""
+    """The time (ns) of each recent request and connection attempt, and the finding to give if it
+    turns out that a reset came less than RESET_NS before."""
     reset_by: str | None = None
-    """The master's end that asked for a reset, until its connection closes."""
+    """HOST:PORT of the master that requested a remote reset; None once its connection is closed."""
     reset_ns: int | None = None
     reported: set[str | None] = field(default_factory=set)
-    """The masters' ends with a finding after the last reset; each gets one."""
+    """HOST:PORT of each master that got a finding FA3-X4 after the last reset; each gets only
+    one."""
     is_requested: bool = False
     """True from the write that sets Y9 to the write that clears it."""
     is_completed: bool = False
@@ -126,7 +128,11 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Give the finding if the module was reset less than RESET_NS before; else remember it."""
+        """Give the finding, once for each master, if the module was reset less than RESET_NS
+        before.
+
+        Otherwise remember the finding, because the reset can be decoded later.
+        """
         since_ns = module.reset_ns
         if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:
             if finding.source not in module.reported and len(module.reported) < MAX_RECENT:
@@ -137,7 +143,7 @@ class Fa3Rules:
 
 
 def _is_reset(transaction: NamedTransaction, profile: Profile) -> bool:
-    """True for a remote reset with the data in the manual; with other data, nothing is reset."""
+    """True for a remote reset with the data in the manual; a module ignores other data."""
     rule = profile.rule(_REMOTE_RESET)
     if transaction.function != _REMOTE_RESET:
         return False
@@ -172,5 +178,5 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
 
 
 def is_fa3(profile: Profile) -> bool:
-    """True if a profile belongs to the family, or extends one that does."""
+    """True if the profile is that of an FA3 module, or extends one."""
     return profile.behaviour is BehaviourName.FA3

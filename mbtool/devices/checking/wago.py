@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @dataclass(slots=True)
 class _Coupler:
     first: NamedTransaction | None = None
-    """The first exception 04 since any other response."""
+    """The first of the transactions with exception 04 since any other response; None if none."""
     is_reported: bool = False
 
 
@@ -56,5 +56,5 @@ class WagoRules:
 
 
 def is_wago(profile: Profile) -> bool:
-    """True if a profile belongs to the family, or extends one that does."""
+    """True if the profile is that of a WAGO 750 coupler, or extends one."""
     return profile.behaviour is BehaviourName.WAGO
