@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 _REFUSED = frozenset(("Cc", "Cs", "Zl", "Zp"))
-"""Categories of Unicode: control characters, surrogates, line and paragraph separators."""
+"""The Unicode categories that texts must not contain: control characters, surrogates, line and
+paragraph separators."""
 _NOTES = ("notes", "note")
 _ALLOWED_IN_NOTES = "\n\r\t"
 

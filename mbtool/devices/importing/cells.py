@@ -142,7 +142,7 @@ class TableCell:
 
 
 def parse_table(text: str) -> TableCell | None:
-    """Read a table: `Holding register`, `4x`, `HR`, `03`, `FC03/06/16`, `Eingangsregister (FC 04)`.
+    """Read a table's name: `Holding register`, `4x`, `HR`, `FC03/06/16`, `Eingangsregister (FC 04)`.
 
     Returns None if the text names no table. If it has function codes and words, the codes decide.
     """
