@@ -197,7 +197,10 @@ class Assignments:
 
 
 def _split_endpoint(text: str) -> tuple[str, str | None]:
-    """Split `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` or `[::1]:502` into host and port."""
+    """Split `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` or `[::1]:502` into host and port.
+
+    The port is None if the text has none.
+    """
     if text.startswith("["):
         host, closed, rest = text[1:].partition("]")
         if rest.startswith(":"):

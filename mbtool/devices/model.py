@@ -33,7 +33,7 @@ Texts = dict[int, str]
 
 WORD_BITS = 16
 READ_AND_WRITE = 0x17
-"""The one function that both reads and writes (6.17)."""
+"""Function 17H, the only one that both reads and writes (Application Protocol, 6.17)."""
 
 
 class Radix(StrEnum):

@@ -95,7 +95,7 @@ class _Meaning:
     """The points that the request writes, each with the index of its first value in the request."""
     read: tuple[tuple[int, PointInstance], ...] = ()
     answer: PointInstance | None = None
-    """The word in the response to a vendor's own function, as a point."""
+    """The word in the response to a vendor's own function, as a point; None for other functions."""
     findings: tuple[str, ...] = ()
 
 

@@ -71,7 +71,7 @@ class Samples:
     """The register values of one request: read from the slave, or written to it."""
 
     rows: list[tuple[int, ...]] = field(default_factory=list)
-    """The sample: the values of some transactions."""
+    """The sample: a row of register values for each sampled transaction."""
     count: int = 0
     """How many transactions had values, in the sample or not."""
     changes: list[int] = field(default_factory=list)
@@ -181,7 +181,9 @@ class ObservedSlave:
 
 
 def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[int] | None]]:
-    """The request of a transaction, or both parts of a function 17H; each with its values."""
+    """Return the request of a transaction, or the read and the write of function 17H, each with its
+    register or bit values.
+    """
     function = transaction.function
     known = FUNCTIONS.get(function)
     table = known.table if known is not None else None

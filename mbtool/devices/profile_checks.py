@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 Ranges = dict[str, tuple[float | None, float | None]]
-"""Minimum and maximum by the name of the point; None if there is no such limit."""
+"""The least and the greatest value of points, by the point's name; None where there is no limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
@@ -101,7 +101,7 @@ def value_ranges(profile: Profile) -> Ranges:
 
 
 def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointValue]:
-    """The values that are outside their range."""
+    """The values that are outside the range of their point."""
     return [point for point in points if _is_outside(point.value, ranges.get(point.name))]
 
 

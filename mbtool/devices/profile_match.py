@@ -78,7 +78,7 @@ class ProfileMatch:
 
     @property
     def share(self) -> float:
-        """Share of the evidence that is for the profile, 0 to 1."""
+        """The share of the evidence that is for the profile, 0 to 1; 0 without evidence."""
         total = self.explained + self.contradicted
         return self.explained / total if total else 0.0
 
@@ -261,7 +261,9 @@ def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies)
 
 
 def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
-    """The rule for a request, and True if a device of the profile accepts the request."""
+    """Return the profile's rule for a request in words, and True if the profile's device accepts
+    the request, False if it refuses it.
+    """
     function, table, span = request.function, request.table, request.span
     rule = profile.rule(function)
     if rule is None:
@@ -349,7 +351,7 @@ def _words(text: str) -> set[str]:
 
 
 def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """The number of exception codes that are not in the profile's manual."""
+    """Count the slave's exception codes that are not in the profile's manual."""
     codes = {code for one in slave.requests.values() for code in one.exceptions}
     undocumented = sorted(codes - set(profile.exceptions.documented))
     against += [f"exception {code:02X} is none of its manual's" for code in undocumented]

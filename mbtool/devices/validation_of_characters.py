@@ -38,7 +38,7 @@ def validate_characters(profile: Profile, file: str) -> None:
 
 
 def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Every text that is not printable, with its key."""
+    """Give the key and the text of every text in `value` that is not printable."""
     if isinstance(value, str):
         if not value.isprintable():
             yield key, value

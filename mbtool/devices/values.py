@@ -360,8 +360,7 @@ def _flags_text(point: Point, word: int) -> str:
 
 
 def _field_text(point: Point, word: int) -> str:
-    """A field's channels, grouped by their texts: `CH1 CH2 CH6 CH8 enabled`, `CH1 HOLD, CH2 CLEAR`.
-    """
+    """A field's channels, grouped by text: `CH1 CH2 CH6 enabled`, `CH1 HOLD, CH2 CLEAR`."""
     bits = point.type.channel_bits
     texts = point.texts or ({1: "on"} if bits == 1 else {})
     channels = point.channels or WORD_BITS // bits

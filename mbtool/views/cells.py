@@ -64,8 +64,7 @@ HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency"
 def transaction_row(
     number: int, transaction: NamedTransaction, profile: Profile | None = None
 ) -> TransactionRow:
-    """The row of a transaction. With a profile, the texts of findings have the profile's figures.
-    """
+    """The row of a transaction. With a profile, its findings have the profile's figures."""
     return TransactionRow(
         number=str(number),
         time=clock_time(transaction.start_ns),
@@ -80,7 +79,7 @@ def transaction_row(
 
 
 def event_row(event: WireEvent) -> TransactionRow:
-    """The row of a wire event in the same table."""
+    """The row of a wire event in the transaction table."""
     return TransactionRow(
         number="",
         time=clock_time(event.ts_ns),

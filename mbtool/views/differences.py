@@ -54,7 +54,7 @@ def what_text(difference: Difference) -> str:
 
 
 def count_text(found: Sequence[Difference]) -> str:
-    """The number of differences in words."""
+    """Say how many differences there are: `12 differences`."""
     return counted(len(found), "difference", ",")
 
 

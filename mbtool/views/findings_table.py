@@ -102,7 +102,7 @@ def _print_message(console: Console, message: str) -> None:
 
 
 def finding_line(finding: Finding) -> Text:
-    """One finding as one line."""
+    """Write a finding as one line: time, code, place, message and number of cases."""
     times = f" ({finding.count} times)" if finding.count > 1 else ""
     line = Text(f"{_time(finding)}  ")
     line.append(f"{finding.code:<9}", _STYLES[finding.severity])

@@ -34,8 +34,7 @@ def print_match_results(console: Console, results: Sequence[MatchResult]) -> Non
 
 
 def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
-    """The profiles to show: all that tie for the best, at least MIN_SHOWN, but none with score 0.
-    """
+    """The profiles to show: all that tie for the best, at least MIN_SHOWN, none with score 0."""
     scored = [one for one in result.matches if one.score > 0]
     return scored[: max(MIN_SHOWN, len(result.best))]
 

@@ -7,7 +7,7 @@ from rich.text import Text
 
 
 def printable(text: str) -> str:
-    """Replace control characters in a text from a wire or a file, which could steer a terminal."""
+    """Replace control characters, which could steer a terminal, with ? in a text."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else "?" for char in text)

@@ -59,7 +59,9 @@ class TransactionTable:
         self._day = ""
 
     def add(self, row: TransactionRow, day: str) -> None:
-        """Show a row, after a line with the day if the day is a new one."""
+        """Add a row. If its day differs from that of the row before, a line with the day comes
+        first.
+        """
         if self._widths is not None:
             self._print(row, day)
             return

@@ -46,7 +46,7 @@ class _Connection:
     """The last transactions: transaction id, time of the request (ns), time of the response
     (ns)."""
     is_cut: bool = False
-    """True if bytes are missing in the capture since the last request with a response."""
+    """True if the capture misses bytes of the connection since the last request with a response."""
 
 
 class ConnectionRules:
@@ -62,7 +62,7 @@ class ConnectionRules:
         self._last_ns = 0
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Check the next transaction."""
+        """Check the next transaction, and give the findings that are certain now."""
         yield from self._advance(transaction.response_ns or transaction.start_ns)
         connection = self._connections[transaction.link, transaction.source]
         if transaction.request_raw is not None and transaction.response_raw is not None:
@@ -86,7 +86,7 @@ class ConnectionRules:
         connection.recent.append((id_, request_ns, response_ns))
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a network."""
+        """Check the next event of a network, and give the findings that are certain now."""
         yield from self._advance(event.ts_ns)
         match event.kind:
             case EventKind.FOREIGN:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
 RESET_NS = 2_000_000_000
-"""How long a module accepts no connection after a remote reset."""
+"""How long a module accepts no connection after a remote reset, in ns."""
 
 _REMOTE_RESET = 0x41
 _REQUEST_FLAG = "Initial data setting request flag"
@@ -63,9 +63,9 @@ class _Module:
     """HOST:PORT of each master that got a finding FA3-X4 after the last reset; each gets only
     one."""
     is_requested: bool = False
-    """True from the write that sets Y9 to the write that clears it."""
+    """True from the write that sets the request flag, Y9, to the write that clears it."""
     is_completed: bool = False
-    """True if X9 was read as 1 since Y9 was set."""
+    """True if the completion flag, X9, was read as 1 since Y9 was set."""
 
 
 class Fa3Rules:
@@ -75,7 +75,7 @@ class Fa3Rules:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
-        """Check the next transaction of a module."""
+        """Check the next transaction of a module, and give the findings that are certain now."""
         module = self._modules[transaction.destination or transaction.link]
         source, at_ns = transaction.source or "", transaction.start_ns
         if source in module.connections:
@@ -91,7 +91,7 @@ class Fa3Rules:
         yield from _handshake(module, transaction)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a module."""
+        """Check the next event of an FA3 module, and give the findings that are certain now."""
         module = self._modules[event.destination or event.link]
         match event.kind:
             case EventKind.FOREIGN if is_foreign_message(event.raw):
@@ -156,7 +156,7 @@ def _with_time(finding: Finding, after_ns: int) -> Finding:
 
 
 def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Finding]:
-    """Follow the initial data setting: FA3-X5 if Y9 is cleared before X9 was read as 1."""
+    """Follow the initial data setting. Gives FA3-X5 if Y9 is cleared before X9 was read as 1."""
     if transaction.outcome is not Outcome.OK:
         return
     known = FUNCTIONS.get(transaction.function)

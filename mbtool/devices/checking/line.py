@@ -141,7 +141,7 @@ class LineRules:
         line.broadcast = transaction if is_broadcast else None
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a line."""
+        """Check the next event of a line, and give the findings that are certain now."""
         line = self._lines[event.link]
         match event.kind:
             case EventKind.BAD_CHECK:

@@ -95,7 +95,7 @@ class ResponseRules:
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None
     ) -> Iterator[Finding]:
-        """Check the next transaction."""
+        """Check the next transaction, and give the findings that are certain now."""
         connection = (transaction.link, transaction.source)
         state = self._states[connection]
         at_ns = transaction.start_ns
@@ -167,7 +167,9 @@ class ResponseRules:
                     yield self._no_response_finding(one)
 
     def _advance(self, now_ns: int) -> Iterator[Finding]:
-        """Report the requests that were pending for longer than PATIENCE_NS."""
+        """Give a finding for each request that has been pending for more than PATIENCE_NS at
+        `now_ns`.
+        """
         self._last_ns = max(self._last_ns, now_ns)
         while self._pending:
             transactions = next(iter(self._pending.values()))

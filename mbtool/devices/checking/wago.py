@@ -39,7 +39,7 @@ class WagoRules:
         self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Check the next transaction of a coupler."""
+        """Check the next transaction of a coupler. Gives WAGO-X1 if its watchdog has expired."""
         coupler = self._couplers[transaction.destination or transaction.link]
         if transaction.exception == ExceptionCode.SERVER_DEVICE_FAILURE:
             if coupler.first is None:

@@ -17,7 +17,7 @@ from mbtool.modbus.tables import Table
 NOTHING = frozenset(
     ("", "-", "--", "---", "\u2013", "\u2014", "n/a", "n.a.", "na", "none", "/", "null", "nil", "*")
 )
-"""Cells that say that there is nothing, in lower case."""
+"""The texts, in lower case, of cells that hold no value."""
 
 MAX_DIGITS = 8
 REGISTER_BITS = range(16)
@@ -136,13 +136,13 @@ class TableCell:
     """The table that a cell names, and its function codes if the cell names the table by codes."""
 
     table: Table | None
-    """None if the function codes belong to several tables, or to none of the four."""
+    """The table; None if the function codes belong to several tables, or to none of the four."""
     functions: tuple[int, ...] = ()
     """Empty if the cell names no function code, or a code that belongs to no table."""
 
 
 def parse_table(text: str) -> TableCell | None:
-    """Read a table's name: `Holding register`, `4x`, `HR`, `FC03/06/16`, `Eingangsregister (FC 04)`.
+    """Read a table's name: `Holding register`, `4x`, `HR`, `FC03/06`, `Eingangsregister (FC 04)`.
 
     Returns None if the text names no table. If it has function codes and words, the codes decide.
     """

@@ -54,7 +54,7 @@ SYNONYMS = {
     "function": Meaning.TABLE, "max": Meaning.MAXIMUM, "min": Meaning.MINIMUM,
     "order": Meaning.WORD_ORDER, "quantity": Meaning.LENGTH, "values": Meaning.TEXTS,
 }  # fmt: skip
-"""Other words that name a meaning in --column."""
+"""Other words for meanings that the user may write in --column."""
 
 _HEADINGS = {
     Meaning.ADDRESS: "address, addr, adr, adresse, register, registers, reg, registre, reference, "
@@ -122,7 +122,7 @@ class Column:
         return fold(self.heading)
 
     def of(self, row: Sequence[str]) -> str:
-        """The cell of a row; a row may be too short to have it."""
+        """The text of this column's cell in a row; empty if the row is too short."""
         return row[self.index].strip() if self.index < len(row) else ""
 
 

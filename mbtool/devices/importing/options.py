@@ -27,7 +27,7 @@ class AddressStyle(StrEnum):
 
 
 class Scaling(StrEnum):
-    """What the numbers in a column of factors are for."""
+    """What is done with the number in a register and the factor in the list."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"

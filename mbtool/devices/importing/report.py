@@ -8,10 +8,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 MAX_PROBLEMS = 100
-"""How many different problems have a line of their own; one more line names all other rows."""
+"""The most problems that get a line of their own. One more line names the rows of all others."""
 
 _SHOWN = 40
-"""How many characters of a cell are shown."""
+"""The most characters of a cell that a problem shows."""
 
 
 class ImportReport:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MAX_NAME = 120
-"""How many characters of a name are kept."""
+"""The most characters of a name; longer names are cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,7 @@ class ListRow:
     """One row of the list."""
 
     row: int
-    """Its number in the file; the first row is 1."""
+    """The number of the row in the file; the first row is 1."""
     name: str
     address: AddressCell
     table: TableCell | None

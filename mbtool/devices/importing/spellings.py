@@ -22,7 +22,7 @@ Order = tuple[WordOrder, ByteOrder]
 
 @dataclass(frozen=True, slots=True)
 class TypeSpelling:
-    """The type that a cell names."""
+    """The type of a value as a cell of a register list names it."""
 
     type: PointType
     order: Order | None = None
