@@ -387,7 +387,10 @@ def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) ->
 
 
 def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
-    """How many addresses that were read or written with success have a point."""
+    """Count the addresses in `known` that have a point in the profile.
+
+    An address is known if the slave accepted a read or a write of it.
+    """
     return sum(
         known[point.table].count(1, address, address + point.words)
         for point in profile.points

@@ -74,8 +74,8 @@ def _demand(type_: PointType, key: str) -> dict[str, Any]:
 
 
 def _inlined(node: Mapping[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema with its parts in place of references, and without null, which TOML does not
-    have.
+    """Return a schema without null, which TOML does not have, and with the part that each `$ref`
+    refers to in place of the `$ref`.
     """
     inlined = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
     if node.get("default") not in (None, [], {}):

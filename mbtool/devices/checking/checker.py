@@ -51,8 +51,8 @@ class Checker:
     def feed(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
         """Check the next record, and give the findings that are certain now.
 
-        Namer of this edition of mbtool must have named a transaction: its finding codes are taken
-        as they are.
+        A transaction must have been named by this edition of mbtool, because its finding codes are
+        taken as they are.
         """
         if isinstance(record, WireEvent):
             yield from self._event(record)

@@ -12,8 +12,8 @@
 # there is no such handshake.
 #
 # Memory: for each module, its connections and the last MAX_RECENT requests and connection attempts
-# (see lru_dict.py). They are kept because the transaction of a reset, which has no response, can be
-# decoded after later ones.
+# (see lru_dict.py). The requests are kept because the transaction of a reset, which has no
+# response, can be decoded after later transactions.
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The rules for serial lines: silences, damage, the master's pace, and broadcasts."""
 
-# MB-301, MB-302    broadcasts: a slave responds to one; the master reads with one
+# MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
 # RTU-101..103      silences: one finding for each unit and kind, with a count
 # RTU-104           one finding for a line, in place of RTU-101..103, RTU-301 and RTU-302
 #

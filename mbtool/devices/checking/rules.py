@@ -5,7 +5,7 @@
 # A rule of the standard has a code like MB-101: a family and a number. A rule of a device's manual
 # has a code like FT1A-Q16: the profile's prefix, a letter for the kind of rule, and the function
 # code in decimal (for the letter E, the exception code). The code does not contain the limit in the
-# manual, so it stays when that is corrected. The number lets users select the rule for one
+# manual, so it stays when the limit is corrected. The number lets users select the rule for one
 # function. A code never changes its meaning.
 #
 # Sources, each with its section: MODBUS Application Protocol Specification V1.1b3, MODBUS over

@@ -1,6 +1,6 @@
 """Makes findings about single transactions, with figures in their messages."""
 
-# The codes are those that naming.py puts into a transaction. `mbtool check` names every transaction
+# The findings are the codes that naming.py puts into a transaction. `mbtool check` names every transaction
 # again, so that today's rules also apply to the log of an older edition, or to a log without the
 # slave's profile.
 

@@ -5,7 +5,7 @@
 # - a heading that names a table ("Input registers", "Eingangsregister (FC 04)") holds for the rows
 #   below it that have no table of their own,
 # - `Bit 3: Alarm` and `1 = Auto` belong to the row above,
-# - the rest is text and left out.
+# - any other row is text, and is left out.
 
 from __future__ import annotations
 

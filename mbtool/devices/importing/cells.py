@@ -1,7 +1,7 @@
 """Reads the cells of a register list: numbers, factors, rights, tables, texts and ranges."""
 
-# Each function reads one cell, or returns None if it holds nothing of that kind. They know the
-# usual ways of writing, in English, mostly in German and French, also with a decimal comma.
+# Each function reads one cell, or returns None if it holds nothing of that kind. The functions
+# know the usual spellings in English, most of those in German and French, and decimal commas.
 
 from __future__ import annotations
 

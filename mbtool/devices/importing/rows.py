@@ -261,7 +261,7 @@ class RowReader:
         return [*notes, *prose]
 
     def _factors_divide(self, scaling: Scaling | None) -> bool:
-        """True if factors divide for which the list does not say whether they do."""
+        """True if a factor without a sign such as x or / divides the register's number."""
         column = self._sheet.column(Meaning.SCALE)
         if scaling is not None or column is None:
             return scaling is Scaling.DIVIDE
