@@ -1,8 +1,8 @@
 """Makes findings about single transactions, with figures in their messages."""
 
-# The findings are the codes that naming.py puts into a transaction. `mbtool check` names every transaction
-# again, so that today's rules also apply to the log of an older edition, or to a log without the
-# slave's profile.
+# Each finding has a code that naming.py put into the transaction. `mbtool check` names every
+# transaction again, so that today's rules also apply to the log of an older edition, or to a log
+# without the slave's profile.
 
 from __future__ import annotations
 
