@@ -66,7 +66,11 @@ class OnEnd(StrEnum):
 
 
 class NoAnswer(Enum):
-    """A matcher's result if it has no recorded answer: a miss, the register image, silence."""
+    """What a matcher returns if it has no recorded answer to a request.
+
+    MISS: the recording has no such request. IMAGE: answer from the register image. SILENCE: send no
+    response.
+    """
 
     MISS = "miss"
     IMAGE = "image"
@@ -81,7 +85,7 @@ class Moment(NamedTuple):
 
     at_ns: int
     is_over: bool = False
-    """True if the clock has reached the end."""
+    """True if the clock has reached the end of the recording."""
     is_paused: bool = False
 
 
@@ -110,7 +114,7 @@ class KeyMatcher:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """By request, how many answers it has had."""
+        """How many answers each request has been given so far, by request."""
 
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         answers = self._answers.get(key)
