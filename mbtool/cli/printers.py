@@ -24,7 +24,7 @@ class Printer(ABC):
 
     @abstractmethod
     def print(self, record: Record, number: int) -> None:
-        """Print a record; `number` counts the transactions."""
+        """Print a record; `number` is the number of transactions so far, this one included."""
 
     def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
         """Print buffered rows, while more may come."""

@@ -51,7 +51,7 @@ class SlaveMonitor:
         self._ends = Ends(link.name)
         self._pending: deque[tuple[Adu, Response | None]] = deque()
         self._missed = 0
-        """How many were dropped since the start; counted by the slave's thread."""
+        """How many requests were dropped since the start; counted by the slave's thread."""
         self._missed_told = 0
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[DeviceOutput] = []
@@ -62,7 +62,7 @@ class SlaveMonitor:
     # Called by the slave's thread.
 
     def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
-        """Take the behaviours of the devices, by unit, which have the outputs."""
+        """Take the behaviour of each device, by unit; the devices' outputs are read from it."""
         self._behaviours = behaviours
         self._outputs = self._all_outputs()
 
