@@ -39,7 +39,7 @@ MAX_RECORD = 64 << 20
 
 
 def packed(*records: McapRecord) -> bytes:
-    """The bytes of records."""
+    """Return records as the bytes that they have in the file, one after the other."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
