@@ -191,7 +191,7 @@ class _DocumentPrinter(_Printer):
 
 
 def _sentence(run: CheckRun) -> str:
-    """For example `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
+    """Sum up: `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
     from mbtool.core.wording import plural
 
     number, codes = run.counts.total(), len(run.counts)

@@ -31,7 +31,7 @@ _STANDARD_OUTPUT_NAME = "standard output"
 F = TypeVar("F")
 
 CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
-"""Events that tell of no trouble."""
+"""Events that tell of no trouble: a connection was opened or closed."""
 
 _WORDS = {
     Outcome.OK: "ok",
@@ -296,7 +296,7 @@ class Tally:
         return self.outcomes.total()
 
     def sentence(self) -> str:
-        """For example `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
+        """Sum up: `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
         text = f"{self.transactions} {plural(self.transactions, 'transaction')}"
         parts = [
             f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]

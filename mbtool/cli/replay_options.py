@@ -26,7 +26,7 @@ AS_SLAVE, AS_MASTER, AS_BUS = "--as-slave", "--as-master", "--as-bus"
 _MAX_S = 1e9
 """The largest --start and --end in seconds: 31 years."""
 _MAX_SPEED_CHARACTERS = 20
-"""Times are divided by the speed, exactly; a longer number would make that slow."""
+"""The longest text of --speed: times are divided by it exactly, and a longer number is slow."""
 
 
 # The values of replay.MatchStrategy, OnMiss and OnEnd. To import those would make --help slow.

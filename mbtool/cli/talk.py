@@ -84,7 +84,7 @@ class Interrupt:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """Note Ctrl-C and SIGTERM, so that the command can end when it is ready."""
+    """While the context is open, only note Ctrl-C and SIGTERM; the command ends when ready."""
     interrupt = Interrupt()
     before = {
         number: signal.signal(number, interrupt.ask) for number in (signal.SIGINT, signal.SIGTERM)

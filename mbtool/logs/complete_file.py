@@ -112,7 +112,8 @@ class CompleteFile:
         section, end = summary(start)
 
         def write() -> None:
-            # With an empty footer first, the file is readable until the summary is on the disk.
+            # The first footer tells of no summary, so that the file is readable until the summary
+            # is on the disk.
             self._replace(start, section + footer(), FOOTER_SIZE, sync=True)
             self._write(start + len(section), end)
             self._sync()

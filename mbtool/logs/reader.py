@@ -71,7 +71,7 @@ class LogReader(ClosesOnExit):
         self._records = RecordStream(stream, name)
         self._damage = Damage(name)
         self._now_ns = 0
-        """The log time of the last item."""
+        """The log time (ns) of the last item that was read."""
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}
         self._decoders: dict[str, msgspec.json.Decoder[_Message]] = {
@@ -188,7 +188,7 @@ class LogReader(ClosesOnExit):
         return record.opcode == Opcode.FOOTER and self._records.summary_start(record) == 0
 
     def _learn(self, record: McapRecord) -> bool:
-        """Take the metadata of a record outside chunks; False if the record may hold items."""
+        """Take the metadata of a record; return False instead if the record may hold items."""
         if record.opcode in _ITEM_OPCODES:
             return False
         try:

@@ -90,7 +90,7 @@ class LogWriter(ClosesOnExit):
 
     @property
     def size(self) -> int:
-        """The bytes of the file so far."""
+        """The size of the file so far, in bytes."""
         return self._file.size
 
     def hold(self) -> BinaryIO:

@@ -41,7 +41,7 @@ class ByteRun:
     """When the first byte began, counted from the beginning of the part that is played."""
     data: bytes
     after_silence: bool = False
-    """True if the line must be silent before it, as between frames."""
+    """True if a silence of t3.5 must come before these bytes, as between frames."""
 
 
 class BusPlayer:

@@ -99,12 +99,12 @@ class PlayClock:
         return self._anchor_ns - (self._anchor_position_ns - position_ns) / self._rate // 1
 
     def run(self, now_ns: int) -> None:
-        """Start, or go on after a pause."""
+        """Start the clock, or let it go on after a pause."""
         if self._anchor_ns is None:
             self._anchor_ns = now_ns
 
     def pause(self, now_ns: int) -> None:
-        """Stand still until `run`."""
+        """Let the clock stand still until `run` is called."""
         self._anchor_position_ns = self.position(now_ns)
         self._anchor_ns = None
 

@@ -43,7 +43,7 @@ class DamagedAnswer:
     """A damaged response in a recording."""
 
     raw: bytes
-    """Its bytes as captured."""
+    """The bytes of the response, as they were captured."""
     transport: Transport
     has_wrong_check: bool
     """True if only its checksum is wrong; False if it is incomplete or more is wrong."""

@@ -39,13 +39,13 @@ class MatchStrategy(StrEnum):
     AUTO = "auto"
     """As KEY, then from the register image, then from the device's profile."""
     SEQUENCE = "sequence"
-    """The exact order of the recording."""
+    """A request is answered only if it is the next one in the recording."""
     KEY = "key"
     """The next answer to the same unit, function, addresses and values."""
     TIME = "time"
-    """The answer nearest to the clock's time."""
+    """The answer to the same request whose time is nearest to the clock's."""
     IMAGE = "image"
-    """The register image at the clock's time."""
+    """The values that the registers had at the clock's time."""
 
     @property
     def by_clock(self) -> bool:
@@ -57,11 +57,11 @@ class OnEnd(StrEnum):
     """What follows after the last recorded answer."""
 
     LAST = "last"
-    """The last answer again."""
+    """A request gets its last recorded answer again."""
     LOOP = "loop"
-    """The recording from its beginning."""
+    """The answers begin again with the first recorded one."""
     IMAGE = "image"
-    """The last values of the registers."""
+    """A request is answered with the last values of the registers."""
     SILENT = "silent"
 
 

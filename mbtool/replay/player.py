@@ -55,7 +55,8 @@ if TYPE_CHECKING:
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
-"""In a loop, the time between end and next beginning of a recording of a single instant."""
+"""In a loop, the ns from one lap to the next if the recording has no length, as with one
+request."""
 
 
 class OnMiss(StrEnum):

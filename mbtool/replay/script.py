@@ -69,7 +69,7 @@ class Script:
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
         pdus: dict[bytes, bytes] = {}
-        """Equal PDUs share one object."""
+        """One object for all PDUs that are equal, which saves memory."""
         open_until: dict[int, int] = {}
         """The numbers of open steps, and when their responses came."""
         for number, (request_ns, pdu, one) in enumerate(asked):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Control(StrEnum):
-    """The function of a key."""
+    """What a key of the user does to a player."""
 
     PAUSE = "pause"
     """Pause the player, or let a paused one go on."""

@@ -20,7 +20,8 @@ class Timeline:
 
     def __init__(self) -> None:
         self._history: dict[int, tuple[list[int], list[int]]] = {}
-        """By address: the times of changes, and the value from each of them on."""
+        """For each address, the times at which its value changed, and the value from each time
+        on."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
         """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`.

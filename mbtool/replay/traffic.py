@@ -102,7 +102,7 @@ class RequestTraffic:
 
     function_name: str
     reference: str
-    """The addresses in the notation of the device."""
+    """The addresses that the request names, in the notation of the device."""
     count: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     """How often: `ok`, `exception 02`, `no answer`, `malformed`, `broadcast`, `unsolicited`."""
@@ -138,7 +138,7 @@ class SlaveTraffic:
     def __init__(self) -> None:
         self.count = 0
         self.device: str | None = None
-        """The name of its profile, if it has one."""
+        """The name of the device's profile; None if it has none."""
         self.requests: dict[RequestKey, RequestTraffic] = {}
         self.registers: dict[ValueKey, ObservedValues] = {}
         self.is_complete = True

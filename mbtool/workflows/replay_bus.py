@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
-"""Pause between two rounds of --loop."""
+"""The pause between two rounds of --loop, in ns of recorded time."""
 _LOOK_NS = 30_000_000
 """The longest wait before keys, and the user's wish to end, are asked for again."""
 

@@ -50,7 +50,7 @@ class Log(Protocol):
     def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Take the time, so that buffered items are written after a while."""
+        """Take the time (ns); write items to the file that have been in memory for a while."""
 
     def close(self, final: Mapping[str, str]) -> None:
         """Complete the log; `final` holds values that are known at the end of a run only."""

@@ -59,7 +59,7 @@ class SlaveMonitor:
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
 
-    # Called by the slave's thread.
+    # The methods up to the next comment are called by the slave's thread.
 
     def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
         """Take the behaviour of each device, by unit; the devices' outputs are read from it."""
@@ -72,7 +72,7 @@ class SlaveMonitor:
         else:
             self._missed += 1
 
-    # Called by the other thread.
+    # The methods from here on are called by the thread that shows what happens.
 
     def records(self) -> list[Record]:
         """The transactions and events since the last call."""
