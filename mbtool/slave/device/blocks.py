@@ -54,7 +54,7 @@ class Blocks:
         block[offset : offset + len(values)] = values
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Make the blocks of `with_table` those of `table` too."""
+        """Give `table` the blocks of `with_table`: from now on both tables share them."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block

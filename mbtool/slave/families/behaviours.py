@@ -29,7 +29,7 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
     "lt830": Lt830,
     "wago": Wago,
 }
-"""Keys: the profile's `behaviour`; with a slash and the model code if models differ."""
+"""By a profile's `behaviour`, or that, a slash and the model code if models differ: the class."""
 
 
 def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:

@@ -71,7 +71,7 @@ class Fa3(Behaviour):
         self.image.set(Table.INPUT_REGISTERS, LATEST_ALARM, [code])
 
     def linked(self, is_linked: bool) -> None:
-        """Called when the first master has connected, and when the last one has gone."""
+        """Called with True when the first master has connected, False when the last has gone."""
         self.is_linked = is_linked
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:

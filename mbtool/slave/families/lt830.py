@@ -78,7 +78,7 @@ class Lt830(Behaviour):
     def _after(
         self, place: PointInstance, table: Table, writes: range, values: Sequence[int]
     ) -> PointValue:
-        """The value of a point after a write that may cover only some of its registers."""
+        """Return the value of a point after a write, which may cover only some of its registers."""
         raw = self.image.get(table, place.address, place.words)
         for at in range(place.words):
             if place.address + at in writes:
