@@ -1,6 +1,7 @@
 """Takes a terminal driver's marks out of the bytes read, and says which bytes came damaged."""
 
-# With PARMRK set, a read of a port gives (termios(3); Linux drivers/tty/n_tty.c):
+# With PARMRK set, the bytes that a read of a port returns have these marks (termios(3); Linux
+# drivers/tty/n_tty.c):
 #
 #     FF FF       a byte FF that arrived undamaged
 #     FF 00 X     a byte X whose parity bit or stop bit was wrong

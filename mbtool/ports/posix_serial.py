@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""
 _ERROR_COUNTERS = slice(6, 11)
-"""Of these, frame, overrun, parity, brk and buf_overrun: the fields of `ErrorCounts` in order."""
+"""Where the counters frame, overrun, parity, brk and buf_overrun stand: those of `ErrorCounts`."""
 
 
 class PosixPort:

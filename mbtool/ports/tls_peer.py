@@ -1,7 +1,7 @@
 """Who is at the other end of a TLS connection, as its certificate says."""
 
-# Python's ssl gives the subject of a certificate that it has verified, and hardly any extension.
-# Modbus/TCP Security has the role of a client in one: extension 1.3.6.1.4.1.50316.802.1, a
+# Python's ssl gives the subject of a certificate that it has verified, and hardly any extension. In
+# Modbus/TCP Security a client's role is in such an extension: 1.3.6.1.4.1.50316.802.1, a
 # UTF8String (MB-TCP-Security-v21, 8.4). The library cryptography reads this extension, and the time
 # at which a certificate expires. The library comes with the extra mbtool[tls]; without it TLS works
 # all the same, but roles and expired certificates are not reported.

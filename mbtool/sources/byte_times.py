@@ -6,7 +6,7 @@
 # The header names the columns, in any order. Other columns are not used, also not `line`: all rows
 # are of one bus, in the order of time. Times are seconds, since the start of the recording or since
 # 1970; a recording that starts at 0 is shown as starting in 1970. An analyser that counts from its
-# trigger gives negative times to what came before: then the first row is shown as the start.
+# trigger gives negative times to the bytes before it: then the time of the first row is shown as 0.
 #
 # The time of a byte is the arrival of its last bit. sigrok's decoder gives the end of the data bits
 # as t_end_s. If t_end_s is less than one character time after t_start_s, the time is t_start_s plus
@@ -62,7 +62,7 @@ def read_byte_times(
 ) -> SerialBytes:
     """Read the header and the first rows, which give the line's settings if `line` is None.
 
-    Raises InputError for a wrong header. Errors of rows are raised by the pieces.
+    A wrong header or row raises InputError only when the pieces before it have been taken.
     """
     rows = _rows(stream, name)
     first: list[_Row] = []

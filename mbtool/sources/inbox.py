@@ -42,7 +42,7 @@ ITEM_COST = 256
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The last item of a source."""
+    """The last item that a source puts: it hears no more."""
 
     link: str
     error: LinkError | None = None
@@ -108,7 +108,10 @@ class Inbox:
                     self._calm.set()
 
     def get(self, timeout: float | None = None) -> Item | None:
-        """Take out the next item; None if none comes in `timeout` seconds. None: wait for ever."""
+        """Take out and return the next item; return None if none comes in `timeout` seconds.
+
+        Without a timeout this waits until an item comes.
+        """
         if not self._calm.is_set() and self._held <= self._limit // 2:
             self._calm.wait(STANDSTILL_S)
         with self._changed:

@@ -67,7 +67,7 @@ _TICK_S = 0.1
 _SOON_S = 0.002
 """How long the loop waits for packets while others are held back, in seconds."""
 _SETTLE_NS = 1_000_000
-"""How long before it can be fetched a packet may have got its time, in ns."""
+"""How many ns may pass from the time of a packet until the packet can be fetched."""
 _AHEAD_NS = 1_000_000_000
 """If a packet's time is so many ns ahead of the clock, the clock has been set back since."""
 _STATISTICS_NS = 1_000_000_000

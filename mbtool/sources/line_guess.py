@@ -113,7 +113,8 @@ class _Listener:
                 skipped += len(data)
             else:
                 hearing.feed(data, self._port.damaged, at_ns)
-            # Some adapters make pauses inside a frame, so a pause alone must not end the trial.
+            # Right after data the trial must not end: the frame may go on, as some adapters make
+            # pauses inside a frame.
             if (not data or hearing.heard >= ENOUGH) and hearing.is_decided:
                 break
         self.marked += hearing.marked

@@ -2,7 +2,7 @@
 
 # The loop waits, reads, takes the time and writes a record. Nothing else runs in this interpreter:
 # beside a busy decoder the time would be that of the interpreter's next free moment. Each read
-# gives one record.
+# becomes one record.
 #
 # A heartbeat (QUIET) comes twice t3.5 after the last byte, so that the end of a frame is known
 # without delay, and then every 50 ms. Its time is exact: it is taken before a read that found

@@ -39,7 +39,10 @@ class Blocks:
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
-        """The registers that a read gives if it begins at a block's first address, else None."""
+        """Return the registers that a read of `span` gets from a block.
+
+        Returns None if the read does not begin at the first address of a block.
+        """
         block = self._blocks.get((table, span.start)) if self._blocks else None
         return None if block is None else block[: len(span)]
 

@@ -94,7 +94,7 @@ class ConnectionPolicy:
 
     @property
     def closed_until_ns(self) -> int | None:
-        """Until when all connections are closed and none is accepted, in ns; None: they are open."""
+        """Until when, in ns, all connections are closed and none is accepted; None for neither."""
         return None
 
     def admit(self, host: str, now_ns: int) -> Admission:

@@ -12,8 +12,8 @@
 #     HR400021 = { walk = [0, 100], step = 2, seconds = 0.5, seed = 7 }
 #     HR400022 = { from = "site.mcap", what = "HR400001", unit = 3, speed = 2, loop = false }
 #
-# Lines are applied in their order: where ranges overlap, the later line counts, and a value that
-# changes counts more than all constant ones. Access rights are ignored, so inputs can have values.
+# Lines are applied in their order: where ranges overlap, the later line counts. A changing value
+# overrides all constant ones. Access rights are ignored, so inputs can have values.
 #
 # Limits: a file of at most 4 MiB. There is room for every address of all tables.
 

@@ -18,7 +18,7 @@
 #
 # Masters poll the same few ranges. A read that has passed its checks passes them again, as profiles
 # do not change, so the responder remembers the ranges of at most MAX_KNOWN request PDUs, then
-# forgets all. Reads of live ranges (Behaviour.is_live) are not remembered.
+# forgets all. Reads whose values may differ from the image (Behaviour.is_live) are not remembered.
 #
 # A responder is one device; units.py decides which unit numbers it answers to.
 

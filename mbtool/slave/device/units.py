@@ -70,5 +70,5 @@ def units_on(
 
 
 def is_line(link: SerialLink | TcpLink) -> bool:
-    """True if the rules of a serial line hold on a link."""
+    """True for a link that follows the rules of a serial line: serial, or RTU over TCP."""
     return isinstance(link, SerialLink) or link.rtu

@@ -7,7 +7,7 @@
 #     a reference            HR400001, X1F, T5. Its value is the register's content. A number with
 #                            a fraction, a text, and any number for a point of several registers
 #                            are in the unit of the point there.
-#     a table and address    "holding 9005". As a reference.
+#     a table and address    "holding 9005". Its value is read as that of a reference.
 #
 # A reference may stand for several points: T5 of FT1A SmartAXIS is a contact, a current value and a
 # preset value. Such a reference does not say which point is meant, so it is refused, and the error

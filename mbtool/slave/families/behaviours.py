@@ -29,7 +29,7 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
     "lt830": Lt830,
     "wago": Wago,
 }
-"""By a profile's `behaviour`, or that, a slash and the model code if models differ: the class."""
+"""The class for each `behaviour` of a profile, or for one of its models ("fa3/0014")."""
 
 
 def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:

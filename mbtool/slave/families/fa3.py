@@ -125,7 +125,7 @@ def overlap(one: range, other: range) -> bool:
 
 
 class Fa3DigitalOutput(Fa3):
-    """FA3-TH1M16Y and FA3-TH1M16YE."""
+    """The modules with 16 digital outputs: FA3-TH1M16Y and FA3-TH1M16YE."""
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
         bits = self.image.get(Table.COILS, 0, len(DIGITAL_OUTPUTS))

@@ -117,7 +117,7 @@ class _InputChannel:
 
 
 class Fa3AnalogInput(_Fa3Analog):
-    """FA3-AT1M8X."""
+    """The module with eight analog inputs: FA3-AT1M8X."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
@@ -202,7 +202,7 @@ class Fa3AnalogInput(_Fa3Analog):
 
 
 class Fa3AnalogOutput(_Fa3Analog):
-    """FA3-AT1M8Y."""
+    """The module with eight analog outputs: FA3-AT1M8Y."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)

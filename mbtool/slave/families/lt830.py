@@ -1,4 +1,4 @@
-"""What CHINO's LT830 does beyond its profile: several items, value ranges, access, diagnosis."""
+"""What CHINO's LT830 does beyond its profile: which requests it refuses, and its diagnosis."""
 
 # Source: INST. No. INE-350, 6.3.1, 6.4 and 6.5.7, and the error codes of a sister model, as
 # mbtool/devices/profiles/chino-lt830.toml quotes them.

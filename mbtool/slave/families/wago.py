@@ -13,8 +13,9 @@
 #                counters 0, watchdog off
 #
 # Assumed: a restart by 2040H is acknowledged, and connections stay open. The time of 1030H holds
-# for later connections. Requests with the header errors of the second counter get silence and are
-# not counted. 2041H to 2043H and 1028H are acknowledged without effect.
+# for later connections. The second counter is for requests with a wrong protocol id: here they get
+# no response and are not counted. Writes of 2041H to 2043H and 1028H are acknowledged without
+# effect.
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Status(IntEnum):
 
 
 class Watchdog:
-    """The watchdog over the registers of an image."""
+    """The watchdog of a coupler; its settings and its state are registers of `image`."""
 
     def __init__(self, image: RegisterImage) -> None:
         self._image = image

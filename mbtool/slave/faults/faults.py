@@ -122,7 +122,7 @@ class FaultySlave:
 
 
 class _Active:
-    """One fault, and how many requests have fitted it and met it."""
+    """One fault, and the counts of requests that fitted it and that it acted on."""
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault

@@ -1,6 +1,6 @@
 """Plays slaves on a serial line: RTU or ASCII."""
 
-# One thread reads, gives what it read to the splitter, and writes the responses. A read waits for
+# One thread reads, passes the bytes to the splitter, and writes the responses. A read waits for
 # at most t3.5, and a read without bytes is the silence that ends an RTU frame. A response leaves at
 # least t3.5 after its request's last byte (Serial Line V1.02, 2.5.1.1), or later if the slave takes
 # longer. Responses leave in the order of their requests.

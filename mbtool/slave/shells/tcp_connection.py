@@ -110,7 +110,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._is_in_pieces = False
         """True if the splitter holds part of a request, or searches for the next one's begin."""
         self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """What is to be sent, or how the connection is to end; each with its time in ns."""
+        """Bytes to be sent, or how the connection is to end; each with the time due, in ns."""
         self._has_ended = False
         """True once the master has ended its direction of the connection with FIN."""
         self._peer_is_slow = False
@@ -189,7 +189,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._rules.lost(self.peer, loss, self._clock())
             self._shell.left(self)
 
-    # The methods above are made of those from here on.
+    # The methods above call the methods from here on.
 
     def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
         """Answer the request in the buffer, if the bytes there are exactly one.

@@ -65,7 +65,8 @@ class TcpSlave(Shell):
     ) -> None:
         """`rules` decide which connections the played device accepts, and when it closes them.
 
-        None for a device without rules of its own: `bounds` then gives the number and idle time.
+        None stands for a device without rules of its own: `bounds` then sets how many connections
+        there may be, and how long one may be idle.
         """
         super().__init__()
         self.link = link
