@@ -112,7 +112,11 @@ def check(
 def _finished(
     file: TextIO, printer: _Printer, run: CheckRun, path: str | None
 ) -> Iterator[_Printer]:
-    """The printer; at the end, also by an error, its output is completed and summed up."""
+    """Give the printer while the context is open.
+
+    When the context ends, also by an error, the output is completed, and remarks and a count of the
+    findings are told to the user.
+    """
     from mbtool.cli.talk import say
 
     try:
@@ -130,7 +134,7 @@ class _Printer(ABC):
     def add(self, found: FileFinding) -> None: ...
 
     def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
-        """Print what was collected."""
+        """Print the findings that were collected, at the end of the run."""
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
@@ -187,7 +191,7 @@ class _DocumentPrinter(_Printer):
 
 
 def _sentence(run: CheckRun) -> str:
-    """For example `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
+    """Sum up: `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
     from mbtool.core.wording import plural
 
     number, codes = run.counts.total(), len(run.counts)

@@ -119,7 +119,7 @@ def decode(
 
 @contextmanager
 def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
-    """Say what a user should know of the files when reading ends, also by an error."""
+    """When the context ends, also by an error, say what a user should know of the files."""
     from mbtool.cli.talk import say
 
     try:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class AddressesChoice(StrEnum):
-    """What the numbers of a register list are."""
+    """How the numbers of a register list count: from 0, from 1, as references, in hexadecimal."""
 
     ZERO_BASED = "zero-based"
     ONE_BASED = "one-based"
@@ -28,21 +28,21 @@ class AddressesChoice(StrEnum):
 
 
 class ScalingChoice(StrEnum):
-    """What the factors of a register list are for."""
+    """Whether the factors of a register list multiply or divide the values of registers."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
 
 
 class WordOrderChoice(StrEnum):
-    """Which register of a value of several comes first."""
+    """Which register comes first where a value takes several: the high or the low word."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"
 
 
 class TableChoice(StrEnum):
-    """The tables of Modbus, by their first word."""
+    """The tables of Modbus, each by the first word of its name."""
 
     COILS = "coils"
     DISCRETE = "discrete"
@@ -221,7 +221,7 @@ def schema() -> None:
 def survey(
     file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
 ) -> ObservedSlaves:
-    """Read a capture or log to its end, and say what a user should know of it."""
+    """Read a capture or log to its end, tell remarks about it, and return its slaves."""
     from mbtool.cli.talk import interruptible, say
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
     from mbtool.workflows.shared.reading import Reading
@@ -260,7 +260,10 @@ def _is_file(output: str | None) -> bool:
 
 
 def _demand_new(output: str | None) -> None:
-    """Raise UsageError where a file would be written over; what is edited by hand is not lost."""
+    """Raise UsageError if a profile cannot be written to a new file of this name.
+
+    The name must end in .toml, and the file must not exist: what is edited by hand is not lost.
+    """
     from mbtool.core import UsageError
 
     if output is None or output == _STANDARD:
@@ -283,7 +286,7 @@ def _write(file: str, text: str) -> None:
 
     _demand_new(file)
     try:
-        # "x": a file that has come in between is not written over, either.
+        # "x": does not overwrite a file that was made since _demand_new looked.
         with Path(file).open("x", encoding="utf-8") as stream:
             stream.write(text)
     except OSError as error:

@@ -90,7 +90,7 @@ class Keyboard:
         self._is_drawn = True
 
     def wipe(self) -> None:
-        """Erase the line."""
+        """Erase the line of progress."""
         if self._is_drawn:
             self._write(_ERASE)
             self._is_drawn = False

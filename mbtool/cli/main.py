@@ -105,7 +105,8 @@ def run(arguments: list[str]) -> int:
     try:
         sys.stdout.flush()
     except OSError as error:
-        # Otherwise the interpreter flushes again when it ends, and fails again.
+        # From here on standard output goes nowhere. Otherwise the interpreter would flush it when
+        # it ends, and fail again.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
@@ -135,7 +136,7 @@ def _told(arguments: list[str]) -> int:
 
 
 def _usage(error: typer.TyperException) -> str:
-    """The error of a wrong command line, and which --help says what is right."""
+    """The message of a wrong command line, with the command whose --help says what is right."""
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "mbtool"

@@ -24,7 +24,7 @@ class OptionGroup:
 
 
 def takes_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The same command, with an option in place of each field of its groups."""
+    """Return the command with each of its groups replaced by options: one for each field."""
     types = get_type_hints(command, include_extras=True)
     groups: dict[str, type[OptionGroup]] = {}
     parameters: list[Parameter] = []

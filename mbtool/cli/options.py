@@ -116,7 +116,10 @@ class PortOptions(OptionGroup):
     ] = None
 
     def tcp_ports(self) -> TcpPorts:
-        """Raises UsageError."""
+        """Read the TCP ports of --port and --rtu-port.
+
+        Raises UsageError for what is no port, and for a port that both options name.
+        """
         from mbtool.core import UsageError
 
         texts = self.port or ()
@@ -153,7 +156,11 @@ class SourceOptions(PortOptions):
         raw: bool = False,
         silences: SilenceOptions | None = None,
     ) -> ReadingOptions:
-        """With other options of the same command. Raises UsageError, ProfileError."""
+        """Combine these options with others of the same command.
+
+        Raises UsageError for a text that is not understood, ProfileError for a profile that is not
+        found or is wrong.
+        """
         from mbtool.workflows.shared.reading import ReadingOptions
 
         ports = self.tcp_ports()
@@ -188,7 +195,10 @@ class SilenceOptions(OptionGroup):
     ] = None
 
     def read(self) -> tuple[Silence | None, Silence | None]:
-        """t1.5 and t3.5, None where not given. Raises UsageError."""
+        """Read t1.5 and t3.5; each is None if it was not given.
+
+        Raises UsageError for a text that is no silence.
+        """
         return _silence("--t1-5", self.t1_5), _silence("--t3-5", self.t3_5)
 
 
@@ -199,14 +209,21 @@ def _tcp_port(option: str, text: str, others: str = "") -> int:
 
 
 def assignments(devices: Sequence[str] | None) -> Assignments:
-    """The profiles of --device. Raises UsageError, ProfileError."""
+    """Load the profiles of --device.
+
+    Raises UsageError for a text that is not WHO=PROFILE, ProfileError for a profile that is not
+    found or is wrong.
+    """
     from mbtool.devices import Assignments, parse_assignment
 
     return Assignments(parse_assignment(one) for one in devices or ())
 
 
 def condition(where: str | None) -> Where:
-    """The filter of --where; without it every transaction passes. Raises UsageError."""
+    """The filter of --where; without it every transaction passes.
+
+    Raises UsageError for an expression that is wrong or can never be true.
+    """
     if where is None:
         return lambda _: True
     from mbtool.query.where import parse_where
@@ -215,7 +232,7 @@ def condition(where: str | None) -> Where:
 
 
 def file_line(text: str | None) -> LineSettings | None:
-    """The serial line of --link. Raises UsageError."""
+    """The serial line of --link. Raises UsageError for a text that is no serial line."""
     if text is None:
         return None
     from mbtool.core import parse_line

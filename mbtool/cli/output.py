@@ -31,7 +31,7 @@ _STANDARD_OUTPUT_NAME = "standard output"
 F = TypeVar("F")
 
 CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
-"""Events that tell of no trouble."""
+"""Events that tell of no trouble: a connection was opened or closed."""
 
 _WORDS = {
     Outcome.OK: "ok",
@@ -49,7 +49,7 @@ _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 class RecordOutput:
     """Prints the records that pass the filter, and counts them.
 
-    Its methods raise OutputError.
+    Its methods raise OutputError if the output cannot be written.
     """
 
     def __init__(
@@ -127,11 +127,12 @@ def open_output(
     *,
     is_kept: bool = False,
 ) -> Iterator[RecordOutput]:
-    """An output that is flushed and summed up when its context ends.
+    """Open an output that is flushed and summed up when its context ends.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
-    overwrite an older output. `is_kept` is True if a log keeps the records. Raises UsageError, and
-    OutputError if standard output is closed and no log keeps the records.
+    overwrite an older output. `is_kept` is True if a log keeps the records. Raises UsageError if
+    the file cannot be written or options contradict each other, and OutputError if standard output
+    is closed and no log keeps the records.
     """
     path = named_file(path)
     chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
@@ -165,7 +166,10 @@ def named_file(path: str | None) -> str | None:
 
 
 def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F:
-    """The format by the suffix of a file; the default for standard output. Raises UsageError."""
+    """The format that the suffix of a file names; the default for standard output.
+
+    Raises UsageError if the suffix names no format.
+    """
     if path is None:
         return default
     try:
@@ -181,9 +185,10 @@ def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F
 def opened(
     path: str | None, demand_inputs: Callable[[], None], *, is_kept: bool = False
 ) -> Iterator[tuple[TextIO, str]]:
-    """A file or standard output, and its name for messages; takes arguments of open_output.
+    """Open a file or standard output; give it together with its name for messages.
 
-    Raises UsageError, OutputError, and what `demand_inputs` raises.
+    The arguments are those of `open_output`. Raises UsageError if the file cannot be written,
+    OutputError if standard output is closed, and what `demand_inputs` raises.
     """
     if path is None and not is_kept:
         _demand_standard_output()
@@ -193,7 +198,7 @@ def opened(
 
 
 def _demand_standard_output() -> None:
-    """See that standard output is open. Raises OutputError."""
+    """Raise OutputError if standard output is closed."""
     if sys.__stdout__ is None:
         raise OutputError(
             f"{_STANDARD_OUTPUT_NAME}: closed, so what goes there is lost; redirect it to a file"
@@ -201,14 +206,17 @@ def _demand_standard_output() -> None:
 
 
 def say_if_empty(reading: Reading) -> None:
-    """Say why a whole pass gave nothing. Raises InputError where the capture is unreadable."""
+    """Say why a whole pass over the files gave neither a transaction nor an event.
+
+    Raises InputError if it gave nothing but events of data that cannot be decoded.
+    """
     reading.demand_readable()
     if reading.why_empty is not None:
         say(reading.why_empty)
 
 
 def demand_other_file(files: Sequence[str], output: str | None) -> None:
-    """See that the output is not one of the inputs. Raises UsageError."""
+    """Raise UsageError if the output is one of the inputs."""
     for file in files:
         if output is not None and _is_same(file, output):
             raise UsageError(
@@ -227,7 +235,10 @@ def _is_same(file: str, output: str) -> bool:
 
 @contextmanager
 def _open_file(path: str | None) -> Iterator[TextIO]:
-    """A file to write text to; standard output if `path` is None. Raises UsageError."""
+    """Open a file to write text to; standard output if `path` is None.
+
+    Raises UsageError if the file cannot be opened.
+    """
     if path is None:
         yield sys.stdout
         return
@@ -257,7 +268,7 @@ def _close(file: TextIO) -> None:
 
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
-    """Raise OutputError for an OSError such as a full disk; BrokenPipeError passes."""
+    """Raise OutputError in place of an OSError such as a full disk; BrokenPipeError passes."""
     try:
         yield
     except BrokenPipeError:
@@ -286,7 +297,7 @@ class Tally:
         return self.outcomes.total()
 
     def sentence(self) -> str:
-        """For example `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
+        """Sum up: `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
         text = f"{self.transactions} {plural(self.transactions, 'transaction')}"
         parts = [
             f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]

@@ -24,13 +24,13 @@ class Printer(ABC):
 
     @abstractmethod
     def print(self, record: Record, number: int) -> None:
-        """Print a record; `number` counts the transactions."""
+        """Print a record; `number` is the number of transactions so far, this one included."""
 
     def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
-        """Print buffered rows, while more may come."""
+        """Print buffered rows now, as the next record may take a while."""
 
     def flush(self) -> None:  # noqa: B027
-        """Print buffered rows, at the end."""
+        """Print buffered rows now, as no other record comes."""
 
 
 def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Printer:

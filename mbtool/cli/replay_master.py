@@ -62,7 +62,10 @@ def play_as_master(
 
 
 def ranges_of(files: Sequence[Path]) -> list[str]:
-    """The ranges in files, one in each line; # begins a comment. Raises InputError."""
+    """The ranges in files, one in each line; # begins a comment.
+
+    Raises InputError if a file cannot be read as text.
+    """
     ranges = []
     for file in files:
         try:
@@ -86,7 +89,7 @@ def _add_ranges(file: Path, learned: Sequence[str]) -> None:
 
 
 def _demand_writable(file: Path) -> None:
-    """See, before a long run, that a file can be written. Raises OutputError, leaves no file."""
+    """Raise OutputError, before a long run, if a file cannot be written; leave no file behind."""
     if file.exists() and not (file.is_file() or file.is_dir()):
         return  # Opening a pipe would wait for its reader.
     was_there = file.exists() or file.is_symlink()

@@ -26,7 +26,7 @@ AS_SLAVE, AS_MASTER, AS_BUS = "--as-slave", "--as-master", "--as-bus"
 _MAX_S = 1e9
 """The largest --start and --end in seconds: 31 years."""
 _MAX_SPEED_CHARACTERS = 20
-"""Times are divided by the speed, exactly; a longer number would make that slow."""
+"""The longest text of --speed: times are divided by it exactly, and a longer number is slow."""
 
 
 # The values of replay.MatchStrategy, OnMiss and OnEnd. To import those would make --help slow.
@@ -69,7 +69,11 @@ class SideOptions(OptionGroup):
     ] = None
 
     def side_and_link(self) -> tuple[str, str]:
-        """The one side that is chosen, and the text of its link. Raises UsageError."""
+        """The one side that is chosen, and the text of its link.
+
+        Raises UsageError if not exactly one side is chosen, or if its link is missing or another is
+        given.
+        """
         from mbtool.core import UsageError
 
         chosen = {AS_SLAVE: self.as_slave, AS_MASTER: self.as_master, AS_BUS: self.as_bus}
@@ -141,7 +145,7 @@ class AsSlaveOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> SlaveOptions:
-        """Raises UsageError."""
+        """Read the options. Raises UsageError if --loop and --on-end contradict each other."""
         from mbtool.replay import MatchStrategy, OnEnd, OnMiss
         from mbtool.workflows.replay_slave import SlaveOptions
 
@@ -188,7 +192,11 @@ class PaceOptions(OptionGroup):
     def shared(
         self, reading: ReadingOptions, wanted: Callable[[NamedTransaction], bool]
     ) -> dict[str, Any]:
-        """The fields of PlayOptions. Raises UsageError."""
+        """Return the fields of PlayOptions by name.
+
+        Raises UsageError for a speed that is not above 0, and for times that are out of range or
+        order.
+        """
         return {
             "reading": reading,
             "wanted": wanted,
@@ -288,7 +296,7 @@ class AsMasterOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> MasterOptions:
-        """Raises InputError for a file of ranges that cannot be read."""
+        """Read the options. Raises InputError if a file of ranges cannot be read."""
         from mbtool.cli.replay_master import ranges_of
         from mbtool.replay import Tolerance
         from mbtool.workflows.replay_master import MasterOptions
@@ -311,11 +319,11 @@ _SIDE_OF_OPTION = {
     "allow": AS_SLAVE,
     **dict.fromkeys([field.name for field in fields(AsMasterOptions)], AS_MASTER),
 }
-"""The side that an option is for, by the option's parameter."""
+"""The only side with which an option goes, by the name of the option's parameter."""
 
 
 def demand_side(context: typer.Context, side: str) -> None:
-    """See that no option is given that is for another side only. Raises UsageError."""
+    """Raise UsageError if an option is given that goes with another side only."""
     from mbtool.core import UsageError
 
     for name, only in _SIDE_OF_OPTION.items():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, allowed: AllowedPeers) -> None:
-    """Answer until Ctrl-C."""
+    """Answer a live master as the recorded slaves did, until Ctrl-C."""
     slave_link(on)  # A link that no slave can use is an error before a long recording is read.
     run = SlaveRun(file, options, say, with_progress)
     played = run.on(on, allowed=allowed)

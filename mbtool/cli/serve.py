@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY_S = 0.2
 _SILENT_LOOKS = 50
-"""Looks, ten seconds in all, before refused connections are told again: a master that is turned
-away usually connects again at once."""
+"""After it has told of refused connections, the loop tells of further ones only so many looks
+later, which is ten seconds: a master that is turned away usually connects again at once."""
 
 
 def serve(shell: Shell, who: str, look: Callable[[], None] = lambda: None) -> None:

@@ -126,7 +126,7 @@ def slave(
 
 
 def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
-    """Show the requests, responses and outputs since the last call."""
+    """Show the requests, responses and outputs that are new since the last call."""
     from mbtool.cli.talk import say
 
     for record in monitor.records():
@@ -139,7 +139,10 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
 
 
 def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
-    """The unit of the first device, and the profiles of the others by unit. Raises UsageError."""
+    """The unit of the first device, and the profiles of the others by unit.
+
+    Raises UsageError for what is no unit, and if two devices have the same unit.
+    """
     from mbtool.core import UsageError
     from mbtool.core.numbers import parse_unit
 
@@ -170,7 +173,10 @@ def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
 
 
 def _images(texts: Sequence[str], own: int, others: dict[int, str]) -> dict[int, Path]:
-    """The files of values by the unit that each is for. Raises UsageError."""
+    """The files of values by the unit that each is for.
+
+    Raises UsageError for a unit without a device, and for a unit with two files.
+    """
     from mbtool.core import UsageError
 
     images: dict[int, Path] = {}

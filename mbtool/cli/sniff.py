@@ -136,7 +136,10 @@ def sniff(
 
 
 def _tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
-    """The TCP ports of --port and --rtu-port; 502 if --port names none. Raises UsageError."""
+    """The TCP ports of --port and --rtu-port; 502 if --port names none.
+
+    Raises UsageError for what is no port, and for a port that both options name.
+    """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
     from mbtool.workflows.shared.reading import DEFAULT_PORT
@@ -152,7 +155,10 @@ def _tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
 
 
 def _allowed(links: Sequence[LinkSpec], networks: Sequence[str] | None) -> AllowedPeers:
-    """The networks whose masters a tap accepts. Raises UsageError."""
+    """The networks whose masters a tap accepts.
+
+    Raises UsageError for what is no network, and if there are networks but no tap.
+    """
     from mbtool.core import TapLink, UsageError
     from mbtool.ports.allowed_peers import AllowedPeers
 
@@ -168,7 +174,7 @@ def _sniffer(
     allowed: AllowedPeers,
     begin: Callable[[], LogWriter | RotatingLog] | None,
 ) -> Sniffer:
-    """A sniffer that tells a person what goes wrong while it runs."""
+    """Make a sniffer that tells a person what goes wrong while it runs."""
     from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder
     from mbtool.devices import Namer

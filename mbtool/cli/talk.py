@@ -30,7 +30,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
-    """While a line is redrawn in place, erase it before each message."""
+    """Register `wipe` while the context is open: it erases a line before each message."""
     _wipes.append(wipe)
     try:
         yield
@@ -56,16 +56,18 @@ class Interrupt:
         return self.asked or self._woken.acquire(timeout=timeout_s)
 
     def ask(self, _signal: int, _frame: FrameType | None) -> None:
-        """Note the first signal; a second one ends the program at once."""
+        """Handle a signal: note the first one, and end the program at once on a second one."""
         if self.asked or self._at_once:
             raise KeyboardInterrupt
         self.asked = True
         self._woken.release()
 
     def breakable(self, items: Iterator[T]) -> Iterator[T]:
-        """Give items; the wait for one, which may be long, is broken off by KeyboardInterrupt.
+        """Give the items; raise KeyboardInterrupt if a signal comes while waiting for the next.
 
-        What is done with an item is not: a line half written would be lost.
+        A signal that comes while the caller works on an item does not interrupt that work, so that
+        no line is left half written; KeyboardInterrupt is raised when the caller asks for the next
+        item.
         """
         while True:
             self._at_once = True
@@ -82,7 +84,7 @@ class Interrupt:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """Note Ctrl-C and SIGTERM, so that the command can end when it is ready."""
+    """While the context is open, only note Ctrl-C and SIGTERM; the command ends when ready."""
     interrupt = Interrupt()
     before = {
         number: signal.signal(number, interrupt.ask) for number in (signal.SIGINT, signal.SIGTERM)

@@ -85,7 +85,10 @@ class TlsOptions(OptionGroup):
     ] = None
 
     def on_taps(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
-        """The links; each tap of them with the TLS of both sides. Raises UsageError."""
+        """Return the links, with the TLS of both sides added to each tap.
+
+        Raises UsageError for TLS options without a tap, and for options that contradict each other.
+        """
         from mbtool.core import TapLink, UsageError
 
         listen, target = self.listen(), self.target()
@@ -105,7 +108,10 @@ class TlsOptions(OptionGroup):
         ]
 
     def listen(self) -> ListenTls | None:
-        """TLS towards masters; None without --tls-cert. Raises UsageError."""
+        """TLS towards masters; None without --tls-cert.
+
+        Raises UsageError for an option that goes with --tls-cert only.
+        """
         from mbtool.core import ListenTls, UsageError
 
         if self.tls_cert is not None:
@@ -118,7 +124,10 @@ class TlsOptions(OptionGroup):
         return None
 
     def target(self) -> TargetTls | None:
-        """TLS towards the target; None where no option asks for it. Raises UsageError."""
+        """TLS towards the target; None if no option asks for it.
+
+        Raises UsageError if options contradict each other or lack one that they need.
+        """
         from mbtool.core import TargetTls, UsageError
 
         ca, cert, key = self.tls_target_ca, self.tls_target_cert, self.tls_target_key

@@ -10,7 +10,8 @@
 #   LinkError      a port that is absent, busy or forbidden; an address in use
 #   OutputError    a disk that is full while a log is written
 #
-# The text is one line. It names the file, port or option, and says what would be right.
+# The text of an error is one line. It names the file, port or option that is at fault, and says
+# what would be right.
 
 from __future__ import annotations
 
@@ -34,15 +35,15 @@ class ProfileError(UsageError):
 
 
 class InputError(MbtoolError):
-    """An input could not be read."""
+    """A file that is to be read is absent, damaged or of another kind, or cannot be read."""
 
 
 class CutError(InputError):
-    """An input ends too early. Everything before its end was delivered."""
+    """A file ends in the middle of a record. All records before were delivered."""
 
 
 class DamageError(InputError):
-    """An input is damaged. Every whole record was delivered."""
+    """A log that is read is damaged. All its whole records were delivered before this is raised."""
 
 
 class LinkError(MbtoolError):
@@ -54,5 +55,8 @@ class OutputError(MbtoolError):
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """The operating system's reason for an error, without its number and file name."""
+    """The operating system's text for an error, without the error's number and file name.
+
+    For an error that has no such text, the text of the error itself.
+    """
     return getattr(error, "strerror", None) or str(error)

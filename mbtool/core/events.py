@@ -16,7 +16,8 @@ class EventKind(StrEnum):
     FOREIGN = "foreign"
     """Well-formed bytes of another protocol."""
     LINE_ERROR = "line-error"
-    """Errors that a port's driver reports: parity, framing, break, overrun. Up to 1 s late."""
+    """Errors that a port's driver reports: parity, framing, break, overrun. The event may have a
+    time up to 1 s after the error."""
     GAP = "gap"
     """Bytes that are known to be missing from the capture."""
     OVERLAP = "overlap"
@@ -38,7 +39,8 @@ class EventKind(StrEnum):
 
 
 CONNECTION_OPENED, CONNECTION_JOINED = "connection opened", "connection joined"
-"""Messages of OPENED events: the beginning of a connection is in the capture, or is not."""
+"""The messages of OPENED events. The first is for a connection whose beginning is in the capture,
+the second for one that had begun before the capture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,12 +51,12 @@ class WireEvent:
     link: str
     kind: EventKind
     message: str
-    """One sentence for a reader."""
+    """What happened, as a text for the user."""
     source: str = ""
     destination: str = ""
     raw: bytes = b""
     """The bytes that the event is about, if any."""
     missing: int = 0
-    """How many bytes are lost, as far as known."""
+    """How many bytes are missing from the capture, if known; otherwise 0."""
     packets: int = 0
-    """How many packets of an interface are lost."""
+    """How many packets of a network interface are missing from the capture."""

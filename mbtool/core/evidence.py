@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 
 class Direction(StrEnum):
-    """From master or from slave. On a two-wire bus UNKNOWN until the decoder has decided."""
+    """Who sent: REQUEST if it was the master, RESPONSE if it was a slave.
+
+    What is heard on a two-wire bus is UNKNOWN until the decoder has decided.
+    """
 
     REQUEST = "request"
     RESPONSE = "response"
@@ -19,11 +22,13 @@ class Stamp(StrEnum):
     """Which bytes of a chunk the time of the chunk belongs to."""
 
     AT_ONCE = "at-once"
-    """To all bytes: a TCP segment."""
+    """All bytes have the time of the chunk, as in a TCP segment."""
     LAST_BYTE = "last-byte"
-    """To the last byte; each other byte is one character time before the next: a serial read."""
+    """The last byte has the time of the chunk, and each other byte ended one character time before
+    the next, as in a read of a serial port."""
     UNKNOWN = "unknown"
-    """To none: a raw file. Only the order of the bytes is known."""
+    """No byte has the time of the chunk, as in a file of bytes without times: only the order of the
+    bytes is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +49,8 @@ class Connection:
     master: Endpoint
     slave: Endpoint
     number: int = 0
-    """A count of the source's connections. It tells apart two connections between the same ends."""
+    """The number of the connection among all of the same source, such as a capture file. It tells
+    two connections between the same ends apart."""
 
     @property
     def link(self) -> str:
@@ -71,14 +77,16 @@ class Chunk:
     """The bytes of one read of a port, or the payload of one TCP segment."""
 
     ts_ns: int
-    """UTC nanoseconds, taken right after the read."""
+    """When the bytes were read or captured, in UTC ns. For a read of a port, the clock is read
+    right after it."""
     link: str
-    """The name of the bus, or the slave's address. A part of log topics, so without a slash."""
+    """The name of the serial line, or the slave's address. It contains no slash, because it is a
+    part of the names of topics in a log."""
     data: bytes
     direction: Direction = Direction.UNKNOWN
     stamp: Stamp = Stamp.LAST_BYTE
     connection: Connection | None = None
-    """None on a serial line."""
+    """The TCP connection that carried the bytes; None on a serial line."""
     place: StreamPlace | None = field(default=None, compare=False)
     """Its place in the TCP connection; None if unknown, as with a tap or a serial line."""
 
@@ -88,19 +96,19 @@ class Packet:
     """A packet with all headers, as the capture file or the interface gave it."""
 
     ts_ns: int
-    """UTC nanoseconds."""
+    """When the packet was captured, in UTC ns."""
     link: str
-    """The interface's name, or the capture's number for it."""
+    """The name of the network interface, or `if` and the number that the capture file gives it."""
     link_type: int
     """A LINKTYPE_ value of the pcap registry (tcpdump.org/linktypes.html)."""
     data: bytes
     original_length: int
-    """Bytes on the wire; more than len(data) if the capture cut the packet."""
+    """How many bytes the packet had on the wire; more than len(data) if the capture cut it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Says that nothing has arrived on a link until a time, so that a decoder knows of silence."""
+    """Tells a decoder that nothing more has arrived on a link up to `ts_ns`."""
 
     ts_ns: int
     link: str

@@ -1,4 +1,4 @@
-"""Limits that several rooms use, and the times that a master keeps on a link."""
+"""Limits that several packages of mbtool use, and the times that a master keeps on a link."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MAX_OPEN_REQUESTS = 256
 """The most pending requests of one link; the oldest is given up when one more comes."""
 
 MAX_CLOCK_STEP_NS = 1_000_000_000
-"""A step back of more than this, in ns, means that the clock was set back."""
+"""If a time is earlier than the one before it by more than this, in ns, the clock was set back."""
 
 RESPONSE_TIMEOUT_NS = 1_000_000_000
 """How long a master waits for a response by default, in ns."""
@@ -21,10 +21,10 @@ class LinkLimits:
     """The times that a master keeps on a link, in ns."""
 
     timeout_ns: int = RESPONSE_TIMEOUT_NS
-    """The longest wait for a response."""
+    """The longest time that the master waits for a response, in ns."""
     one_at_a_time: bool = False
     """True on a serial line and on RTU over TCP: no request while another one is pending."""
     pause_ns: int = 0
-    """The shortest pause between the last byte heard and the next request."""
+    """The shortest pause between the last byte heard and the next request, in ns."""
     turnaround_ns: int = TURNAROUND_NS
-    """The pause after a broadcast, which has no response."""
+    """The pause after a broadcast, which has no response, before the next request, in ns."""

@@ -1,7 +1,7 @@
 """The value of `--link` for a file of serial bytes: the settings of the line, without a port."""
 
-#     rtu@19200-8E1      RTU; `rtu` alone is 19200-8E1
-#     ascii@9600-7E1     ASCII; `ascii` alone is 9600-7E1
+#     rtu@19200-8E1      RTU; `rtu` alone means rtu@19200-8E1
+#     ascii@9600-7E1     ASCII; `ascii` alone means ascii@9600-7E1
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class LineSettings:
     ascii: bool = False
 
     def on(self, port: str) -> SerialLink:
-        """The link of a port on a line with these settings."""
+        """The serial link that has this port and these settings."""
         return SerialLink(port, self.format, ascii=self.ascii)
 
     def __str__(self) -> str:
@@ -30,7 +30,10 @@ class LineSettings:
 
 
 def parse_line(text: str) -> LineSettings:
-    """Read `rtu@19200-8E1` or `ascii@9600-7E1`. Raises UsageError."""
+    """Read `rtu@19200-8E1` or `ascii@9600-7E1`.
+
+    Raises UsageError for any other text, and for settings that the line cannot have.
+    """
     mode, at, settings = text.partition("@")
     if mode not in _MODES:
         port = " without a port" if ":" in mode else ""

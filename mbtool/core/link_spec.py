@@ -6,10 +6,11 @@
 #     rtutap:/dev/A@19200-8E1=/dev/B     a relay in a cut line: the master's end, the slaves' end
 #     rtu:/dev/ttyUSB0@auto              settings and mode that are found by listening
 #     net:eth0                           a network interface
-#     net:eth0,eth1                      several that hear one network; flows may cross them
+#     net:eth0,eth1                      several interfaces that hear one network; packets of one
+#                                        connection may come from any of them
 #     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where it listens, where it connects
 #     tcp:127.0.0.1:1502                 a Modbus/TCP endpoint
-#     rtu+tcp:127.0.0.1:1502             the same with RTU frames
+#     rtu+tcp:127.0.0.1:1502             an endpoint that speaks RTU over TCP
 #
 # An IPv6 address stands in brackets: tcp:[::1]:1502.
 
@@ -32,9 +33,9 @@ HEARD = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE "
     "or tap:LISTEN=TARGET"
 )
-"""The links that sniff takes, for messages."""
+"""The forms of LINK that the command sniff takes, as a text for error messages."""
 ANSWERED = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
-"""The links that slave and replay take, for messages."""
+"""The forms of LINK that the commands slave and replay take, as a text for error messages."""
 _ALL = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE, "
     "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
@@ -50,7 +51,7 @@ _OWN_ADDRESSES = {
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }
-"""Other names for the address that a listener has."""
+"""For an address at which a tap listens, other addresses and names that reach the same listener."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +59,11 @@ class SerialLink:
     """A line that carries RTU or ASCII, and its one or two ports."""
 
     port: str
-    """With two taps, the port that hears the master."""
+    """The port on the line; if each side has its own tap, the port that hears the master."""
     format: SerialFormat
     ascii: bool = False
     slave_port: str | None = None
-    """The port that hears the slaves, if each side has its own tap."""
+    """The port that hears the slaves; None if one port hears the whole line."""
     is_relay: bool = field(default=False, kw_only=True)
     """True if the ports are the ends of a cut line, and each sends on what the other hears."""
 
@@ -83,7 +84,7 @@ class SerialLink:
         return "+".join(PurePath(port).name for port in self.ports)
 
     def demand_one_port(self) -> None:
-        """Raise UsageError if there are two ports: only one can send."""
+        """Raise UsageError if the link has two ports: these can only listen."""
         if self.slave_port is not None:
             raise UsageError(
                 f"link {self}: two ports can only listen; to answer, name one, "
@@ -101,11 +102,11 @@ class AutoLink:
     """A line whose settings are found by listening."""
 
     ports: tuple[str, ...]
-    """One port, or the master's side and the slaves' side."""
+    """The line's only port, or the port that hears the master and the one that hears the slaves."""
     only_ascii: bool = False
 
     def settled(self, format_: SerialFormat, *, ascii: bool) -> SerialLink:  # noqa: A002
-        """The line with the settings that were found."""
+        """The serial link with these ports and the settings that were found by listening."""
         return SerialLink(self.ports[0], format_, ascii, *self.ports[1:])
 
     @property
@@ -132,26 +133,28 @@ class InterfaceLink:
 
 @dataclass(frozen=True, slots=True)
 class ListenTls:
-    """TLS between masters and a tap: the files for its side. All are PEM."""
+    """TLS between masters and a tap: the files that the tap needs, all in PEM format."""
 
     cert: str
-    """The tap's certificate, followed by the certificates between it and its CA."""
+    """The file with the tap's certificate, followed by the certificates between it and its CA."""
     key: str | None = None
-    """The private key; None if it is in the same file."""
+    """The file with the private key; None if the key is in the file of the certificate."""
     ca: str | None = None
-    """The CA that must have signed the masters' certificates; None if they need none."""
+    """The file with the CA that must have signed the masters' certificates; None if masters need no
+    certificate."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetTls:
-    """TLS between a tap and its target: the files for the tap's side, as PEM."""
+    """TLS between a tap and its target: the files that the tap needs, all in PEM format."""
 
     ca: str | None
-    """The CA that must have signed the target's certificate; None if that is not checked."""
+    """The file with the CA that must have signed the target's certificate; None if the certificate
+    is not checked."""
     cert: str | None = None
     key: str | None = None
     name: str | None = None
-    """The name in the target's certificate; None for the host of the link."""
+    """The name that the target's certificate must have; None if that is the host of the link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +168,7 @@ class TapLink:
 
     @property
     def tls_sides(self) -> tuple[str, ...]:
-        """The sides that use TLS: master, slave."""
+        """The sides of the tap that use TLS: `master`, `slave`, both or none."""
         sides = (("master", self.listen_tls), ("slave", self.target_tls))
         return tuple(name for name, tls in sides if tls is not None)
 
@@ -196,7 +199,10 @@ LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
 
 
 def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
-    """Read a LINK string. Raises UsageError; its message names the `offer`, the links to write."""
+    """Read a LINK string. Raises UsageError if it has none of the forms in docs/links.md.
+
+    `offer` is a text with forms of LINK that the message of this error proposes.
+    """
     scheme, colon, rest = text.partition(":")
     if not colon or not rest:
         raise UsageError(f"link {text!r}: write {offer}")
@@ -226,7 +232,10 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
 def _parse_serial(
     text: str, scheme: str, rest: str, example: str | None = None
 ) -> SerialLink | AutoLink:
-    """Read `PORT@SETTINGS`. `example` is the example for messages if the link is a relay."""
+    """Read `PORT@SETTINGS`, also with two ports. Raises UsageError if it is anything else.
+
+    `example` is a correct link for the text of that error; None to make one from `text`.
+    """
     listed, at, settings = rest.rpartition("@")
     ports = (listed if at else rest).split(",")
     is_ascii = scheme == "ascii"
@@ -253,7 +262,10 @@ def _parse_serial(
 
 
 def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
-    """Read `PORT@SETTINGS=PORT`; the settings are those of both ports."""
+    """Read `PORT@SETTINGS=PORT`, where both ports have these settings.
+
+    Raises UsageError if `rest` is anything else or names one port twice.
+    """
     master_side, equals, slave_port = rest.rpartition("=")
     is_ascii = scheme == "asciitap"
     example = f"{scheme}:/dev/ttyUSB0@{SerialFormat.usual(is_ascii=is_ascii)}=/dev/ttyUSB1"

@@ -1,6 +1,7 @@
 """The serial ports and network interfaces of this machine, and obstacles to opening them."""
 
-# The room ports finds this out, and a view shows it. Properties that cannot be found out are None.
+# These classes only hold what the package mbtool.ports finds out. A property that cannot be found
+# out is None.
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from mbtool.core.serial_format import SerialFormat
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something that keeps one from opening a link."""
+    """An obstacle to opening a serial port or a network interface."""
 
     problem: str
     remedy: str = ""
@@ -38,16 +39,17 @@ class LocalSerialPort:
     """A serial port with hardware behind it."""
 
     device: str
-    """For example /dev/ttyUSB0."""
+    """The name by which the port is opened, for example /dev/ttyUSB0."""
     stable: str | None = None
-    """A path that stays with this adapter when it is plugged in elsewhere or in another order."""
+    """Another path of the port, which stays the same when its adapter is plugged in elsewhere or in
+    another order."""
     description: str = ""
     usb_id: str | None = None
-    """Vendor and product, for example 0403:6001."""
+    """The ids of the USB adapter's vendor and product, for example 0403:6001."""
     serial_number: str | None = None
     driver: str | None = None
     latency_timer_ms: int | None = None
-    """How long the adapter waits for more bytes before it hands over those it has."""
+    """How long the adapter waits for more bytes, in ms, before it hands over those it has."""
     fifo_bytes: int | None = None
     """How many bytes a UART gathers before it hands them over."""
     low_latency: bool | None = None
@@ -55,7 +57,7 @@ class LocalSerialPort:
     low_latency_support: bool | None = None
     holders: tuple[Holder, ...] = ()
     unseen_processes: int = 0
-    """How many processes this user may not inspect; one of them may hold the port."""
+    """How many processes this user may not inspect; one of them may have the port open."""
     troubles: tuple[Trouble, ...] = ()
 
     @property
@@ -64,7 +66,7 @@ class LocalSerialPort:
 
     @property
     def link(self) -> str:
-        """The LINK of this port with the default line settings of the standard."""
+        """The LINK to write for this port, with the default line settings of the standard."""
         return str(SerialLink(self.stable or self.device, SerialFormat()))
 
 

@@ -5,19 +5,24 @@ from __future__ import annotations
 from mbtool.core.errors import UsageError
 
 UNITS = range(0x100)
-"""All that the unit's byte can hold. Serial lines use 0 to 247; Modbus/TCP also has 255."""
+"""The unit numbers that a user may write: all that a byte can hold. Serial lines use 0 to 247;
+Modbus/TCP also has 255."""
 
 
 def parse_unit(text: str, where: str, others: str = "") -> int:
-    """Read a unit number; the arguments are those of parse_number. Raises UsageError."""
+    """Read a unit number. Raises UsageError if `text` is no number from 0 to 255.
+
+    `where` and `others` are used in the text of the error, as in parse_number.
+    """
     return parse_number(text, "unit", UNITS, where, others)
 
 
 def parse_number(text: str, what: str, allowed: range, where: str, others: str = "") -> int:
     """Read a decimal number of ASCII digits.
 
-    `what` names the number in an error, `where` says which option or text it is part of, and
-    `others` what else can be written there. Raises UsageError.
+    Raises UsageError if `text` is no such number or not in `allowed`. In the text of the error,
+    `what` names the number, `where` says which option or text it is part of, and `others` what else
+    can be written there.
     """
     is_short = len(text) <= len(str(allowed.stop))
     if text.isascii() and text.isdecimal() and is_short and int(text) in allowed:

@@ -2,8 +2,8 @@
 
 # MODBUS over Serial Line V1.02, section 2.5.1.1: between two frames the line is silent for at least
 # 3.5 character times (t3.5), between two characters of a frame for at most 1.5 (t1.5). Above 19200
-# baud both are fixed: t1.5 is 750 us, t3.5 is 1.750 ms. Some devices differ (CHINO LT830: 28 bit
-# times), so both can be given:
+# baud both are fixed: t1.5 is 750 us, t3.5 is 1.750 ms. Some devices differ (CHINO LT830: a t3.5 of
+# 28 bit times), so the user can give both:
 #
 #     9600-8E1,t3.5=28bits
 #     19200-8N2,t1.5=1ms,t3.5=5ms
@@ -24,7 +24,8 @@ _PATTERN = re.compile(
 )
 
 MIN_BAUD, MAX_BAUD = 50, 4_000_000
-"""The lowest and highest rate that a user may give: those that termios has names for."""
+"""The lowest and the highest baud rate that a user may give: the limits of the rates for which
+termios has names."""
 
 _PARITIES = ("N", "E", "O")
 
@@ -43,10 +44,10 @@ class SerialFormat:
     baud: int = 19200
     data_bits: int = 8
     parity: str = "E"
-    """N, E or O."""
+    """The parity: N (none), E (even) or O (odd)."""
     stop_bits: int = 1
     t1_5: Silence | None = None
-    """Replaces the time of the standard; so does t3_5."""
+    """The t1.5 of this line; None for the standard's. `t3_5` is the same for t3.5."""
     t3_5: Silence | None = None
 
     def __post_init__(self) -> None:
@@ -68,7 +69,7 @@ class SerialFormat:
     def parse(cls, text: str) -> Self:
         """Read `19200-8E1`, or `19200` alone for 8E1, the standard's default; silences may follow.
 
-        Raises UsageError.
+        Raises UsageError if `text` is anything else, or if a value is out of its range.
         """
         settings, *silences = text.split(",")
         line = cls._parse_settings(settings)
@@ -84,7 +85,10 @@ class SerialFormat:
         return line.with_silences(given.get(_T1_5), given.get(_T3_5))
 
     def with_silences(self, t1_5: Silence | None, t3_5: Silence | None) -> Self:
-        """The same line with these silences; None keeps the one that it has. Raises UsageError."""
+        """The same line settings with these silences; None keeps the silence that they have.
+
+        Raises UsageError if a silence is 0 or longer than 1 s, or if t1.5 is longer than t3.5.
+        """
         try:
             return replace(self, t1_5=t1_5 or self.t1_5, t3_5=t3_5 or self.t3_5)
         except ValueError as error:
@@ -109,24 +113,24 @@ class SerialFormat:
 
     @property
     def character_bits(self) -> int:
-        """Start bit, data bits, parity bit and stop bits."""
+        """The number of bits of a character: start bit, data bits, parity bit and stop bits."""
         return 1 + self.data_bits + (self.parity != "N") + self.stop_bits
 
     @property
     def character_ns(self) -> int:
-        """The time of one character on the line."""
+        """How long one character takes on the line, in ns."""
         return self.character_bits * 1_000_000_000 // self.baud
 
     @property
     def t1_5_ns(self) -> int:
-        """The longest silence inside a frame."""
+        """The longest silence that may occur inside a frame, in ns."""
         if self.t1_5 is not None:
             return self._ns(self.t1_5)
         return min(self._standard_ns(3, _FIXED_T1_5_NS), self.t3_5_ns)
 
     @property
     def t3_5_ns(self) -> int:
-        """The shortest silence between frames."""
+        """The shortest silence that may occur between two frames, in ns."""
         if self.t3_5 is not None:
             return self._ns(self.t3_5)
         return self._standard_ns(7, _FIXED_T3_5_NS)
@@ -142,7 +146,10 @@ class SerialFormat:
         return cls(9600, 7) if is_ascii else cls()
 
     def demand_rtu(self, given: str, example: str) -> None:
-        """Raise UsageError unless RTU can use these settings. `given` names the user's text."""
+        """Raise UsageError unless there are 8 data bits, as RTU needs them.
+
+        The text of the error names `given`, what the user wrote, and `example`, a correct one.
+        """
         if self.data_bits != 8:  # Serial Line V1.02, 2.5.1.
             raise UsageError(f"{given}: RTU needs 8 data bits, for example {example}")
 

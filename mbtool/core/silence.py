@@ -37,7 +37,7 @@ class Silence:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `28bits`, `3.5chars`, `5ms` or `750us`. Raises UsageError."""
+        """Read `28bits`, `3.5chars`, `5ms` or `750us`. Raises UsageError for other forms and 0."""
         match = _PATTERN.fullmatch(text.strip().lower())
         if match is None or not Decimal(match["amount"]):
             raise UsageError(
@@ -47,7 +47,7 @@ class Silence:
         return cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
 
     def ns(self, baud: int, character_bits: int) -> int:
-        """Its length in ns on a line of this baud rate and with so many bits to a character."""
+        """The length in ns on a line of this baud rate, with `character_bits` to a character."""
         match self.unit:
             case SilenceUnit.BITS:
                 return int(self.amount * 1_000_000_000 / baud)

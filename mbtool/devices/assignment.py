@@ -36,7 +36,7 @@ _PORTS = range(0x10000)
 
 @dataclass(frozen=True, slots=True)
 class Who:
-    """A pattern for slaves. A part that is None matches every slave."""
+    """A pattern that matches slaves by host, port and unit. A field with None fits all slaves."""
 
     host: str | None = None
     port: int | None = None
@@ -44,7 +44,7 @@ class Who:
 
     @classmethod
     def of_slave(cls, destination: str | None, unit: int) -> Who:
-        """The pattern for one slave of a transaction; its destination is None on a serial line."""
+        """The pattern for exactly one slave. `destination` is HOST:PORT; None on a serial line."""
         host, port = _split_endpoint(destination) if destination is not None else (None, None)
         return cls(host, int(port) if port is not None and port.isdecimal() else None, unit)
 
@@ -64,7 +64,7 @@ class Who:
         )
 
     def fits_slave(self, destination: str | None, unit: int) -> bool:
-        """True if the pattern matches the slave of a transaction."""
+        """True if the pattern matches the slave with `unit` at `destination`, as in `of_slave`."""
         slave = Who.of_slave(destination, unit)
         return self.fits(slave.host, slave.port, unit)
 
@@ -79,14 +79,18 @@ class Who:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """One WHO=PROFILE."""
+    """One WHO=PROFILE of the user: the profile of the slaves that match WHO."""
 
     who: Who
     profile: Profile
 
 
 def parse_assignment(text: str) -> Assignment:
-    """Read WHO=PROFILE and load the profile. Raises UsageError."""
+    """Read WHO=PROFILE and load the profile.
+
+    Raises UsageError if the text has another form or no profile has that name, and what
+    load_profile() raises for a file.
+    """
     who, equals, profile = text.partition("=")
     if not equals or not who or not profile:
         raise UsageError(
@@ -97,7 +101,9 @@ def parse_assignment(text: str) -> Assignment:
 
 
 def parse_who(text: str) -> Who:
-    """Read WHO. Raises UsageError."""
+    """Read WHO. Raises UsageError if it is no pattern for slaves, or a number in it is out of
+    range.
+    """
     if text == "all":
         return Who()
     if text.isascii() and text.isdigit():
@@ -120,11 +126,12 @@ class Assignments:
     """The profiles that the user assigned to slaves."""
 
     def __init__(self, assignments: Iterable[Assignment] = ()) -> None:
-        """Raises UsageError if one WHO has two profiles."""
-        # Sorted so that the first match is the most specific one.
+        """Raises UsageError if one WHO has two profiles, or two profiles have one name."""
+        # The first assignment that matches a slave must be the most specific one.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
         self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
-        # Made once, because Namer identifies a profile by its id().
+        # The profiles for ASCII mode are made only once, because Namer identifies a profile by its
+        # id().
         self._in_ascii = {
             each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
         }
@@ -153,11 +160,14 @@ class Assignments:
 
     @property
     def profiles(self) -> list[Profile]:
-        """The profiles in use, each once."""
+        """The assigned profiles, each once."""
         return list({each.profile.name: each.profile for each in self._assignments}.values())
 
     def profile_for(self, transaction: Transaction) -> Profile | None:
-        """The profile of a transaction's slave, for ASCII mode if it is in ASCII; None if none."""
+        """The profile of the transaction's slave; None if no profile is assigned to the slave.
+
+        For a transaction in ASCII mode, the profile has the limits of that mode.
+        """
         key = (transaction.destination, transaction.unit, transaction.transport)
         try:
             return self._cache[key]
@@ -172,7 +182,7 @@ class Assignments:
         return profile
 
     def profiles_at(self, destination: str) -> list[Profile]:
-        """The profiles that are assigned to any unit at an endpoint."""
+        """The profiles that are assigned to any unit at `destination`, which is HOST:PORT."""
         return [
             each.profile
             for each in self._assignments
@@ -187,7 +197,10 @@ class Assignments:
 
 
 def _split_endpoint(text: str) -> tuple[str, str | None]:
-    """Split `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` or `[::1]:502` into host and port."""
+    """Split `1.2.3.4`, `1.2.3.4:502`, `::1`, `[::1]` or `[::1]:502` into host and port.
+
+    The port is None if the text has none.
+    """
     if text.startswith("["):
         host, closed, rest = text[1:].partition("]")
         if rest.startswith(":"):

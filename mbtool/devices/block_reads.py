@@ -24,12 +24,15 @@ def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
     from_start = [point for point in in_blocks if point.block == span.start]
     if from_start:
         return span.stop <= 1 + max(max(point.all_addresses) for point in from_start)
-    # The read begins elsewhere, so it only reaches registers that have a point outside the blocks.
+    # A read that begins elsewhere than a block reaches only registers that also have a point
+    # outside all blocks.
     return _addresses(in_blocks, span) <= _addresses(readable, span)
 
 
 def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[Point], list[Point]]:
-    """The points of blocks that a range touches, and the readable points outside all blocks."""
+    """Return the points of blocks that a range touches, and the readable points that it touches
+    outside all blocks.
+    """
     if all(point.block is None for point in profile.points):
         return [], []
     touched = [
@@ -47,7 +50,9 @@ def _addresses(points: list[Point], span: range) -> set[int]:
 
 
 def _touches(point: Point, span: range) -> bool:
-    """True if a range has an address of the point, or of its block before the point."""
+    """True if a range has an address of the point, or one from the start of the point's block up to
+    the point.
+    """
     last = point.addresses[-1] + point.words - 1
     first = point.address if point.block is None else point.block
     return first < span.stop and last >= span.start

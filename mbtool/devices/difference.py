@@ -20,14 +20,14 @@ class DifferenceKind(StrEnum):
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The content of one of the two captures."""
+    """What one of the two captures contains where they differ."""
 
     text: str
-    """For readers; empty if the capture has nothing here."""
+    """The content in words, for readers; empty if the capture has nothing there."""
     count: int | None = None
-    """Number of transactions."""
+    """How many transactions of the capture the difference is about."""
     values: list[int] | None = None
-    """The values of a register that has a difference of its own."""
+    """The values of the register, if the difference is about a single register; otherwise None."""
     median_ns: int | None = None
     p95_ns: int | None = None
 
@@ -38,17 +38,18 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     kind: DifferenceKind
     unit: int
     link: str | None = None
-    """Absent if the unit alone identifies the slave."""
+    """The link of the slave; None if the unit alone identifies the slave."""
     function: int | None = None
     reference: str | None = None
-    """The addresses, in the notation of the device."""
+    """The addresses that differ, in the vendor's notation."""
     name: str | None = None
-    """Their name in the device's manual."""
+    """The name of these addresses in the device's manual."""
     what: str
-    """`read`, `written`, or the function's name."""
+    """What differs: the values that are `read` or `written`, a function by its name, or `slave`."""
     a: Side
     b: Side
     p: float | None = None
-    """The probability of such a difference by chance, if a test was made."""
+    """The probability that chance alone causes such a difference, 0 to 1; None if it was not
+    computed."""
     alike: int = 0
-    """Other requests of this function whose latencies also changed."""
+    """How many other requests with this function have a changed latency, too."""

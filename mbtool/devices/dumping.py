@@ -36,8 +36,8 @@ _WRITTEN_IN_HEX = (
 def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None = None) -> str:
     """The TOML text of a profile.
 
-    `comments` are sentences before a part: before the file "", or before `functions`,
-    `areas "NAME"` or `points "NAME"`.
+    `comments` are sentences to write as comments before a part of the file. A key names the part:
+    "" the whole file, or `functions`, `areas "NAME"` or `points "NAME"`.
     """
     about = comments or {}
     blocks = [
@@ -64,7 +64,7 @@ def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None 
 
 
 def _comment(sentences: Iterable[str]) -> list[str]:
-    """Each sentence as comment lines. Control characters, such as line ends, become ?."""
+    """Return each sentence as lines of a TOML comment, with ? in place of control characters."""
     lines: list[str] = []
     for sentence in sentences:
         plain = "".join(one if one.isprintable() else "?" for one in sentence)
@@ -75,7 +75,9 @@ def _comment(sentences: Iterable[str]) -> list[str]:
 
 
 def _functions(functions: Mapping[str, FunctionRule]) -> Iterator[list[str]]:
-    """One table of all functions, then one table for each function with an `answer`."""
+    """Give the lines of one TOML table for all functions without an `answer`, then those of a table
+    for each function with an `answer`.
+    """
     yield [
         "[functions]",
         *(
@@ -141,7 +143,7 @@ def _defaults(part: type[msgspec.Struct]) -> dict[str, Any]:
 
 
 def _lines(keys: Mapping[str, Any], within: str = "", in_hex: Iterable[str] = ()) -> list[str]:
-    """A line for each key; long lists take several lines, and long tables become `[tables]`."""
+    """Return a TOML line for each key. Long lists take several lines; long tables get a section."""
     lines, tables = [], []
     for key, value in keys.items():
         text = f"0x{value:04X}" if key in in_hex else _value(value)
@@ -165,7 +167,7 @@ def _value(value: Any) -> str:
         case float():
             return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
         case str():
-            # JSON and TOML differ only for the character DEL.
+            # JSON and TOML write a text alike, except that TOML must escape the character DEL.
             return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         case list():
             return f"[{', '.join(map(_value, value))}]"

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
 
 def identity_points(transaction: Transaction) -> list[PointValue]:
-    """A value for each part of a reported identity; empty for responses of other functions."""
+    """A point value for each part of the identity that a response reports; none for other
+    responses.
+    """
     return [
         PointValue(
             name=one.name,
@@ -27,7 +29,10 @@ def identity_points(transaction: Transaction) -> list[PointValue]:
 
 
 def answer_word(transaction: Transaction) -> int | None:
-    """The word behind the function code, if the response has nothing else: FA3's model code."""
+    """The 16-bit word after the function code, if the response has nothing else; otherwise None.
+
+    This is how FA3 modules report their model code.
+    """
     if transaction.exception is not None:
         return None
     pdu = whole_pdu(transaction.transport, transaction.response_raw)

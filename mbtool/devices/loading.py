@@ -46,7 +46,7 @@ _T = TypeVar("_T", bound=msgspec.Struct)
 
 def builtin_profiles() -> list[str]:
     """The names of the built-in profiles, sorted. Reads no file."""
-    # Names with an underscore are no devices; other profiles extend them.
+    # A file whose name begins with an underscore is no device; other profiles extend it.
     return sorted(path.stem for path in _BUILT_IN.glob("[!_]*.toml"))
 
 
@@ -70,7 +70,10 @@ def profile_to_json(profile: Profile) -> bytes:
 
 
 def profile_from_json(data: bytes, file: str) -> Profile:
-    """Parse the result of profile_to_json. `file` is for messages. Raises ProfileError."""
+    """Make a profile of the result of profile_to_json. `file` is its name for messages.
+
+    Raises ProfileError if the data is no JSON object, or has mistakes.
+    """
     try:
         keys = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -111,7 +114,11 @@ def _guess(name: str) -> str:
 
 
 def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a file and all that it extends. `extending` are the files that extend it, in order."""
+    """Read the keys of a file, merged with those of all files that it extends.
+
+    `extending` are the files that extend this one, in the order in which they are read. Raises
+    InputError if a file cannot be read, and ProfileError for mistakes in it.
+    """
     file = str(path)
     keys = _read_toml(path)
     extends = keys.pop("extends", None)
@@ -158,7 +165,8 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            # Two parts of one name in one file are both kept, so that validation finds them.
+            # If two areas or points of one file have the same name, both are kept, so that
+            # validation reports them.
             indices = {part.name: index for index, part in enumerate(extended[key])}
             merged[key] = list(extended[key])
             for part in own[key]:
@@ -237,7 +245,9 @@ def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
 
 
 def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
-    """Convert one part of a profile. Raises ProfileError for the first wrong key."""
+    """Convert the keys of one part of a profile to `cls`. Raises ProfileError for the first wrong
+    key.
+    """
     if not isinstance(value, dict):
         raise ProfileError(file, key, f"expected a table, {{ key = value }}, not {_shown(value)}")
     _refuse_unknown(cls, value, file, key)
@@ -293,7 +303,7 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
     return texts
 
 
-# msgspec's message: "Expected `int` <= 65535 - at `$.first`".
+# A message of msgspec is like "Expected `int` <= 65535 - at `$.first`".
 _MESSAGE = re.compile(r"(?P<problem>.*?)(?:, got .*?)?(?: - at `\$\.?(?P<path>[^`]*)`)?")
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 _WORDS = {
@@ -308,7 +318,7 @@ _WORDS = {
 
 
 def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, str]:
-    """The key and the problem in a message of msgspec."""
+    """Return the key that a message of msgspec is about, and the problem in words for users."""
     match = _MESSAGE.fullmatch(message)
     if match is None or not match["path"]:
         return "", message
@@ -336,7 +346,7 @@ def _expected_list(value: object, choices: list[str], *, of_numbers: bool = Fals
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
-    """The values that a key can have, if its type is an enumeration; else none."""
+    """The values that a key can have, if its type is an enumeration; otherwise an empty list."""
     hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
     for kind in (hint, *typing.get_args(hint)):
         if isinstance(kind, type) and issubclass(kind, StrEnum):

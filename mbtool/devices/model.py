@@ -29,11 +29,11 @@ def _about(description: str) -> Meta:
 
 
 Texts = dict[int, str]
-"""The meaning of each value."""
+"""Texts by number: the meaning of each value, or the name of each bit."""
 
 WORD_BITS = 16
 READ_AND_WRITE = 0x17
-"""The one function that both reads and writes (6.17)."""
+"""Function 17H, the only one that both reads and writes (Application Protocol, 6.17)."""
 
 
 class Radix(StrEnum):
@@ -54,7 +54,9 @@ class Radix(StrEnum):
                 return f"{number // 8 or ''}{number % 8}"
 
     def read(self, digits: str) -> int:
-        """Parse digits as `write` writes them. Raises ValueError."""
+        """Return the number for which `write` gives these digits. Raises ValueError if there is
+        none.
+        """
         valid = "0123456789ABCDEF" if self is Radix.HEX else "0123456789"
         last = "01234567" if self is Radix.OCTAL_DIGIT else valid
         if not digits or not set(digits) <= set(valid) or digits[-1] not in last:
@@ -89,7 +91,7 @@ class BehaviourName(StrEnum):
 class _Part(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """A part of a profile. Unknown keys are errors."""
+    """A part of a profile. A key that is no field of the part is an error."""
 
 
 class Area(_Part, frozen=True, kw_only=True):
@@ -151,7 +153,7 @@ class AnswerWord(_Part, frozen=True, kw_only=True):
 
 
 class FunctionRule(_Part, frozen=True, kw_only=True):
-    """A function of the device."""
+    """What the manual says about one function of the device."""
 
     limit: Annotated[Quantity | None, _about("The largest quantity in the manual.")] = None
     write_limit: Annotated[
@@ -181,7 +183,7 @@ class Exceptions(_Part, frozen=True, kw_only=True):
 
 
 class Timing(_Part, frozen=True, kw_only=True):
-    """Silences in the manual that differ from the standard's: 28bits, 5ms."""
+    """Silences in the manual that differ from the standard's, each with its unit: 28bits, 5ms."""
 
     t1_5: Annotated[str | None, _about("The longest silence inside a frame.")] = None
     t3_5: Annotated[str | None, _about("The shortest silence between frames.")] = None
@@ -220,17 +222,17 @@ class PointType(StrEnum):
 
     @property
     def words(self) -> int:
-        """Addresses that a value takes; 0 for a string, whose length is the point's `length`."""
+        """How many addresses a value takes; 0 for a string, which has its own `length`."""
         return 0 if self is PointType.STRING else _WORDS.get(self, 1)
 
     @property
     def channel_bits(self) -> int:
-        """Bits for each channel of a field; 0 for other types."""
+        """How many bits a field has for each channel; 0 for other types."""
         return {PointType.BIT_FIELD: 1, PointType.NIBBLE_FIELD: 4}.get(self, 0)
 
     @property
     def whole_numbers(self) -> range | None:
-        """The range of an integer type; None for other types."""
+        """The numbers that an integer type can hold; None for other types."""
         return _RANGES.get(self)
 
     @property
@@ -333,11 +335,13 @@ class Point(_Part, frozen=True, kw_only=True):
 
     @property
     def words(self) -> int:
-        """Addresses that each of the `count` points takes."""
+        """How many addresses each of the `count` points takes."""
         return self.type.words or self.length or 1
 
     def allows(self, *, writing: bool) -> bool:
-        """True if a master may write (or read) the point, as far as its area allows it."""
+        """True if the point's own access lets a master write (or read) it. Its area may still
+        forbid it.
+        """
         return self.access is None or self.access.allows(writing=writing)
 
     @property
@@ -396,7 +400,7 @@ class Profile(_Part, frozen=True, kw_only=True):
         return self.functions.get(f"{function:02X}")
 
     def in_mode(self, transport: Transport) -> Profile:
-        """The profile for one transport: for ASCII with the limits of ASCII mode."""
+        """The profile for one transport. In ASCII mode, functions have their limits for ASCII."""
         ascii_rules = {
             code: msgspec.structs.replace(rule, limit=rule.ascii_limit)
             for code, rule in self.functions.items()

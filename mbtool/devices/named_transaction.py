@@ -8,37 +8,37 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.transaction import Outcome, Transaction
 
 
-# gc=False: a value never refers to itself, so the garbage collector can leave out all of them.
+# gc=False: a value never refers to itself, so the garbage collector need not look at values.
 class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """The value of a named point."""
 
     name: str
     reference: str
-    """Its address, in the vendor's notation."""
+    """The point's address, in the vendor's notation."""
     value: int | float | None = None
-    """An integer, unless the point has a scale or is a float.
+    """The value as a number: an integer, unless the point has a scale or is a float.
 
-    Absent if it is not a finite number: a string, an infinite float, digits that are not BCD.
-    """
+    None if there is no finite number: for a string, an infinite float, digits that are not BCD."""
     text: str
     """The value in the words of the manual: `CH1 CH2 CH6 CH8 enabled`, `27.5 s`."""
     unit: str | None = None
     written: bool = False
-    """True for a value that the request of a function 17H writes.
+    """True for a value that a request with function 17H writes.
 
-    Only function 17H reads and writes; the points of other functions are all of one kind.
-    """
+    Only function 17H both reads and writes. The points of any other function are either all read or
+    all written, and have False here."""
 
 
 class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=True):
     """A transaction and its meaning for the device."""
 
     device: str | None = None
-    """The profile's name."""
+    """The name of the slave's profile; None if the slave has none."""
     reference: str | None = None
-    """The addresses, in the vendor's notation: `HR400001..400002`."""
+    """The addresses of the request, in the vendor's notation: `HR400001..400002`."""
     points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
-    """The values that the response brings, or that the request writes, even without success."""
+    """The values that the response contains, or that the request writes, even if the write
+    failed."""
     findings: list[str] = []  # noqa: RUF012 - msgspec copies an empty list per record
     """Codes of broken rules (docs/findings.md)."""
 
@@ -51,7 +51,7 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
 
     @property
     def read_points(self) -> list[PointValue]:
-        """The values that the response brings."""
+        """The values that the response contains."""
         if self.write_address is not None:
             return [point for point in self.points if not point.written]
         return [] if self._only_writes else self.points
@@ -63,5 +63,5 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
 
     @property
     def took_effect(self) -> bool:
-        """True if the points are values of the device, not only values that a master requested."""
+        """True if the slave has these values, False if a master only requested to write them."""
         return self.outcome in (Outcome.OK, Outcome.BROADCAST)

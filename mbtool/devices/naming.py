@@ -57,7 +57,8 @@ class Namer:
         self._vocabularies: dict[int, _Vocabulary] = {}
 
     def name(self, transaction: Transaction) -> NamedTransaction:
-        """Add device, reference, points and findings, or replace those that are there.
+        """Add device, reference, points and findings to a transaction, or replace those that it
+        has.
 
         Never raises, not even for numbers that are impossible on a wire.
         """
@@ -72,7 +73,8 @@ class Namer:
     def _vocabulary(self, profile: Profile | None) -> _Vocabulary:
         if profile is None:
             return self._neutral
-        # The key is the profile's identity, for speed; the assignments keep every profile alive.
+        # The key is the id() of the profile, because that is fast. An id() stays valid as the
+        # assignments keep every profile alive.
         vocabulary = self._vocabularies.get(id(profile))
         if vocabulary is None:
             vocabulary = self._vocabularies[id(profile)] = _Vocabulary(profile)
@@ -81,28 +83,32 @@ class Namer:
 
 @dataclass(frozen=True, slots=True)
 class _Meaning:
-    """All that depends only on the function, addresses and quantities of a transaction."""
+    """What a transaction means, as far as it depends only on its function, addresses and
+    quantities.
+    """
 
     function_name: str | None = None
     reference: str | None = None
     written: tuple[tuple[int, PointInstance], ...] = ()
-    """Each point with the index of its first value."""
+    """The points that the request writes, each with the index of its first value in the request."""
     read: tuple[tuple[int, PointInstance], ...] = ()
     answer: PointInstance | None = None
-    """The word in the response to a vendor's own function, as a point."""
+    """The word in the response to a vendor's own function, as a point; None for other functions."""
     findings: tuple[str, ...] = ()
 
 
 class _Vocabulary:
-    """A profile, or no profile, compiled for naming."""
+    """Names transactions with one profile, which is prepared once so that naming is fast; or with
+    none.
+    """
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
         self._device = profile.name if profile is not None else None
         self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
-        """By table and by whether the request writes; sorted by address."""
+        """The points by their table and by whether a request writes them; sorted by address."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
-        """The addresses of `_points`."""
+        """The first address of each point in `_points`, in the same order."""
         self._cache: dict[tuple[int | None, ...], _Meaning] = {}
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
@@ -222,13 +228,14 @@ class _Vocabulary:
     ) -> tuple[tuple[int, PointInstance], ...]:
         """The points that are completely in a range, each with the index of its first value.
 
-        If there are any, the other addresses of the range become points named by their reference.
+        If there are any, each other address of the range becomes a point called by its reference.
         """
         addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)
         last = bisect_left(addresses, address + quantity)
         points = self._points[table, writing][first:last] if last > first else []
-        # A read from the beginning of a block contains only the block; other reads, no block.
+        # A read that begins where a block begins contains only points of the block; any other read
+        # contains no points of blocks.
         block = address if any(point.block == address for point in points) else None
         complete = [
             point

@@ -3,10 +3,11 @@
 # Used to find the profile that fits a slave (profile_match.py), and to draft a profile (drafting/).
 # Equal requests are counted together.
 #
-# Limits for each slave: MAX_REQUESTS different requests; transactions with further ones are only
+# Limits for each slave: MAX_REQUESTS different requests; further different requests are only
 # counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED requests, at most
-# MAX_ROWS rows each. When there are more rows, every second one is dropped, and from then on half
-# as many are taken, so that the sample is spread over the whole time.
+# MAX_ROWS rows each; a row is the values of one transaction. When there are more rows, every second
+# one is dropped, and from then on half as many are taken, so that the sample is spread over the
+# whole time.
 
 from __future__ import annotations
 
@@ -36,7 +37,10 @@ MAX_TEXTS = 64
 
 @dataclass(frozen=True, slots=True)
 class ObservedRequest:
-    """A request without the values that it writes. A function 17H is two: a read and a write."""
+    """A request without the values that it writes.
+
+    A request with function 17H counts as two: a read and a write.
+    """
 
     function: int
     table: Table | None
@@ -47,7 +51,7 @@ class ObservedRequest:
 
     @property
     def span(self) -> range:
-        """Its addresses, up to FFFFH."""
+        """The addresses of the request, at most up to FFFFH."""
         first = self.address or 0
         return range(first, min(first + max(self.quantity, 1), 1 << 16))
 
@@ -58,7 +62,7 @@ class Replies:
 
     ok: int = 0
     silent: int = 0
-    """No response, or a malformed one."""
+    """How many requests had no response, or a malformed one."""
     exceptions: Counter[int] = field(default_factory=Counter)
 
 
@@ -67,11 +71,11 @@ class Samples:
     """The register values of one request: read from the slave, or written to it."""
 
     rows: list[tuple[int, ...]] = field(default_factory=list)
-    """The sample: the values of some transactions."""
+    """The sample: a row of register values for each sampled transaction."""
     count: int = 0
-    """All transactions with values."""
+    """How many transactions had values, in the sample or not."""
     changes: list[int] = field(default_factory=list)
-    """For each register, how often its value differed from the one before; of all transactions."""
+    """For each register, how often its value differed from the one before, in all transactions."""
     _last: tuple[int, ...] = ()
     _every: int = 1
 
@@ -106,17 +110,18 @@ class ObservedSlave:
         self.requests: dict[ObservedRequest, Replies] = {}
         self.samples: dict[ObservedRequest, Samples] = {}
         self.identity: dict[str, str] = {}
-        """Its reported identity, by the names in modbus/identification.py."""
+        """What the slave reports of itself, by the names in modbus/identification.py."""
         self.answer_words: set[tuple[int, int]] = set()
-        """Vendor's functions whose response was a single word: function code and word."""
+        """The function code and the word of each response to a vendor's function that was a single
+        word."""
         self.transactions = 0
         self.forgotten = 0
-        """Requests that were not recorded because there were too many different ones."""
+        """How many requests were not recorded because there were too many different ones."""
         self._with_values = with_values
 
     @property
     def who(self) -> Who:
-        """The slave as in --device, with its port."""
+        """The slave with its host, port and unit, as WHO of the option --device."""
         return Who.of_slave(self.destination, self.unit)
 
     @property
@@ -176,7 +181,9 @@ class ObservedSlave:
 
 
 def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[int] | None]]:
-    """The request of a transaction, or both parts of a function 17H; each with its values."""
+    """Return the request of a transaction, or the read and the write of function 17H, each with its
+    register or bit values.
+    """
     function = transaction.function
     known = FUNCTIONS.get(function)
     table = known.table if known is not None else None

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 Ranges = dict[str, tuple[float | None, float | None]]
-"""Minimum and maximum by the name of the point; None if there is no such limit."""
+"""The least and the greatest value of points, by the point's name; None where there is no limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
-    """A code in words. With a profile, it has the figures of the profile: `limit is 100`."""
+    """Describe a finding code. With a profile, the text has its figures: `limit is 100`."""
     parsed = DeviceCode.parse(code)
     if parsed is None:
         rule = rule_of(code)
@@ -54,13 +54,13 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return f"the manual fixes them{data}"
         case _:
             name = exception_name(number) if profile is None else profile.exception_name(number)
-            # The name of an unknown exception is its number, which the text has already.
+            # An exception without a known name is called by its number, which the text has already.
             named = "" if name.startswith("exception ") else f" ({name})"
             return f"exception {number:02X}{named} is not documented"
 
 
 def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
-    """Codes for the function, the addresses and the quantities of a request."""
+    """Give the finding codes for the function, the addresses and the quantities of a request."""
     function = transaction.function
     written = _written_by_17h(transaction)
     standard = request_codes(function, transaction.address, transaction.quantity, written)
@@ -75,7 +75,8 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
     if _is_quantity_wrong(rule, transaction, written):
         yield f"{prefix}-Q{function}"
     elif rule.limit is None:
-        # Not MB-106, a range beyond FFFFH: such a range is also outside the areas, which is an A.
+        # MB-106, a range beyond FFFFH, is left out: such a range is also outside the device's
+        # areas, so it gets a code with the letter A.
         yield from (code for code in standard if code != "MB-106")
     letter = _address_letter(profile, transaction, written)
     if letter is not None:
@@ -83,14 +84,14 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
 
 
 def exception_finding(profile: Profile, exception: int) -> str | None:
-    """The code for an exception that is not in the device's manual; None if it is."""
+    """The finding code for an exception that is not in the device's manual; None if it is there."""
     if exception in profile.exceptions.documented:
         return None
     return f"{finding_prefix(profile)}-E{exception}"
 
 
 def value_ranges(profile: Profile) -> Ranges:
-    """The ranges in the manual of the values that can be written."""
+    """The range that the manual gives for each point that can be written and has a range."""
     return {
         instance.name: (point.minimum, point.maximum)
         for point in profile.points
@@ -100,12 +101,12 @@ def value_ranges(profile: Profile) -> Ranges:
 
 
 def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointValue]:
-    """The values that are outside their range."""
+    """The values that are outside the range of their point."""
     return [point for point in points if _is_outside(point.value, ranges.get(point.name))]
 
 
 def value_finding(profile: Profile, function: int) -> str:
-    """The code for a value outside its range."""
+    """The finding code for a written value that is outside the range in the manual."""
     return f"{finding_prefix(profile)}-V{function}"
 
 
@@ -131,7 +132,7 @@ def request_data(transaction: Transaction) -> bytes | None:
 
 
 def data_finding(profile: Profile, function: int) -> str:
-    """The code for data that differ from the manual's."""
+    """The finding code for a request whose data differ from those in the manual."""
     return f"{finding_prefix(profile)}-D{function}"
 
 
@@ -142,7 +143,7 @@ def finding_prefix(profile: Profile) -> str:
 def _is_quantity_wrong(
     rule: FunctionRule, transaction: Transaction, written: tuple[int, int] | None
 ) -> bool:
-    """True if the manual states limits, and a quantity is 0 or above its limit."""
+    """True if a quantity is 0, or above the limit that the manual states for it."""
     quantity = transaction.quantity
     if rule.limit is not None and quantity is not None and not 1 <= quantity <= rule.limit:
         return True
@@ -164,7 +165,9 @@ def _limit_text(rule: FunctionRule | None) -> str:
 def _address_letter(
     profile: Profile, transaction: Transaction, written: tuple[int, int] | None
 ) -> str | None:
-    """A if the device does not have the addresses, W if they can only be read, else None."""
+    """The letter of the finding: A if the device does not have the addresses, W if they can only be
+    read; None if there is no finding.
+    """
     known = FUNCTIONS.get(transaction.function)
     if known is None or known.table is None or transaction.address is None:
         return None

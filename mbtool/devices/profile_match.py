@@ -46,7 +46,7 @@ _REFUSALS = frozenset(
     )
 )
 _MIN_SHARE = 0.9
-"""Share of the requests that a profile must explain to be plausible."""
+"""The least share of the requests, 0 to 1, that a profile must explain to be plausible."""
 _MAX_REASONS = 6
 _UNCONFIRMED = ", though no refusal, model code or name confirms it"
 _MIN_WORD_LETTERS = 4
@@ -58,13 +58,13 @@ class ProfileMatch:
 
     profile: str
     explained: int
-    """Different requests that ended as predicted."""
+    """How many different requests ended as the profile predicts."""
     contradicted: int
-    """Different requests that did not, and other contradictions."""
+    """How many different requests ended otherwise, and how many other contradictions there are."""
     named: int
-    """Addresses that were read or written and have a point in the profile."""
+    """How many of `addresses` have a point in the profile."""
     addresses: int
-    """Addresses that were read or written."""
+    """How many addresses were read or written with success."""
     is_model: bool
     """True if the slave gave the profile's model code."""
     is_other_model: bool
@@ -72,19 +72,19 @@ class ProfileMatch:
     has_name: bool
     """True if the identity that the slave reports names the profile's vendor or model."""
     refused: int
-    """Requests that were refused as predicted."""
+    """How many different requests were refused as the profile predicts."""
     reasons: tuple[str, ...]
     against: tuple[str, ...]
 
     @property
     def share(self) -> float:
-        """Share of the evidence that is for the profile, 0 to 1."""
+        """The share of the evidence that is for the profile, 0 to 1; 0 without evidence."""
         total = self.explained + self.contradicted
         return self.explained / total if total else 0.0
 
     @property
     def score(self) -> int:
-        """0 to 100."""
+        """How well the profile explains the slave, 0 to 100."""
         if self.is_other_model:
             return 0
         if self.is_model:
@@ -94,7 +94,10 @@ class ProfileMatch:
 
     @property
     def is_confirmed(self) -> bool:
-        """True if there is better evidence than accepted requests, which many devices accept."""
+        """True if a model code, a name or a predicted refusal speaks for the profile.
+
+        Accepted requests alone say little, because many devices accept them.
+        """
         return self.is_model or self.has_name or self.refused > 0
 
     @property
@@ -104,7 +107,7 @@ class ProfileMatch:
 
     @property
     def is_plausible(self) -> bool:
-        """True if the slave is probably this device."""
+        """True if the slave is probably the device of this profile."""
         if self.is_other_model:
             return False
         return self.is_model or (self.explained > 0 and self.share >= _MIN_SHARE)
@@ -143,14 +146,15 @@ class MatchResult:
 
 
 def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
-    """Compare a slave with profiles."""
+    """Compare a slave with profiles, and sort them by how well they explain the slave."""
     in_ascii = slave.transports == {Transport.ASCII}
     known = slave.known_addresses()
     matches = [
         _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
         for profile in profiles
     ]
-    # Profiles of other models come last, with any other evidence.
+    # Profiles whose model code differs from that of the slave come last, whatever else speaks for
+    # them.
     matches.sort(
         key=lambda one: (
             one.is_other_model,
@@ -197,7 +201,7 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
 def _compare_requests(
     slave: ObservedSlave, profile: Profile, against: list[str]
 ) -> tuple[int, int, list[str]]:
-    """Count the requests that ended as predicted and those that did not.
+    """Return how many requests ended as predicted, and how many did not.
 
     The third result is a sentence for each request that was refused as predicted.
     """
@@ -241,7 +245,8 @@ def _observed(
 
 
 def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
-    """The exception codes, if they give another reason than the profile; otherwise empty.
+    """Return the exception codes if they give another reason for the refusal than the profile;
+    otherwise an empty text.
 
     There are two reasons: the function, or the addresses and the quantity.
     """
@@ -256,7 +261,9 @@ def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies)
 
 
 def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
-    """The rule for a request, and True if a device of the profile accepts the request."""
+    """Return the profile's rule for a request in words, and True if the profile's device accepts
+    the request, False if it refuses it.
+    """
     function, table, span = request.function, request.table, request.span
     rule = profile.rule(function)
     if rule is None:
@@ -292,7 +299,7 @@ def _request_text(profile: Profile, request: ObservedRequest) -> str:
 def _compare_models(
     slave: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
 ) -> tuple[bool, bool]:
-    """Two results: the slave gave the profile's model code; it gave only others."""
+    """Return two flags: the slave gave the profile's model code; the slave gave only others."""
     function = model_function(profile)
     if function is None or profile.model_code is None:
         return False, False
@@ -310,7 +317,10 @@ def _compare_models(
 
 
 def model_function(profile: Profile) -> int | None:
-    """The function whose response is the model code: the code is among the response's texts."""
+    """The function that asks for the model code; None if the profile has none.
+
+    It is the function whose response has a text for the model code.
+    """
     for code, rule in profile.functions.items():
         if rule.answer is not None and profile.model_code in rule.answer.texts:
             return int(code, 16)
@@ -341,7 +351,7 @@ def _words(text: str) -> set[str]:
 
 
 def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """The number of exception codes that are not in the profile's manual."""
+    """Count the slave's exception codes that are not in the profile's manual."""
     codes = {code for one in slave.requests.values() for code in one.exceptions}
     undocumented = sorted(codes - set(profile.exceptions.documented))
     against += [f"exception {code:02X} is none of its manual's" for code in undocumented]
@@ -349,10 +359,10 @@ def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[st
 
 
 def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """The contradictions by a transport that the profile does not have.
+    """Count the contradictions if the slave uses a transport that the profile does not have.
 
-    Just 1 for a serial device on a network, because it may be behind a gateway. Otherwise more than
-    all requests can outweigh.
+    There is just 1 for a serial device on a network, because the device may be behind a gateway. In
+    other cases there are more than all requests can outweigh.
     """
     spoken = set(profile.transports)
     if slave.transports & spoken or not slave.transports:
@@ -367,7 +377,7 @@ def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[st
 
 
 def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """The contradictions by a unit number on a serial line that the device cannot have."""
+    """Count the contradictions if the device cannot be this unit of a serial line."""
     last = profile.last_unit
     on_line = any(one.is_serial for one in slave.transports)
     if last is None or not on_line or slave.unit <= last:
@@ -377,7 +387,10 @@ def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) ->
 
 
 def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
-    """The number of known addresses that have points."""
+    """Count the addresses in `known` that have a point in the profile.
+
+    An address is known if the slave accepted a read or a write of it.
+    """
     return sum(
         known[point.table].count(1, address, address + point.words)
         for point in profile.points
@@ -386,7 +399,7 @@ def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
 
 
 def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
-    """Profiles by the function that gives the model code, and by the code."""
+    """The profiles with a model code, by the function that asks for the code, and by the code."""
     return {
         (function, profile.model_code): profile
         for profile in profiles

@@ -61,7 +61,10 @@ def is_neutral(reference: str) -> bool:
 
 
 def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
-    """The table and address of a reference in upper or lower case. Raises UsageError."""
+    """Return the table and address of a reference in upper or lower case.
+
+    Raises UsageError if no area of the profile has the reference.
+    """
     wanted = text.strip().upper()
     for area in profile.areas:
         address = _address_in(area, wanted)
@@ -77,12 +80,16 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
 
 
 def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
-    """The area that contains an address, or else one whose notation can be continued to it."""
+    """The area whose notation an address is written in; None for the neutral notation.
+
+    That is the area that contains the address, or else one whose notation can be continued to it.
+    """
     area = profile.area(table, address, writing=writing)
     if area is not None:
         return area
     areas = [area for area in profile.areas if area.table is table]
-    # Sorted three times: by distance, and areas at one distance by access.
+    # The areas below and above the address are sorted by their distance from it. This first sorting
+    # decides among areas at the same distance: those that allow the access come first.
     areas.sort(key=lambda area: not area.access.allows(writing=writing))
     below = sorted((area for area in areas if area.last < address), key=lambda area: -area.last)
     above = sorted((area for area in areas if area.first > address), key=lambda area: area.first)
@@ -99,7 +106,7 @@ def _address_in(area: Area, wanted: str) -> int | None:
     if not (wanted.startswith(prefix) and wanted.endswith(suffix)):
         return None
     digits = wanted[len(prefix) : len(wanted) - len(suffix)]
-    # No reference has more digits, and int() of thousands of digits would be slow.
+    # No reference has more than 8 digits, and int() of thousands of digits would be slow.
     if len(digits) > 8:
         return None
     try:

@@ -66,7 +66,7 @@ def description(part: type[msgspec.Struct], key: str) -> str:
 
 
 def _demand(type_: PointType, key: str) -> dict[str, Any]:
-    """The rule that points of one type must have a key."""
+    """The rule of JSON Schema that points of one type must have a key."""
     return {
         "if": {"properties": {"type": {"const": type_.value}}, "required": ["type"]},
         "then": {"required": [key]},
@@ -74,14 +74,16 @@ def _demand(type_: PointType, key: str) -> dict[str, Any]:
 
 
 def _inlined(node: Mapping[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """A schema without references, and without null, which TOML does not have."""
+    """Return a schema without null, which TOML does not have, and with the part that each `$ref`
+    refers to in place of the `$ref`.
+    """
     inlined = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
     if node.get("default") not in (None, [], {}):
         inlined["default"] = node["default"]
     if "$ref" in node:
         inlined = _part(node["$ref"].rpartition("/")[2], parts) | inlined
     for choice in node.get("anyOf", []):
-        # Of "integer or number", the later one allows both.
+        # If both "integer" and "number" are allowed, the later of the two stays, which allows both.
         inlined |= {} if choice == {"type": "null"} else _inlined(choice, parts)
     for key in ("items", "additionalProperties"):
         if isinstance(inlined.get(key), dict):

@@ -36,7 +36,10 @@ class Span:
 
 
 def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
-    """Parse one reference or a range. Raises UsageError."""
+    """Parse one reference or a range, in the notation of one of the profiles or the neutral one.
+
+    Raises UsageError if the text is neither, or a range ends before it begins or behind 65535.
+    """
     neutral = _NEUTRAL_SPAN.fullmatch(text.strip().lower())
     if neutral is not None and neutral[1] in _NEUTRAL:
         return _span(text, _NEUTRAL[neutral[1]], int(neutral[2]), int(neutral[3] or neutral[2]))

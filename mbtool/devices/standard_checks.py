@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}
-"""Length of a request PDU up to and including its byte count, by function."""
+"""How many bytes the PDU of a request has up to and including its byte count, by function."""
 _RESPONSE_HAS_BYTE_COUNT = READ_BITS | READ_REGISTERS
 _RESPONSE_REPEATS_REQUEST = WRITE_ONE | WRITE_SEVERAL
 _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
@@ -42,9 +42,10 @@ _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
 def request_codes(
     function: int, address: int | None, quantity: int | None, written: tuple[int, int] | None = None
 ) -> Iterator[str]:
-    """Codes for function, addresses and quantities of a request.
+    """Give the finding codes for the function, the addresses and the quantities of a request.
 
-    `written` is the first address and the quantity that function 17H writes.
+    `written` is the first address and the quantity that a request with function 17H writes; None
+    for other functions.
     """
     if not 0 < function < EXCEPTION_BIT:
         yield "MB-107"
@@ -71,7 +72,7 @@ def is_quantity_wrong(
 
 
 def form_codes(transaction: Transaction) -> list[str]:
-    """Codes for the form of both PDUs. Never raises."""
+    """The finding codes for the form of the request's and the response's PDU. Never raises."""
     if transaction.verdicts and not _MALFORMED.isdisjoint(transaction.verdicts):
         return _malformed_codes(transaction)
     if transaction.function in _HAS_PADDING and padding_of(transaction) is not None:
@@ -91,7 +92,7 @@ def _malformed_codes(transaction: Transaction) -> list[str]:
 
 
 def request_form(transaction: Transaction) -> tuple[str, str]:
-    """The code and the problem of a request with the verdict MALFORMED_REQUEST."""
+    """The finding code of a request with the verdict MALFORMED_REQUEST, and its mistake."""
     pdu = _pdu(transaction, transaction.request_raw)
     problem = parse_pdu(pdu, Direction.REQUEST).problem or "its form is wrong"
     function = transaction.function
@@ -103,7 +104,8 @@ def request_form(transaction: Transaction) -> tuple[str, str]:
 
 
 def response_form(transaction: Transaction) -> tuple[str, str] | None:
-    """The code and the problem of a response with the verdict MALFORMED_RESPONSE.
+    """The finding code of a response with the verdict MALFORMED_RESPONSE, and in words what is
+    wrong.
 
     None if the response correctly repeats a malformed request.
     """
@@ -126,7 +128,11 @@ def response_form(transaction: Transaction) -> tuple[str, str] | None:
 
 
 def padding_of(transaction: Transaction) -> tuple[int, int] | None:
-    """The last byte of the bits and how many of its bits count; None if the other bits are 0."""
+    """Find padding bits that are not 0 in the last byte of a transaction's coils or discrete
+    inputs.
+
+    Returns that byte, and how many of its bits are values. None if all padding bits are 0.
+    """
     used = (transaction.quantity or 0) % 8
     if not used:
         return None

@@ -30,7 +30,8 @@ class TomlError(InputError):
     def __init__(self, file: str, place: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (file, place, problem) if part))
         self.place = place
-        """Line, byte or key in the file; empty if the file cannot be opened."""
+        """Where the mistake is: a line, byte or key of the file. Empty if the file cannot be
+        opened."""
         self.problem = problem
 
 

@@ -24,14 +24,15 @@ _MAX_CODE = 0xFF
 
 _MAX_SPANS = 5
 _BAUDS = (110, 4_000_000)
-"""The slowest and the fastest line: silences that are wrong at both are wrong at all."""
+"""The slowest and the fastest line, in bit/s. If t1.5 is longer than t3.5 at both, it is so at
+every speed."""
 _CHARACTER_BITS = 11
 _OCTETS = re.compile(r"([0-9A-Fa-f]{2})+")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def validate(profile: Profile, file: str) -> None:
-    """Raise ProfileError for the first broken rule."""
+    """Check a profile. Raises ProfileError for the first broken rule; `file` is for its message."""
     validate_characters(profile, file)
     if _NAME.fullmatch(profile.name) is None:
         raise ProfileError(
@@ -84,7 +85,8 @@ def _validate_areas(profile: Profile, file: str) -> None:
 
 
 def _collide(area: Area, other: Area) -> bool:
-    # If one area is only read and the other only written, the access tells which one is meant.
+    # If one area can only be read and the other only written, the function of a request tells which
+    # of the two is meant.
     apart = {area.access, other.access} == {Access.READ, Access.WRITE}
     overlap = area.first <= other.last and other.first <= area.last
     return area.table is other.table and overlap and not apart
@@ -216,7 +218,10 @@ def _validate_points(profile: Profile, file: str) -> None:
 
 
 def _access(profile: Profile, point: Point, address: int, errors: PartErrors) -> Access:
-    """What a master may do with a point: its own access, or its area's."""
+    """What a master may do with a point: the point's own access, or else that of its area.
+
+    Raises ProfileError if the point is in no area, or if its access does not fit the area.
+    """
     areas = [area for area in profile.areas if area.holds(point.table, address, point.words)]
     if not areas:
         of_table = [area for area in profile.areas if area.table is point.table]

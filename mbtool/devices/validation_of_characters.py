@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 _REFUSED = frozenset(("Cc", "Cs", "Zl", "Zp"))
-"""Categories of Unicode: control characters, surrogates, line and paragraph separators."""
+"""The Unicode categories that texts must not contain: control characters, surrogates, line and
+paragraph separators."""
 _NOTES = ("notes", "note")
 _ALLOWED_IN_NOTES = "\n\r\t"
 
@@ -37,7 +38,7 @@ def validate_characters(profile: Profile, file: str) -> None:
 
 
 def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Every text that is not printable, with its key."""
+    """Give the key and the text of every text in `value` that is not printable."""
     if isinstance(value, str):
         if not value.isprintable():
             yield key, value

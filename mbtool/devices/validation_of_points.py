@@ -25,7 +25,9 @@ class PartErrors:
 
 
 def validate_point(point: Point, errors: PartErrors) -> None:
-    """Raise ProfileError for the first broken rule. The areas of the profile do not matter here."""
+    """Check the keys of a point, apart from its areas. Raises ProfileError for the first broken
+    rule.
+    """
     if point.table.is_bits != (point.type is PointType.BIT):
         right = "bit" if point.table.is_bits else "a type of registers like uint16"
         errors.wrong("type", f"{point.type} does not fit {point.table}; {right} would be right")

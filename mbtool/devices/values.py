@@ -36,7 +36,7 @@ _FORMATS = {
     PointType.FLOAT32: ">f",
     PointType.FLOAT64: ">d",
 }
-"""Formats of `struct`; the other types are unsigned numbers."""
+"""The formats of `struct` for signed and float types; the other types are unsigned numbers."""
 _BCD = (PointType.BCD16, PointType.BCD32)
 # A 32-bit float has 7 significant digits, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
@@ -44,11 +44,12 @@ _DIGITS = 15
 
 
 class PointInstance:
-    """One of the `count` points that a Point describes."""
+    """One of the `count` points that a Point of a profile describes; decodes the point's values."""
 
-    # Values repeat, so each instance caches them. To format a plain number takes hardly longer than
-    # a look-up, so of plain numbers only the last one is cached, which a machine at rest repeats
-    # with every poll. Of other values, up to _MAX_CACHED are cached.
+    # The values of a point repeat, so each instance caches them. A plain number has one register,
+    # no scale and no texts; to format it takes hardly longer than a look-up. So of plain numbers
+    # only the last one is cached, which a machine at rest repeats with every poll. Of other values,
+    # up to _MAX_CACHED are cached.
 
     __slots__ = (
         "_cache",
@@ -107,7 +108,7 @@ class PointInstance:
         """Decode a scaled number of one register without texts: faster than `_decode`."""
         factor, summand, divisor = ratio
         number = word - 0x10000 if self._signed and word & 0x8000 else word
-        # Division of integers rounds once, as the conversion of a decimal number does.
+        # A division of two integers rounds once, so the result is that of a calculation in decimal.
         scaled = (number * factor + summand) / divisor
         return PointValue(
             name=self.name,
@@ -143,7 +144,8 @@ def point_values(
         if not point._is_plain:
             decoded.append(point._value_in(values, index))
             continue
-        # Decoded here without a call, because most values that often change are plain numbers.
+        # Plain numbers are decoded here without a call, because most values that often change are
+        # plain numbers.
         word = values[index]
         last = point._last
         if last is None or word != point._last_word:
@@ -191,7 +193,8 @@ def registers_of(point: Point, value: float | str) -> list[int]:
     """Encode a value into registers or a bit: the inverse of PointInstance.value.
 
     `value` is in the unit of the point, after scale and offset. For a string it is the text; for
-    other types, it can be one of the point's texts. Raises UsageError.
+    other types, it can be one of the point's texts. Raises UsageError if the point's type cannot
+    hold the value.
     """
     if point.type is PointType.STRING:
         return _registers(point, _string_bytes(point, value))
@@ -219,7 +222,7 @@ def _is_number_of_one_register(point: Point) -> bool:
 
 
 def _ratio(point: Point) -> tuple[int, int, int] | None:
-    """Integers for value = (number * first + second) / third; None if value = number."""
+    """Return integers (a, b, c) for value = (number * a + b) / c; None if value = number."""
     if point.scale == 1 and point.offset == 0:
         return None
     scale, offset = (Fraction(Decimal(str(one))) for one in (point.scale, point.offset))
@@ -348,7 +351,7 @@ def _string(data: bytes) -> str:
 
 
 def _flags_text(point: Point, word: int) -> str:
-    """`READY, ALARM`: the names of the bits that are 1."""
+    """The names of the bits that are 1: `READY, ALARM`."""
     names = [name for bit, name in sorted(point.bits.items()) if word >> bit & 1]
     unnamed = word & ~sum(1 << bit for bit in point.bits)
     if unnamed:
@@ -357,14 +360,14 @@ def _flags_text(point: Point, word: int) -> str:
 
 
 def _field_text(point: Point, word: int) -> str:
-    """The channels grouped by text: `CH1 CH2 CH6 CH8 enabled`, `CH1 CH3 HOLD, CH2 CH4 CLEAR`."""
+    """A field's channels, grouped by text: `CH1 CH2 CH6 enabled`, `CH1 HOLD, CH2 CLEAR`."""
     bits = point.type.channel_bits
     texts = point.texts or ({1: "on"} if bits == 1 else {})
     channels = point.channels or WORD_BITS // bits
     by_text: dict[str, list[str]] = {}
     for index in range(channels):
         value = word >> index * bits & (1 << bits) - 1
-        # A bit value without a text is the opposite of one with a text, and is not shown.
+        # If only one value of a bit has a text, channels with the other value are not shown.
         text = texts.get(value, None if bits == 1 else str(value))
         if text is not None:
             by_text.setdefault(text, []).append(f"{point.channel}{point.first_channel + index}")

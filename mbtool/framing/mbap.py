@@ -7,8 +7,9 @@
 #
 # Length counts the unit id and the PDU, so a useful ADU has a length of 2 to 254.
 #
-# The splitter begins in step. In step it accepts every header with a possible length; an ADU with
-# another protocol id is reported as foreign. An impossible length puts the splitter out of step.
+# The splitter is in step while it knows that the next byte begins a header, as it does at the
+# start. In step it accepts every header with a possible length; an ADU with a protocol id other
+# than 0 is reported as foreign. An impossible length puts the splitter out of step.
 #
 # Out of step it drops one byte and looks again. Zeros in register data look like headers, so it
 # accepts a header only if its length agrees with the structure of the PDU behind it. The PDU of an
@@ -43,7 +44,7 @@ _HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
 
 
 class MbapSplitter:
-    """Takes the bytes of one direction, and gives `Adu` and `Skipped` in order."""
+    """Takes the bytes of one direction of a Modbus/TCP stream; returns `Adu` and `Skipped`."""
 
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
@@ -51,15 +52,15 @@ class MbapSplitter:
         self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header", None))
         self._in_step = True
         self._behind_gap = False
-        """True if out of step and no byte has been decided on since the gap."""
+        """True if the next undecided byte is the first after a gap."""
 
     @property
     def is_idle(self) -> bool:
-        """True if it is in step and holds no byte, so that the next byte begins a header."""
+        """True if the splitter holds no byte and the next byte begins a header."""
         return self._in_step and not self._buffer
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
-        """Take the bytes of one segment."""
+        """Take the bytes of one segment; return the ADUs and skipped bytes that they complete."""
         self._buffer.append(data, ts_ns)
         events: list[Adu | Skipped] = []
         while (size := self._first_size()) is not None and size <= len(self._buffer):
@@ -71,14 +72,14 @@ class MbapSplitter:
         return events
 
     def gap(self) -> list[Adu | Skipped]:
-        """Take note that bytes are missing here: the held bytes come out as skipped."""
+        """Take the information that bytes are missing here; return the bytes held, as skipped."""
         events = self.close()
         self._in_step = False
         self._behind_gap = True
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the stream: the held bytes come out as skipped."""
+        """End the stream: return the bytes held, as skipped."""
         events: list[Adu | Skipped] = []
         self._skips.end(events)
         if self._buffer:

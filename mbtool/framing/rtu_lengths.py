@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbtool.core import Direction
 
 MIN_FRAME = 4
-"""Unit, function code and CRC."""
+"""The least size of an RTU frame in bytes: unit, function code and CRC."""
 
 _FIXED = {
     direction: tuple(length + RTU_EXTRA_BYTES if length else 0 for length in lengths)
@@ -24,13 +24,14 @@ _FIXED = {
         for direction, layouts in LAYOUTS.items()
     )
 }
-"""Frame sizes that follow from the function code alone, as for most requests; 0 for others."""
+"""By direction and function code, the frame size in bytes if the function code alone tells it, as
+for most requests; 0 otherwise."""
 
 
 def frame_size(start: bytes, direction: Direction) -> int | None:
-    """The size of a frame by its structure, from its first bytes.
+    """The size in bytes of the RTU frame that begins with `start`, by its function and byte count.
 
-    None if more bytes are needed to know, 0 if the size does not follow from the bytes.
+    None if more bytes are needed to know, 0 if the frame's bytes do not tell its size.
     """
     if len(start) < 2:
         return None
@@ -42,10 +43,10 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
 
 
 def crc_ends(start: bytes, most: int) -> list[int]:
-    """The first `most` sizes at which a frame of these bytes has a correct CRC, in order.
+    """The sizes, in bytes, at which a frame that begins with `start` has a correct CRC.
 
-    One in 65,536 sizes has a correct CRC by chance, and so has each size that adds a 00 byte to a
-    correct one.
+    Returns the `most` smallest, in order. One in 65,536 sizes has a correct CRC by chance. Where
+    the CRC is correct and a byte 00 follows, it is also correct one byte further.
     """
     sizes = []
     residue = crc(start[: MIN_FRAME - 1])

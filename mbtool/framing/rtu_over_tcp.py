@@ -1,10 +1,10 @@
 """Cuts one direction of RTU over TCP into frames."""
 
-# A stream has no silences, but its direction is known. So the length of a frame follows from its
-# structure, and its CRC confirms the length. If it does not, one byte is skipped and the next one
-# tried. A frame of an unknown function has no length here, and its bytes are skipped. One search
-# skips all bytes up to the next known function code, since bytes that are no Modbus would otherwise
-# cost as much time as frames.
+# A TCP stream has no silences, but its direction is known. So the length of a frame follows from
+# its function and byte count, and its CRC confirms the length. If the CRC is wrong, one byte is
+# skipped and a frame is tried at the next. The length of a frame of an unknown function is not
+# known, so its bytes are skipped. One search skips all bytes up to the next known function code,
+# since bytes that are no Modbus would otherwise cost as much time as frames.
 #
 # Holds at most one incomplete frame (256 bytes) and one run of skipped bytes (skips.MAX_RUN).
 
@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 
 def _beginnings(direction: Direction) -> re.Pattern[bytes]:
-    """Match where a frame may begin: a unit and a function with a length, or the last byte."""
+    """A pattern that matches where a frame may begin.
+
+    That is any byte (the unit) before a function code of which the frame's length can be known. It
+    is also the last byte received, since the function code may follow.
+    """
     known = bytes(code for code in range(256) if frame_size(bytes((0, code)), direction) != 0)
     return re.compile(rb"(?s).(?:[" + re.escape(known) + rb"]|\Z)")
 
@@ -35,7 +39,7 @@ _BEGINNINGS = {direction: _beginnings(direction) for direction in LAYOUTS}
 
 
 class RtuStreamSplitter:
-    """Takes the bytes of one direction, and gives `Adu` and `Skipped` in order."""
+    """Takes the bytes of one direction of RTU over TCP; returns `Adu` and `Skipped` in order."""
 
     def __init__(self, direction: Direction) -> None:
         self._direction = direction
@@ -45,26 +49,29 @@ class RtuStreamSplitter:
 
     @property
     def is_idle(self) -> bool:
-        """True if it holds no incomplete frame."""
+        """True if the splitter holds no incomplete frame."""
         return not self._buffer
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
-        """Take the bytes of one segment."""
+        """Take the bytes of one segment; return the frames and skipped bytes that they complete."""
         self._buffer.append(data, ts_ns)
         return self._frames(ended=False)
 
     def gap(self) -> list[Adu | Skipped]:
-        """Take note that bytes are missing here: end the stream before them."""
+        """Take the information that bytes are missing here; return what `close` returns."""
         return self.close()
 
     def close(self) -> list[Adu | Skipped]:
-        """End the stream. The held bytes come out, with whole frames that they may contain."""
+        """End the stream: return the bytes held, as skipped bytes and whole frames among them."""
         events = self._frames(ended=True)
         self._skips.end(events)
         return events
 
     def _frames(self, *, ended: bool) -> list[Adu | Skipped]:
-        """Consume frames and the bytes between them, up to a frame that can still become whole."""
+        """Remove and return frames and the bytes between them, up to an incomplete frame.
+
+        `ended` is True if no more bytes come, so that an incomplete frame is removed as well.
+        """
         events: list[Adu | Skipped] = []
         place = 0
         while (found := self._buffer.find(self._beginnings, place)) is not None:

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Reason = tuple[EventKind, str, Checksum | None]
-"""The kind of skipped bytes, the reason in one sentence, and the wrong check if there is one."""
+"""The kind of the event for skipped bytes, the reason in one sentence, and the wrong CRC or LRC if
+the bytes are a frame with one."""
 
 MAX_RUN = 1024
 """A run of so many bytes becomes an event and the next run begins, so that memory is bounded."""
@@ -23,7 +24,7 @@ class SkipRun:
     __slots__ = ("_bytes", "_first_ns", "_why")
 
     def __init__(self, why: Callable[[bytes], Reason]) -> None:
-        """`why` gives the kind and the reason for the bytes of a run."""
+        """`why` takes the bytes of a run and returns why they cannot be read."""
         self._why = why
         self._bytes = bytearray()
         self._first_ns = 0

@@ -20,7 +20,8 @@ class TimedBuffer:
         self._taken = 0
         """How many bytes were ever taken."""
         self._marks: deque[tuple[int, int]] = deque()
-        """For each `append` the number of bytes ever appended with it, and its time."""
+        """For each `append`, the number of bytes appended up to its end since the buffer was made,
+        and the time of its bytes in ns."""
 
     def __len__(self) -> int:
         return len(self._data)
@@ -32,11 +33,11 @@ class TimedBuffer:
 
     @property
     def first_ns(self) -> int:
-        """The time of the first byte; the buffer must not be empty."""
+        """The time of the first byte in ns; the buffer must not be empty."""
         return self._marks[0][1]
 
     def ns_at(self, index: int) -> int:
-        """The time of the byte at an index from the front."""
+        """The time, in ns, of the byte at an index from the front; IndexError beyond the end."""
         place = self._taken + index
         for end, ts_ns in self._marks:
             if place < end:
@@ -53,7 +54,7 @@ class TimedBuffer:
         return None if match is None else match.start()
 
     def take(self, size: int) -> bytes:
-        """Remove and return the first bytes."""
+        """Remove the first `size` bytes, or all if there are fewer, and return them."""
         taken = bytes(self._data[:size])
         del self._data[:size]
         self._taken += len(taken)
@@ -62,7 +63,7 @@ class TimedBuffer:
         return taken
 
     def drain(self, size: int) -> Iterator[tuple[bytes, int]]:
-        """Remove the first bytes, in pieces that share a time."""
+        """Remove the first `size` bytes; yield them in pieces of one time each, with that time."""
         left = min(size, len(self._data))
         while left:
             end, ts_ns = self._marks[0]

@@ -73,14 +73,15 @@ class CompleteFile:
         return self._file.closed
 
     def hold(self) -> BinaryIO:
-        """A second handle of the file, which keeps its lock until it is closed."""
+        """Return a second handle of the file, which keeps the file locked until it is closed."""
         return open(os.dup(self._file.fileno()), "wb", buffering=0)
 
     def append(self, records: bytes, *, sync: bool) -> None:
-        """Add records; with `sync`, return when they are on the disk. Raises OutputError.
+        """Add records; with `sync`, return when they are on the disk.
 
-        After an error the file is as it was before. Every later write raises the same error again,
-        so that the caller sees the reason even if it handles only the last one.
+        Raises OutputError if they cannot be written. After that the file is as it was before, and
+        every later write raises the same error again, so that the caller sees the reason even if it
+        handles only the last one.
         """
         records += _padding(self.position + len(records), TAIL_SIZE, TAIL_SIZE - len(records))
         crc = zlib.crc32(records, self._crc)
@@ -90,10 +91,11 @@ class CompleteFile:
         self._crc = crc
 
     def finish(self, summary: Callable[[int], tuple[bytes, bytes]]) -> None:
-        """Add the summary section.
+        """Add the summary section, and return when it is on the disk.
 
         `summary` takes the offset at which the section starts and returns the section and its
-        footer; their lengths must not depend on the offset. Raises OutputError.
+        footer; their lengths must not depend on the offset. Raises OutputError if they cannot be
+        written.
         """
         length = DATA_END_SIZE + len(summary(0)[0])
         if not _fits(self.position + length, FOOTER_SIZE):
@@ -110,7 +112,8 @@ class CompleteFile:
         section, end = summary(start)
 
         def write() -> None:
-            # With an empty footer first, the file is readable until the summary is on the disk.
+            # The first footer tells of no summary, so that the file is readable until the summary
+            # is on the disk.
             self._replace(start, section + footer(), FOOTER_SIZE, sync=True)
             self._write(start + len(section), end)
             self._sync()
@@ -130,7 +133,11 @@ class CompleteFile:
             raise self._failure from error
 
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
-        """Replace the last `old_size` bytes of the file, from offset `at` on, back to front."""
+        """Write `new` over the last `old_size` bytes of the file, which begin at `at`, and beyond.
+
+        It is written back to front: the end, what lies between, and last the bytes over the old
+        ones.
+        """
         end = len(new) - old_size
         self._write(at + end, new[end:])
         self._write(at + old_size, new[old_size:end])
@@ -157,10 +164,10 @@ class CompleteFile:
 
 
 def _padding(end: int, tail: int, minimum: int) -> bytes:
-    """A private record of at least `minimum` bytes, so that the tail after it is in one sector.
+    """Make a private record so that the tail after it lies in one sector.
 
-    `end` is the offset at which the record begins, `tail` the size of the tail. Empty if none is
-    needed.
+    `end` is the offset at which the record begins, `tail` the size of the tail in bytes. The record
+    has at least `minimum` bytes; it is empty if none is needed.
     """
     size = max(minimum, RECORD_HEAD.size) if minimum > 0 else 0
     if not _fits(end + size, tail):
@@ -169,5 +176,5 @@ def _padding(end: int, tail: int, minimum: int) -> bytes:
 
 
 def _fits(start: int, size: int) -> bool:
-    """True if so many bytes from an offset on are in one sector."""
+    """True if the `size` bytes that begin at an offset are all in one sector."""
     return start % SECTOR + size <= SECTOR

@@ -141,9 +141,9 @@ class Container:
         self._sealed += record
 
     def flush(self, *, sync: bool) -> None:
-        """Write everything that was added to the file.
+        """Write everything that was added since the last flush to the file.
 
-        Raises OutputError; what could not be written is then dropped.
+        Raises OutputError if it cannot be written; it is then dropped.
         """
         self._seal()
         if self._sealed:
@@ -151,7 +151,7 @@ class Container:
             self._file.append(sealed, sync=sync)
 
     def finish(self) -> None:
-        """Flush and write the summary. Raises OutputError."""
+        """Flush and write the summary. Raises OutputError if the file cannot be written."""
         self.flush(sync=False)
         self._file.finish(self._summary)
 

@@ -72,7 +72,7 @@ def check_path(path: Path, *, replace: bool = False) -> None:
 
 
 def _lock(file: BinaryIO, path: Path) -> None:
-    """Lock the file. Raises OutputError if another recorder has locked it."""
+    """Lock the file until it is closed. Raises OutputError if another recorder has locked it."""
     if sys.platform == "win32":
         return
     try:

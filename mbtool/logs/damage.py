@@ -25,32 +25,33 @@ class Damage:
         self._first = ""
         self._places = 0
         self._skipped = 0
-        """Bytes in all that were skipped."""
+        """How many bytes of the log were skipped in all."""
         self._hole = 0
-        """Bytes skipped since the last item, among which items may have been."""
+        """How many bytes that may have held items were skipped since the last item."""
         self._hole_at = 0
 
     def __bool__(self) -> bool:
         return self._places > 0
 
     def add(self, error: DamageError, skipped: int = 0) -> None:
-        """Count a damaged place, with the number of bytes that are skipped for it."""
+        """Count a damaged place; `skipped` is the number of bytes left out for it."""
         if not self._places:
             self._first = str(error).removeprefix(f"{self._name}: ")
         self._places += 1
         self._skipped += skipped
 
     def add_hole(self, error: DamageError, offset: int, skipped: int) -> None:
-        """Count a damaged place that may have held items."""
+        """Count a damaged place that may have held items and begins at a file offset."""
         self.add(error, skipped)
         if not self._hole:
             self._hole_at = offset
         self._hole += skipped
 
     def take_gap(self, ts_ns: int) -> list[WireEvent]:
-        """The GAP event, with this time, for places that were not reported yet; else nothing.
+        """Return a list with a GAP event of time `ts_ns` for damage that was not reported yet.
 
-        A time of 0 means that the log has no item, so there is nothing to report a gap between.
+        The list is empty if there is no such damage. It is also empty at time 0, which means that
+        no item was read so far, so there is nothing before the gap.
         """
         if not self._hole or not ts_ns:
             return []
@@ -61,12 +62,12 @@ class Damage:
         return [WireEvent(ts_ns=ts_ns, link="", kind=EventKind.GAP, message=message)]
 
     def error(self) -> DamageError:
-        """The error to raise after a log was read to its end."""
+        """Return the error to raise when a damaged log was read to its end."""
         rest = ", all else was read" if self._skipped else ""
         return DamageError(f"{self._name}: {self._summary()}{rest}")
 
     def added_to(self, end: InputError) -> InputError:
-        """The error to raise if reading ended early with an error, `end`."""
+        """Return the error `end`, with which reading ended early, with the damage added to it."""
         return type(end)(f"{end}; before that, {self._summary()}")
 
     def _summary(self) -> str:

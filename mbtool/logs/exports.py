@@ -62,12 +62,12 @@ CSV_COLUMNS = (
 
 
 def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
-    """One line, with its line end."""
+    """Return a transaction as one line of jsonl, with its line end."""
     return _line(transaction, "request_raw", "response_raw")
 
 
 def event_to_jsonl(event: WireEvent) -> bytes:
-    """One line, with its line end."""
+    """Return an event as one line of jsonl, with its line end."""
     return _line(EventMessage.of(event), "raw")
 
 
@@ -84,7 +84,7 @@ class CsvWriter:
 
 
 def csv_row(transaction: NamedTransaction) -> list[str]:
-    """The cells of CSV_COLUMNS; empty if a field does not apply."""
+    """Return the cells of CSV_COLUMNS; a cell is empty if its field does not apply."""
     fields = _with_hex(transaction)
     points = "; ".join(
         f"{point.name}{':=' if point.written else '='}{point.text}" for point in transaction.points

@@ -29,7 +29,7 @@ PROFILE_MEDIA_TYPE = "application/json"
 
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, log time, publish time."""
+"""What comes before a message's data: channel id, sequence number, log time, publish time."""
 
 PRIVATE = 0x80
 """The first private opcode; readers skip private records that they do not know."""
@@ -39,7 +39,7 @@ MAX_RECORD = 64 << 20
 
 
 def packed(*records: McapRecord) -> bytes:
-    """The bytes of records."""
+    """Return records as the bytes that they have in the file, one after the other."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -53,7 +53,7 @@ def empty_record(size: int) -> bytes:
 
 
 def footer(summary_start: int = 0, offsets_start: int = 0, crc: int = 0) -> bytes:
-    """The end of a file: Footer and magic."""
+    """Return the end of a file: the Footer record and the magic bytes."""
     return packed(Footer(summary_start, offsets_start, crc)) + MAGIC
 
 

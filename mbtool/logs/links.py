@@ -14,11 +14,12 @@ SPEC = "spec"
 PORTS = "ports"
 RTU_PORTS = "rtu_ports"
 ANY_PORT = "any"
-"""The value among PORTS that means every TCP port; the others are keys of a link's metadata."""
+"""In a link's metadata PORTS and RTU_PORTS are keys with lists of TCP ports. This text in the list
+of PORTS means every TCP port."""
 
 
 def all_assignments(log: LogReader, given: Assignments) -> Assignments:
-    """The user's assignments, and the log's own for all devices that these do not name."""
+    """The user's assignments, and those of the log for devices that the user does not name."""
     named = {str(assignment.who) for assignment in given}
     of_log = (
         Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))

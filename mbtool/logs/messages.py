@@ -69,7 +69,7 @@ class ChunkMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A WireEvent."""
+    """A WireEvent, in the form in which it is written to a log."""
 
     ts_ns: int
     link: str

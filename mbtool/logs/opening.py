@@ -38,10 +38,11 @@ def create_log(
     rotation: Rotation | None = None,
     overwrite: bool = False,
 ) -> LogWriter | RotatingLog:
-    """Create a log with everything in it that is needed to decode it again.
+    """Create a log, and write to it everything that is needed to decode its evidence again.
 
-    `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces.
-    Raises UsageError if the file cannot be created, OutputError if another recorder has it open.
+    `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces. Raises
+    UsageError if the file cannot be created or has the suffix of another format, OutputError if
+    another recorder has it open.
     """
     _check_suffix(path)
     capture = {

@@ -25,7 +25,7 @@ class PointChanges:
         self._last: dict[tuple[str, int, str | None, str], tuple[float | None, str]] = {}
 
     def changes(self, transaction: NamedTransaction, ts_ns: int) -> Iterator[PointMessage]:
-        """The points that changed; none if the transaction had no effect on the device."""
+        """Give the points that changed; none if the transaction had no effect on the device."""
         if not transaction.points or not transaction.took_effect:
             return
         link, unit, device = transaction.link, transaction.unit, transaction.device

@@ -51,23 +51,27 @@ class LogReader(ClosesOnExit):
     capture: dict[str, str]
     """The run's metadata: version, host, command, clock, drop counts."""
     links: dict[str, dict[str, str]]
-    """The settings of each link, by its name."""
+    """The settings of each link, by the link's name."""
     devices: dict[str, str]
-    """The name of each device's profile, by the device as `--device` names it."""
+    """The name of each device's profile; the key names the device as `--device` does."""
     profiles: dict[str, bytes]
     """The profiles in use, by name, as JSON."""
     closed: bool
-    """True if the recorder closed the log; known once it was read to its end."""
+    """True if the recorder closed the log; False until the log was read to its end."""
 
     def __init__(
         self, stream: ByteStream, name: str, *, wait: Callable[[], bool] | None = None
     ) -> None:
-        """Read up to the first item. `wait` is as in `follow`."""
+        """Read the metadata before the first item; `wait` is as in `follow`.
+
+        Raises InputError if the stream is not a log, CutError or DamageError if its head is not
+        whole.
+        """
         self._stream = stream
         self._records = RecordStream(stream, name)
         self._damage = Damage(name)
         self._now_ns = 0
-        """The log time of the last item."""
+        """The log time (ns) of the last item that was read."""
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}
         self._decoders: dict[str, msgspec.json.Decoder[_Message]] = {
@@ -89,7 +93,7 @@ class LogReader(ClosesOnExit):
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """Open a log. Raises InputError."""
+        """Open a log. Raises InputError if the file cannot be read or is not a log."""
         stream = _open(path)
         try:
             return cls(stream, str(path))
@@ -99,21 +103,27 @@ class LogReader(ClosesOnExit):
 
     @property
     def end_ns(self) -> int:
-        """The log time of the last item so far, 0 before the first."""
+        """The log time (ns) of the last item that was read; 0 before the first."""
         return self._now_ns
 
     def items(self) -> Iterator[LogItem]:
-        """All items in the order in which they were written. A second call returns nothing."""
+        """Give all items in the order in which they were written. A second call gives nothing."""
         return self._read(_ITEMS)
 
     def transactions(self) -> Iterator[NamedTransaction]:
-        """Only the transactions; use this or `items`, not both."""
+        """Give only the transactions.
+
+        A log is read once: call this, `items` or `evidence`, and only one of them.
+        """
         for item in self._read({schemas.TRANSACTION}):
             if isinstance(item, NamedTransaction):
                 yield item
 
     def evidence(self) -> Iterator[Chunk | Packet | WireEvent]:
-        """Only the captured bytes, and GAP events where the log is damaged; instead of `items`."""
+        """Give only the captured bytes, and GAP events where the log is damaged.
+
+        A log is read once: call this, `items` or `transactions`, and only one of them.
+        """
         for item in self._read({schemas.CHUNK}):
             if not isinstance(item, NamedTransaction):
                 yield item
@@ -178,7 +188,7 @@ class LogReader(ClosesOnExit):
         return record.opcode == Opcode.FOOTER and self._records.summary_start(record) == 0
 
     def _learn(self, record: McapRecord) -> bool:
-        """Take the metadata of a record outside chunks; False if the record may hold items."""
+        """Take the metadata of a record; return False instead if the record may hold items."""
         if record.opcode in _ITEM_OPCODES:
             return False
         try:
@@ -279,16 +289,21 @@ class LogReader(ClosesOnExit):
 
 
 def read_log(path: str | Path) -> Iterator[LogItem]:
-    """All items of a log in the order in which they were written. Raises InputError."""
+    """Give all items of a log in the order in which they were written.
+
+    Raises InputError if the file cannot be read or is not a log; CutError or DamageError if it is
+    not whole, after the items that could be read.
+    """
     with LogReader.open(path) as log:
         yield from log.items()
 
 
 def follow(path: str | Path, wait: Callable[[], bool]) -> Iterator[LogItem]:
-    """Read a log that is being written; yields items as they reach the disk. Raises InputError.
+    """Read a log that is being written; give items as they reach the disk.
 
     `wait` is called at the end of the file. It returns True to look again, or False to end. The
-    iterator also ends when the log is closed.
+    iterator also ends when the log is closed. Raises InputError if the file cannot be read or is
+    not a log, CutError or DamageError if it is not whole.
     """
     # Unbuffered, as the writer replaces the end of the file, and a buffer would keep the old end.
     with _open(path, buffering=0) as stream:

@@ -38,7 +38,7 @@ class ByteStream(Protocol):
     def read(self, size: int, /) -> bytes: ...
 
     def seek(self, offset: int, /) -> int:
-        """Used by `follow` only."""
+        """Go to an offset in bytes; only `follow` calls this."""
         ...
 
     def close(self) -> None: ...
@@ -62,10 +62,14 @@ class RecordStream:
         self._position = 0
         self._crc = 0
         self._crc_before = 0
-        """The CRC of all bytes before the last record."""
+        """The CRC of all bytes before the record that was read last."""
 
     def read_magic(self) -> None:
-        """Read the magic. Raises InputError for another kind of file, CutError if it ends early."""
+        """Read the magic bytes at the beginning or the end of the file.
+
+        Raises InputError for a file of another kind, CutError for a file that ends inside the
+        magic, DamageError for other bytes at its end.
+        """
         at = self._position
         magic = self._read(len(MAGIC), at, partly=True)
         if not magic and at == 0:
@@ -78,7 +82,10 @@ class RecordStream:
             raise self._cut(at)
 
     def read(self) -> McapRecord:
-        """The next record. Raises CutError; DamageError if its length is impossible."""
+        """Return the next record.
+
+        Raises CutError if the file ends inside it, DamageError if its length is above MAX_RECORD.
+        """
         offset = self._position
         self._crc_before = self._crc
         opcode, length = RECORD_HEAD.unpack(self._read(RECORD_HEAD.size, offset))
@@ -90,7 +97,10 @@ class RecordStream:
         return McapRecord(offset, opcode, self._read(length, offset))
 
     def check_crc(self, data_end: McapRecord) -> None:
-        """Raise DamageError if the bytes before a DataEnd, just read, do not match its CRC."""
+        """Check the CRC of all bytes before a DataEnd, which must be the record read last.
+
+        Raises DamageError if they do not match the CRC in the DataEnd.
+        """
         expected = self._unpack(_DATA_END, data_end)[0]
         if expected not in (0, self._crc_before):
             raise self.damaged(data_end.offset, "the CRC of the data section does not match")
@@ -101,18 +111,27 @@ class RecordStream:
         self._position = offset
 
     def parse(self, record: McapRecord, read: Callable[[ReadDataStream], _T]) -> _T:
-        """Parse a record with `read` of one of mcap's classes. Raises DamageError."""
+        """Parse a record with `read`, the method of one of mcap's classes.
+
+        Raises DamageError if the record is too short for its fields.
+        """
         try:
             return read(ReadDataStream(io.BytesIO(record.content)))
         except (McapError, struct.error, ValueError, OverflowError) as error:
             raise self.damaged(record.offset, "a record that ends too early") from error
 
     def summary_start(self, footer: McapRecord) -> int:
-        """The offset of the summary that a Footer gives; 0 if there is no summary."""
+        """Return the offset of the summary that a Footer gives; 0 if there is no summary.
+
+        Raises DamageError if the Footer is too short.
+        """
         return self._unpack(_FOOTER, footer)[0]
 
     def unpack_chunk(self, record: McapRecord) -> Iterator[McapRecord]:
-        """The records of a chunk. Raises DamageError."""
+        """Give the records of a chunk.
+
+        Raises DamageError if the chunk cannot be unpacked, has a wrong CRC or ends inside a record.
+        """
         chunk = self.parse(record, Chunk.read)
         try:
             data = _decompress(chunk)

@@ -33,13 +33,14 @@ class Rotation:
     """The limit of each file of a log: a size or a time."""
 
     size: int | None = None
-    """Bytes on disk."""
+    """The size on disk, in bytes, at which a file ends; None for a limit in time."""
     time_ns: int | None = None
-    """Time from the file's first tick."""
+    """The time in ns, from the file's first tick, after which a file ends; None for a limit in
+    size."""
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `100MB` or `1h`. Raises UsageError."""
+        """Read `100MB` or `1h`. Raises UsageError for a text that is neither a size nor a time."""
         match = _PATTERN.fullmatch(text)
         if match is not None and int(match["number"]) > 0:
             number, suffix = int(match["number"]), match["suffix"].lower()
@@ -64,7 +65,11 @@ class RotatingLog(ClosesOnExit):
         capture: Mapping[str, str],
         replace: bool = False,
     ) -> None:
-        """Create the first file. Raises UsageError and OutputError as LogWriter does."""
+        """Create the first file.
+
+        Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
+        another recorder has it open.
+        """
         self._path = Path(path)
         self._rotation = rotation
         self._capture = dict(capture)

@@ -90,11 +90,11 @@ class LogWriter(ClosesOnExit):
 
     @property
     def size(self) -> int:
-        """The bytes of the file so far."""
+        """The size of the file so far, in bytes."""
         return self._file.size
 
     def hold(self) -> BinaryIO:
-        """A second handle of the file, which keeps it locked until it is closed as well."""
+        """Return a second handle of the file, which keeps the file locked until it is closed."""
         return self._file.hold()
 
     def write(self, item: LogItem) -> None:
@@ -109,7 +109,7 @@ class LogWriter(ClosesOnExit):
             self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:
-        """Add a link's settings as metadata: its link spec, its ports."""
+        """Add a link's settings as metadata: its link spec and its TCP ports."""
         self._container.add_metadata(LINK, _clean({"name": name, **settings}))
 
     def add_device(self, who: str, profile: str) -> None:
@@ -117,12 +117,15 @@ class LogWriter(ClosesOnExit):
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
     def add_profile(self, name: str, profile_json: bytes) -> None:
-        """Attach a complete profile."""
+        """Attach a complete device profile, as JSON."""
         (clean,) = _clean({name: ""})
         self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
 
     def tick(self, now_ns: int) -> None:
-        """Take the time, of any clock that goes forward, and flush if due. Raises OutputError."""
+        """Take the time in ns, of any clock that goes forward, and flush if that is due.
+
+        Raises OutputError if the file cannot be written.
+        """
         if not self._container.pending:
             self._flushed_ns = now_ns
         elif not 0 <= now_ns - self._flushed_ns < FLUSH_AFTER_NS:
@@ -132,8 +135,9 @@ class LogWriter(ClosesOnExit):
     def close(self, final: Mapping[str, str] | None = None) -> None:
         """Write what is in memory and the summary, and close the file.
 
-        `final` is metadata that is known only at the end: drop counts. A second call does nothing.
-        Raises OutputError; the file is closed all the same.
+        `final` is metadata that is known only at the end: how many bytes and packets were dropped.
+        A second call does nothing. Raises OutputError if the file cannot be written; it is closed
+        all the same.
         """
         if self._file.closed:
             return
@@ -145,7 +149,8 @@ class LogWriter(ClosesOnExit):
             self._file.close()
 
     def _write_transaction(self, item: NamedTransaction) -> None:
-        # The log time is that of the last byte, so that no viewer shows it before its evidence.
+        # The log time is that of the transaction's last byte, so that no viewer shows the
+        # transaction before the bytes it was decoded from.
         known_ns = item.start_ns if item.response_ns is None else item.response_ns
         topic = self._topic(item.link, "transactions", schemas.TRANSACTION)
         self._add(topic, known_ns, item.start_ns, item)
@@ -160,7 +165,7 @@ class LogWriter(ClosesOnExit):
         self._container.add_message(topic, log_ns, publish_ns, self._encode(message))
 
     def _topic(self, link: str, kind: str, schema: str) -> Topic:
-        """The topic of a link's messages of one kind; without a link, of all links' messages."""
+        """Return the topic of a link's messages of one kind; for link "" the topic of all links."""
         topic = self._topics.get((link, kind))
         if topic is not None:
             return topic

@@ -46,7 +46,8 @@ READ_BYTES = 4096
 LONGEST_WAIT_S = 3600.0
 ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
-"""Time between two looks at a serial port, on systems that cannot wait for one."""
+"""How long to wait before a serial port is looked at again, on systems that cannot wait for
+bytes."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause before a request of `ask` on a serial line. At high baud rates t3.5 is shorter
 than the time an adapter that listens on the line needs to show two frames apart."""
@@ -69,27 +70,35 @@ class MasterLink(ABC):
 
     limits: LinkLimits
     _asked = 0
-    """How many requests `ask` has sent."""
+    """How many requests `ask` has sent; the number of its last request."""
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
-        """Send a request; `number` marks its response. Raises LinkError if a serial port is lost.
+        """Send a request; its response will have the same `number`.
 
-        On a lost connection the request is one of `lost`.
+        If a TCP connection is lost, `lost` returns the number. Raises LinkError if a serial port is
+        lost.
         """
 
     @abstractmethod
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
-        """The responses that have come; waits for one until the timeout. Raises LinkError."""
+        """Return the responses that have come; if there is none, wait for one at most `timeout_ns`.
+
+        Raises LinkError if a serial port is lost.
+        """
 
     def lost(self) -> Sequence[int]:
-        """The numbers of requests whose connection was lost, since the last call."""
+        """Return the numbers of requests that get no response, as their connection was lost.
+
+        Each number is returned once.
+        """
         return ()
 
     def ask(self, unit: int, pdu: bytes) -> bytes | None:
         """Send one request and wait for its response: the PDU, or None if it does not come in time.
 
-        Not to be mixed with `send`, whose numbers it uses. Raises LinkError.
+        `ask` numbers its requests itself, so a link that uses it must not use `send` as well.
+        Raises LinkError if a serial port is lost.
         """
         if self.limits.pause_ns:
             time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
@@ -117,10 +126,11 @@ def open_master(
     timeout_ns: int = ASK_TIMEOUT_NS,
     on_remark: Callable[[str], None] = lambda _: None,
 ) -> MasterLink:
-    """A master on a link; `timeout_ns` is the longest wait for a response.
+    """Open a master on a link; `timeout_ns` is the longest wait for a response.
 
     `on_remark` gets a line when a lost connection cannot be opened again, and when it is open
-    again. Raises LinkError, UsageError.
+    again. Raises LinkError if the slave cannot be reached or the port cannot be opened, UsageError
+    if a master cannot use such a link.
     """
     if isinstance(link, SerialLink):
         link.demand_one_port()
@@ -136,15 +146,16 @@ class TcpMaster(MasterLink):
     def __init__(
         self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None] = lambda _: None
     ) -> None:
-        """Connect. Raises LinkError."""
+        """Connect. Raises LinkError if the slave cannot be reached."""
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._on_remark = on_remark
         self._is_reconnecting = False
-        """True since an attempt to open the connection again has failed."""
+        """True from a failed attempt to open the connection again until one succeeds."""
         self._next_attempt_ns = 0
         self._pending: dict[int, tuple[int, int]] = {}
-        """Number and unit of each pending request, by its transaction id; by 0 with RTU."""
+        """The number and the unit of each pending request, by its transaction id. With RTU over
+        TCP, which has no ids, there is one at most, by 0."""
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self._socket: socket.socket | None = self._connect(CONNECT_S)
@@ -251,7 +262,7 @@ class SerialMaster(MasterLink):
     """Speaks RTU or ASCII on a serial port."""
 
     def __init__(self, link: SerialLink, timeout_ns: int) -> None:
-        """Open the port. Raises LinkError."""
+        """Open the port. Raises LinkError if it cannot be opened."""
         self.limits = LinkLimits(
             timeout_ns=timeout_ns, one_at_a_time=True, pause_ns=link.format.t3_5_ns
         )
@@ -268,7 +279,8 @@ class SerialMaster(MasterLink):
         self._pending = number, unit
         with port_in_use(self._link):
             self._port.write(adu)
-            # The silence before the response begins at the end of the request, like the timeout.
+            # The silence before the response, and the timeout, begin when the last byte of the
+            # request has been sent.
             self._port.flush()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
@@ -289,10 +301,10 @@ class SerialMaster(MasterLink):
         self._port.close()
 
     def _read(self, wait_s: float) -> bytes:
-        """The bytes that have come; waits for the first until the timeout.
+        """Return the bytes that have come; if there are none, wait `wait_s` seconds at most.
 
-        Does not change the timeout of the pyserial port: pyserial would then configure the whole
-        port again, which takes time, and fails on a pseudo-terminal if the line has parity.
+        This does not change the timeout of the pyserial port: pyserial would then configure the
+        whole port again, which takes time, and fails on a pseudo-terminal if the line has parity.
         """
         if os.name == "posix":
             if not select.select([self._port], [], [], wait_s)[0]:

@@ -1,7 +1,7 @@
 """The results of a splitter: application data units, and bytes that it could not read."""
 
-# Classes with an instance for every frame are msgspec.Structs, not dataclasses: to make a frozen
-# Struct takes a tenth of the time, and to read one frame of a line makes about six objects.
+# Classes of which each frame makes an instance are msgspec.Structs, not dataclasses: making a
+# frozen Struct takes a tenth of the time, and reading one frame of a line makes about six objects.
 
 from __future__ import annotations
 
@@ -36,44 +36,48 @@ class DirectionBy(StrEnum):
     """The evidence that decided the direction of an ADU."""
 
     PORT = "port"
-    """The TCP port, or the tap that heard the ADU. This is certain."""
+    """The ports of the TCP connection, or the tap that heard the ADU, tell its direction. This is
+    certain."""
     PENDING = "pending"
-    """It is a response to the pending request."""
+    """The ADU fits as a response to the pending request."""
     IDLE = "idle"
-    """No request is pending, and it has the form of a request."""
+    """No request is pending, and the ADU has the form of a request."""
     FORM = "form"
-    """Its form fits one direction only."""
+    """The form of the ADU fits one direction only."""
     TIMING = "timing"
-    """Its form fits both directions, and the silence before it decided."""
+    """The form of the ADU fits both directions, and the silence before the ADU decided."""
 
 
 class Verdict(StrEnum):
     """Something noticed about a frame, or about the transaction that contains it."""
 
     GLUED = "glued"
-    """In the capture, no silence parts it from its neighbour."""
+    """In the capture, no silence parts the frame from the one before or after it."""
     SPLIT = "split"
-    """It contains a silence longer than t3.5."""
+    """The frame contains a silence of t3.5 or longer."""
     RESYNCHRONISED = "resynchronised"
-    """The splitter was out of step, and is in step again from this ADU on."""
+    """Before this ADU, bytes were skipped because the boundaries of ADUs were lost; from this ADU
+    on they are known again."""
     NOISE_BEFORE = "noise-before"
-    """Unreadable bytes precede it, without a silence between."""
+    """Unreadable bytes precede the frame, without a silence between them and the frame."""
     T1_5_BROKEN = "t1.5-broken"
-    """It contains a silence longer than t1.5."""
+    """The frame contains a silence longer than t1.5, but none as long as t3.5."""
     AMBIGUOUS = "ambiguous"
     """Another direction or another end is nearly as likely for these bytes."""
     PARITY_IN_DATA = "parity-in-data"
-    """An ASCII line of 7 data bits is heard with 8: bit 7 is its parity bit, or its stop bit."""
+    """A port with 8 data bits heard an ASCII line with 7: bit 7 of each character is a parity bit
+    or a stop bit."""
     LOWER_CASE = "lower-case"
-    """Its hexadecimal digits are lower case. Some ASCII devices do not read these."""
+    """The frame has lower-case hexadecimal digits. Some ASCII devices do not read these."""
     OTHER_END = "other-end"
-    """It does not end with CR and the line's delimiter, which is LF unless 08/03 changed it."""
+    """The frame does not end with CR and the line's delimiter, which is LF unless function 08,
+    sub-function 3 changed it."""
     MALFORMED_REQUEST = "malformed-request"
     """The request's body does not have the form of its function."""
     MALFORMED_RESPONSE = "malformed-response"
     """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
-    """Its transaction id differs from that of the only request that it can belong to."""
+    """The response's transaction id differs from that of the only request that it can belong to."""
     OVER_LIMIT = "over-limit"
     """Dropped by the decoder's limit of open requests; nothing is known of its response."""
 
@@ -93,9 +97,11 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """One application data unit: a PDU with the address and checks of its transport."""
 
     start_ns: int
-    """UTC ns. On a serial line the start of the first byte; on TCP the time of its segment."""
+    """The time of the ADU's first byte, in UTC ns: its beginning on a serial line, the time of its
+    segment on TCP."""
     end_ns: int
-    """The time of the last byte, in UTC ns."""
+    """The time of the ADU's last byte, in UTC ns: its end on a serial line, the time of its segment
+    on TCP."""
     transport: Transport
     direction: Direction
     direction_by: DirectionBy
@@ -106,9 +112,9 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     raw: bytes
     """All bytes of the ADU, as captured."""
     transaction_id: int | None = None
-    """Modbus/TCP only."""
+    """The transaction id of the MBAP header; None unless the transport is Modbus/TCP."""
     checksum: Checksum | None = None
-    """None on Modbus/TCP."""
+    """The ADU's CRC or LRC; None on Modbus/TCP, which has neither."""
     silence_before_ns: int | None = None
     """On an RTU line, the silence before the first byte, in ns; None if unknown."""
     longest_silence_ns: int | None = None
@@ -124,7 +130,7 @@ class Skipped:
     """The time of the first byte, in UTC ns."""
     kind: EventKind
     reason: str
-    """One sentence for a reader."""
+    """Why the bytes could not be read, as a text for the user."""
     raw: bytes
     checksum: Checksum | None = None
     """The wrong CRC or LRC, if the bytes are a frame with one."""

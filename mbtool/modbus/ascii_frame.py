@@ -24,7 +24,7 @@ SEVEN_BITS = bytes(character & 0x7F for character in range(256))
 _ODD_ONES = bytes(character.bit_count() & 1 for character in range(256))
 
 _MIN_BYTES = 3
-"""Unit, function code and LRC."""
+"""The least number of bytes that a frame's digits stand for: unit, function code and LRC."""
 _FRAME = re.compile(
     rb":((?:[0-9A-Fa-f]{2}){%d,})(\r[^:]?|\n)" % _MIN_BYTES,
     re.DOTALL,
@@ -39,9 +39,10 @@ class AsciiFrame:
 
     digits: bytes
     end: bytes
-    """CR and a delimiter (usually LF), or only one of the two."""
+    """The characters at the frame's end: CR and a delimiter (usually LF), or CR alone, or LF
+    alone."""
     body: bytes
-    """Unit and PDU."""
+    """The unit and the PDU, as the bytes that the digits stand for."""
     checksum: Checksum
     parity_in_data: bool
     """True if bit 7 of the characters was a parity bit or a stop bit."""
@@ -52,7 +53,10 @@ class AsciiFrame:
 
 
 def read_frame(raw: bytes, *, eight_bits: bool = True) -> AsciiFrame | None:
-    """Read a whole frame; None if it is none. `eight_bits` is True if the port has 8 data bits."""
+    """Read the characters of a whole frame; None if they are no frame.
+
+    `eight_bits` is True if the port has 8 data bits, so that bit 7 may be a parity or stop bit.
+    """
     match, parity_in_data = _FRAME.fullmatch(raw), False
     if match is None and eight_bits and _has_parity(raw):
         match, parity_in_data = _FRAME.fullmatch(raw.translate(SEVEN_BITS)), True
@@ -65,13 +69,13 @@ def read_frame(raw: bytes, *, eight_bits: bool = True) -> AsciiFrame | None:
 
 
 def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
-    """Say why characters from a colon to an end are no frame."""
+    """Return the reason why characters that begin with a colon are no frame, as a text."""
     seen = raw.translate(SEVEN_BITS) if eight_bits and _has_parity(raw) else raw
     inside = _INSIDE.fullmatch(seen)
     digits = inside[1] if inside else seen[1:]
     wrong = _NO_DIGIT.search(digits)
     if wrong is not None:
-        # The colon is the first character, so the first digit is the second.
+        # The colon is character 1 of the frame, so the first digit is character 2.
         return (
             f"a frame with {_shown(wrong[0][0])} as its character {wrong.start() + 2}, "
             "where a hexadecimal digit would be right"
@@ -85,7 +89,10 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
 
 
 def _has_parity(raw: bytes) -> bool:
-    """True if bit 7 is set in some character and follows one kind of parity in all of them."""
+    """True if bit 7 can be a parity bit or a stop bit: it is set in some character.
+
+    It must also give all characters the same parity, or be set in all of them.
+    """
     if raw.isascii():
         return False
     return len(set(raw.translate(_ODD_ONES))) == 1 or min(raw) >= 0x80

@@ -1,7 +1,8 @@
 """The response that a request asks for: its first bytes and its length."""
 
-# Both follow from the request (V1.1b3, section 6). Every frame of a line is compared with this, so
-# nothing is parsed here.
+# The first bytes and the length follow from the request (V1.1b3, section 6). Every frame of a
+# serial line is compared with them, so this must be quick: bytes are compared, and no PDU is
+# parsed.
 
 from __future__ import annotations
 
@@ -22,36 +23,38 @@ from mbtool.modbus.packing import bit_bytes
 
 UNKNOWN_SIZE = 0
 MAX_KNOWN = 1024
-"""How many requests are remembered with their expected response; the least recent is dropped."""
+"""For how many requests the expected response is remembered; beyond that, the request that was not
+looked up for the longest time is forgotten."""
 
 _ECHOED = ECHOING - {0x08}  # For 08 it depends on the sub-function.
 _SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}
-"""The response sizes that follow from the function alone."""
+"""By function code, the size in bytes of the response's PDU if the function alone tells it, else
+UNKNOWN_SIZE."""
 _FORCE_LISTEN_ONLY = 4
 """The sub-function of 08 that has no response (V1.1b3, 6.8.1)."""
 
 
 class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
-    """The response that a request asks for."""
+    """What is known of the response to a request before it comes."""
 
     code: int
     """The request's function code."""
     prefix: bytes
-    """The first bytes of the response's PDU."""
+    """The bytes with which the response's PDU must begin, unless it is an exception response."""
     size: int = UNKNOWN_SIZE
-    """Length of its PDU in bytes; UNKNOWN_SIZE if it does not follow from the request."""
+    """The length of the response's PDU in bytes; UNKNOWN_SIZE if the request does not tell it."""
 
     @classmethod
     @lru_cache(maxsize=MAX_KNOWN)  # Masters ask the same few requests over and over.
     def of(cls, request: bytes) -> ExpectedResponse | None:
-        """Read the PDU of a request; None if the request has no response."""
+        """The response expected to the request with this PDU; None if it has no response."""
         code = request[0]
         if code in _ECHOED:
             return cls(code, request, len(request))
         if code in READS:
             quantity = int.from_bytes(request[3:5])
             count = bit_bytes(quantity) if code in READ_BITS else 2 * quantity
-            # A quantity above the limit (count > 255) fits no response: no PDU is so long.
+            # A count above 255 (a quantity above the limit) fits no response: no PDU is so long.
             return cls(code, bytes((code, count & 0xFF)), 2 + count)
         if code in WRITE_SEVERAL:
             return cls(code, request[:5], 5)
@@ -66,7 +69,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         return cls(code, request[:1], _SIZES.get(code, UNKNOWN_SIZE))
 
     def fits(self, pdu: bytes) -> bool:
-        """True if a PDU can be the response or an exception response."""
+        """True if a PDU can be the response to this request, or an exception response to it."""
         if pdu[0] == self.code:
             return pdu.startswith(self.prefix) and self.size in (UNKNOWN_SIZE, len(pdu))
         return len(pdu) == 2 and self.is_named_by(pdu[0])

@@ -30,13 +30,14 @@ class Function:
 
     name: str
     short: str
-    """For narrow columns."""
+    """A short form of the name, for narrow columns."""
     request: Layout
     response: Layout
     table: Table | None = None
-    """The table that its addresses belong to; None if it has none."""
+    """The table that the function's addresses belong to; None if the function has no addresses in a
+    table."""
     limit: int = 1
-    """The largest quantity that a request may have."""
+    """The largest quantity of registers or bits that a request may have; for 17H, may read."""
     writes: bool = False
     serial_only: bool = False
 
@@ -150,7 +151,7 @@ FUNCTIONS: dict[int, Function] = {
 }  # fmt: skip
 
 TABLE_FUNCTIONS = frozenset(code for code, one in FUNCTIONS.items() if one.table is not None)
-"""Functions that read or write addresses of a table."""
+"""The codes of the functions that read or write addresses of one of the four tables."""
 READ_BITS = frozenset({0x01, 0x02})
 READ_REGISTERS = frozenset({0x03, 0x04, 0x17})
 READS = READ_BITS | READ_REGISTERS
@@ -166,12 +167,12 @@ NEVER_ECHOED = frozenset(FUNCTIONS) - ECHOING - {0x2B}
 """Functions whose response is never equal to its request. For 2B it depends on the MEI type."""
 
 QUERY_DATA = 0
-"""The sub-function of 08 that returns the data of the request, of any length (6.8.1)."""
+"""The sub-function of 08 that returns the data of the request, of any length (V1.1b3, 6.8.1)."""
 
 READ_LIMIT = FUNCTIONS[0x03].limit
-"""How many registers a request reads at most (6.3)."""
+"""How many registers a request reads at most (V1.1b3, 6.3)."""
 WRITE_LIMIT_17H = 121
-"""How many registers function 17H writes at most (6.17)."""
+"""How many registers function 17H writes at most (V1.1b3, 6.17)."""
 
 
 class ExceptionCode(IntEnum):
@@ -184,26 +185,26 @@ class ExceptionCode(IntEnum):
     ACKNOWLEDGE = 0x05
     SERVER_DEVICE_BUSY = 0x06
     NEGATIVE_ACKNOWLEDGE = 0x07
-    """In older editions of the standard only."""
+    """Only older editions of the standard have this code."""
     MEMORY_PARITY_ERROR = 0x08
     GATEWAY_PATH_UNAVAILABLE = 0x0A
     GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
 
 
 def function_name(code: int) -> str:
-    """The standard's name, or `function 41H`."""
+    """The standard's name of a function; `function 41H` if the standard has none for code 41H."""
     function = FUNCTIONS.get(code)
     return function.name if function is not None else f"function {code:02X}H"
 
 
 def short_name(code: int, name: str) -> str:
-    """The short form of a standard name; any other name, as a vendor's own, unchanged."""
+    """The short form of `name` if it is the standard's name of function `code`; else `name`."""
     function = FUNCTIONS.get(code)
     return function.short if function is not None and name == function.name else name
 
 
 def exception_name(code: int) -> str:
-    """The standard's name, or `exception 11H`."""
+    """The standard's name of an exception code; `exception 11H` if it has none for code 11H."""
     try:
         return ExceptionCode(code).name.lower().replace("_", " ")
     except ValueError:

@@ -1,4 +1,4 @@
-"""Tails that consist of groups: file records, and the objects of a device identification."""
+"""The variable ends of PDUs that consist of groups: file records and identification objects."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ _HALF_GROUP = "its byte count does not end with a group"
 class FileGroups:
     """The sub-requests of the file record functions (V1.1b3, 6.14 and 6.15).
 
-    A group is `06 file record length`; with `with_data`, so many registers follow.
-    It is parsed as (file, record, length), with data as (file, record, registers).
+    Each sub-request is a group: the byte 06, then file number, record number and length. In a write
+    (`with_data`) as many registers as that length says follow. A group is parsed as (file, record,
+    length), in a write as (file, record, registers).
     """
 
     with_data: bool
@@ -69,7 +70,10 @@ class FileGroups:
 
 @dataclass(frozen=True, slots=True)
 class FileResponses:
-    """The sub-responses of read file record: `length 06 registers`, parsed as (registers,)."""
+    """The sub-responses of read file record (V1.1b3, 6.14).
+
+    Each is a length in bytes, the byte 06 and the registers. It is parsed as (registers,).
+    """
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, 1)
@@ -101,9 +105,9 @@ class FileResponses:
 
 @dataclass(frozen=True, slots=True)
 class Objects:
-    """The objects of a device identification: their number, then `id length value` for each.
+    """The objects of a device identification (V1.1b3, 6.21).
 
-    V1.1b3, 6.21. An object is parsed as (id, value).
+    First comes their number, then id, length and value of each. Each is parsed as (id, value).
     """
 
     def length(self, pdu: bytes, at: int) -> int | None:

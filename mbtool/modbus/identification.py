@@ -34,7 +34,8 @@ SERVER_ID = "server id"
 RUN_INDICATOR = "run indicator"
 _RUN_STATES = {0x00: "off", 0xFF: "on"}
 _LEAST_TEXT = 3
-"""A shorter id is written in hexadecimal: one or two bytes are printable by chance."""
+"""A server id of fewer bytes than this is written in hexadecimal, since one or two bytes may be
+printable by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class Identity:
     name: str
     text: str
     number: int | None = None
-    """The object's id; only in a response to 2B/0E."""
+    """The id of the object in a response to 2B/0E; None in a response to 11H."""
 
 
 def identities(transaction: Transaction) -> list[Identity]:
@@ -69,7 +70,8 @@ def identities(transaction: Transaction) -> list[Identity]:
 
 
 def _server_id(data: bytes) -> list[Identity]:
-    # The run indicator ends the id. Its place and any text around it are up to the vendor.
+    # The run indicator is the first byte 00 or FF behind the id's first byte. The specification
+    # leaves it to the vendor how long the id is and what follows the run indicator.
     at = next((index for index, byte in enumerate(data) if index and byte in _RUN_STATES), None)
     if not data:
         return []
@@ -84,7 +86,7 @@ def _server_id(data: bytes) -> list[Identity]:
 
 
 def _id_text(data: bytes) -> str:
-    """Bytes as text if all are printable, else in hexadecimal."""
+    """The bytes as text if all are printable and at least _LEAST_TEXT, else in hexadecimal."""
     trimmed = data.rstrip(b"\x00 ")
     if len(trimmed) >= _LEAST_TEXT and all(0x20 <= byte < 0x7F for byte in trimmed):
         return text_of(trimmed)
@@ -92,7 +94,10 @@ def _id_text(data: bytes) -> str:
 
 
 def text_of(data: bytes) -> str:
-    """Printable ASCII unchanged, other bytes in hexadecimal; no zeros and spaces at the end."""
+    """The bytes as text: printable ASCII unchanged, other bytes in hexadecimal.
+
+    Bytes 00 and spaces at the end are left out.
+    """
     return "".join(
         chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data.rstrip(b"\x00 ")
     )

@@ -7,10 +7,11 @@
 #     parse(pdu)      the fields by name, and what is wrong with the form, if anything
 #     encode(fields)  the bytes after the function code
 #
-# Parsing keeps as many fields as it can: the whole ones if the PDU is too short, those of its form
-# if it is too long. Encoding is strict and raises ValueError.
+# Parsing keeps as many fields as it can. From a PDU that is too short it keeps the fields that are
+# complete; in one that is too long it ignores the bytes beyond its form. Encoding is strict: it
+# raises ValueError if a field is missing, or if its value has a wrong type or does not fit.
 #
-# The tails that consist of groups are in group_layouts.py.
+# The tails that consist of groups (file records, identification objects) are in group_layouts.py.
 
 from __future__ import annotations
 
@@ -22,47 +23,56 @@ from typing import Protocol
 from mbtool.modbus.packing import bit_bytes, pack_bits, pack_words, unpack_bits, words
 
 Value = int | bytes | tuple[int, ...] | tuple["Group", ...]
-"""An integer, opaque bytes, registers or bits, or the groups of a file or identification record."""
+"""The value of a field: an integer, bytes without a known meaning, a tuple of registers or bits, or
+the groups of a file record or a device identification."""
 Group = tuple[int | bytes | tuple[int, ...], ...]
 Fields = dict[str, Value]
 
 NO_LENGTH = 0
-"""The length of a PDU or tail whose length does not follow from its bytes."""
+"""What `length` returns if the bytes of a PDU or tail do not tell its length."""
 USUAL_DIAGNOSTIC_BYTES = 2
-"""Only sub-function 0 of function 08 may have more data, of unstated length (V1.1b3, 6.8)."""
+"""The number of data bytes that a PDU of function 08 has. Only its sub-function 0 may have more,
+and nothing in the PDU tells how many (V1.1b3, 6.8)."""
 
 COIL_VALUES = {0x0000: 0, 0xFF00: 1}
-"""Function 05: the value on the wire and the bit that it stands for (V1.1b3, 6.5)."""
+"""For each value on the wire that function 05 allows, the bit that it stands for (V1.1b3, 6.5)."""
 
 
 class Tail(Protocol):
-    """The variable part of a layout. `at` is where it begins in the PDU."""
+    """The part of variable length at the end of a layout. `at` is its offset in `pdu`."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
-        """Its length in bytes, NO_LENGTH, or None if more bytes are needed to know."""
+        """The tail's length in bytes.
+
+        NO_LENGTH if the tail's bytes do not tell it, None if more bytes are needed to know.
+        """
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        """Add its fields. Gives what is wrong with its form, or None."""
+        """Add the tail's fields to `fields`. Returns what is wrong with its form, or None."""
 
     def encode(self, fields: Mapping[str, Value]) -> bytes: ...
 
 
 class Layout:
-    """The form of one direction of one function."""
+    """The form that requests, or responses, of one function have behind the function code."""
 
     __slots__ = ("_fixed", "_names", "_size", "_tail")
 
     def __init__(self, *fixed: tuple[str, int], tail: Tail | None = None) -> None:
-        """`fixed` are the names of the integers with their widths in bytes, 1 or 2."""
+        """`fixed` gives, in order, the name of each integer and its width in bytes, 1 or 2.
+
+        `tail` is the part of variable length behind the integers, if there is one.
+        """
         self._names = tuple(name for name, _ in fixed)
         self._fixed = struct.Struct(">" + "".join("xBH"[width] for _, width in fixed))
         self._size = 1 + self._fixed.size
         self._tail = tail
 
     def length(self, pdu: bytes, at: int = 0) -> int | None:
-        """The length of the whole PDU by its structure; `at` is its start in `pdu`.
+        """The length in bytes of the whole PDU that begins at offset `at` of `pdu`.
 
-        NO_LENGTH if it does not follow from the structure, None if more bytes are needed to know.
+        NO_LENGTH if the bytes of a PDU do not tell its length, None if more bytes are needed to
+        know.
         """
         if self._tail is None:
             return self._size
@@ -70,7 +80,7 @@ class Layout:
         return self._size + tail if tail else tail
 
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
-        """Its fields, and what is wrong with its form, if anything."""
+        """The fields of a PDU, and what is wrong with its form; None if nothing is."""
         if len(pdu) < self._size:
             return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = {}
@@ -108,13 +118,14 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """A byte count, and so many bytes of 16-bit registers."""
+    """A byte count, and 16-bit registers in as many bytes as it says."""
 
     name: str = "values"
     count_width: int = 1
     """Width of the byte count in bytes, 1 or 2."""
     quantity: str | None = None
-    """The field with the number of registers; None if only the byte count gives it."""
+    """The name of the field that says how many registers there are; None if only the byte count
+    does."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, self.count_width)
@@ -143,7 +154,8 @@ class Bits:
 
     name: str = "values"
     quantity: str | None = None
-    """The field with the number of bits; None if it is not in the PDU, then all bits are kept."""
+    """The name of the field that says how many bits there are. None if no field of the PDU does;
+    then all bits of the bytes are kept."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, 1)
@@ -163,7 +175,10 @@ class Bits:
 
 @dataclass(frozen=True, slots=True)
 class Bytes:
-    """A byte count and opaque bytes; with `count_width` 0 all remaining bytes."""
+    """A byte count, and as many bytes, which are kept as they are.
+
+    If `count_width` is 0 there is no byte count, and all bytes up to the PDU's end are kept.
+    """
 
     name: str = "data"
     count_width: int = 1
@@ -191,7 +206,7 @@ class UncountedRegisters:
 
     name: str = "values"
     usual: int = USUAL_DIAGNOSTIC_BYTES
-    """The length in bytes to expect, since the PDU does not contain it."""
+    """The length in bytes that is expected, since the PDU does not tell it."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return self.usual
@@ -209,7 +224,10 @@ class UncountedRegisters:
 
 @dataclass(frozen=True, slots=True)
 class CoilValue:
-    """A value of 0000H or FF00H (V1.1b3, 6.5). Others are encoded; parsing calls them wrong."""
+    """The value of function 05, which must be 0000H or FF00H (V1.1b3, 6.5).
+
+    Other 16-bit values can be encoded, but parsing reports them as wrong.
+    """
 
     name: str = "value"
 
@@ -233,7 +251,10 @@ class CoilValue:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A one-byte type and the layout for this type; data of other types is kept as bytes."""
+    """A byte that names a type, then what the layout of this type says.
+
+    `layouts` gives the layout of each type; the data of a type without one is kept as bytes.
+    """
 
     name: str
     layouts: Mapping[int, Layout]
@@ -262,14 +283,20 @@ _OPAQUE = Layout(tail=Bytes(count_width=0))
 
 
 def counted_length(pdu: bytes, at: int, width: int) -> int | None:
-    """The length of a byte count and its data; None if the byte count is not there."""
+    """The length, in bytes, of a byte count and its data; None if the byte count is incomplete.
+
+    The byte count begins at offset `at` of `pdu` and has `width` bytes.
+    """
     if len(pdu) < at + width:
         return None
     return width + (pdu[at] if width == 1 else int.from_bytes(pdu[at : at + width]))
 
 
 def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
-    """The data after a byte count, as much as there is, and what is wrong with it, or None."""
+    """The data after a byte count, as much of it as there is, and what is wrong with it, or None.
+
+    The byte count begins at offset `at` of `pdu` and has `width` bytes.
+    """
     if len(pdu) < at + width:
         return b"", "its byte count is missing"
     count = pdu[at] if width == 1 else int.from_bytes(pdu[at : at + width])
@@ -279,7 +306,10 @@ def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
 
 
 def with_byte_count(data: bytes, width: int) -> bytes:
-    """The byte count and the data. Raises ValueError if the count does not fit its width."""
+    """The data with its byte count of `width` bytes before it.
+
+    Raises ValueError if there is more data than a count of that width can tell.
+    """
     if len(data) >= 1 << 8 * width:
         raise ValueError(f"{len(data)} bytes of data do not fit a byte count of {width} bytes")
     return len(data).to_bytes(width) + data

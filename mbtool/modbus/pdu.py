@@ -14,7 +14,7 @@
 #     mei_type ... objects            2B
 #     exception_code                  every exception response
 #
-# A function that is not in the table has one field, `data`.
+# The PDU of a function that functions.py does not list has one field, `data`.
 
 from __future__ import annotations
 
@@ -40,14 +40,18 @@ LAYOUTS = {
     Direction.RESPONSE: _RESPONSES,
     Direction.UNKNOWN: _REQUESTS,
 }
-"""By direction and function code. Lists, since each byte of a line may be looked up."""
+"""The layout of a PDU, by direction and function code. The codes are indices of a list, not keys,
+because each byte of a line may be looked up as a function code."""
 
 
 class Pdu(msgspec.Struct, frozen=True):
-    """A parsed PDU. If it breaks the form of its function, it has the fields that could be read."""
+    """A parsed PDU.
+
+    If the PDU breaks the form of its function, `fields` has those that could be read.
+    """
 
     code: int
-    """The function code on the wire, with the exception bit."""
+    """The function code as it is on the wire: an exception response has the exception bit, 80H."""
     fields: Fields
     problem: str | None
     """How the PDU breaks the form of its function; None if it does not."""
@@ -61,12 +65,12 @@ class Pdu(msgspec.Struct, frozen=True):
         return self.number("exception_code")
 
     def number(self, name: str) -> int | None:
-        """An integer field; None if the PDU has no such field."""
+        """The value of an integer field; None if the PDU has no integer field of this name."""
         value = self.fields.get(name)
         return value if isinstance(value, int) else None
 
     def numbers(self, name: str = "values") -> tuple[int, ...] | None:
-        """A field of registers or bits; None if the PDU has no such field."""
+        """The values of a field of registers or bits; None if the PDU has no such field."""
         value = self.fields.get(name)
         return value if isinstance(value, tuple) else None  # type: ignore[return-value]
 
@@ -84,8 +88,8 @@ def parse_pdu(pdu: bytes, direction: Direction) -> Pdu:
 def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
     """Make a PDU. Raises ValueError if a field is missing or does not fit, or the PDU is too long.
 
-    Byte counts are computed from the values. So are `quantity` of 0F and 10 and `write_quantity`
-    of 17, unless they are given.
+    Byte counts are computed from the values. So are `quantity` in a request of 0FH or 10H and
+    `write_quantity` in a request of 17H, unless they are given.
     """
     if not 0 <= code <= 0xFF:
         raise ValueError(f"function code {code} is not in 0..255")
@@ -107,10 +111,10 @@ def exception_pdu(function: int, exception_code: int) -> bytes:
 
 
 def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
-    """The length of a PDU by its structure, from its first bytes; `at` is its start in `pdu`.
+    """The length in bytes of the PDU that begins at offset `at` of `pdu`, from its first bytes.
 
-    None if more bytes are needed to know, 0 if the length does not follow from the bytes. It does
-    not for function 08 either, but there it is the usual length.
+    None if more bytes are needed to know, 0 if no bytes of the PDU tell its length. None of them
+    tell it for function 08 either, but there the usual length is returned.
     """
     if len(pdu) <= at:
         return None
@@ -118,7 +122,10 @@ def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
 
 
 def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
-    """The unit and the PDU of a whole ADU. Raises IndexError or ValueError if it is not whole."""
+    """The unit and the PDU of a whole ADU. Its CRC or LRC is not checked.
+
+    Raises IndexError if the ADU is too short to have a unit, ValueError if it is no ASCII frame.
+    """
     match transport:
         case Transport.TCP:
             return raw[6], raw[7:]
@@ -132,7 +139,10 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
 
 
 def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
-    """The PDU of an ADU; None if there is no ADU, or if it is cut short, as others' logs may be."""
+    """The PDU of an ADU; None if `raw` is None, or too short to contain a PDU.
+
+    An ADU may be too short in a log that another program wrote.
+    """
     if raw is None:
         return None
     try:

@@ -1,7 +1,7 @@
 """Which registers or bits a request reads and writes, the values it writes, and its response."""
 
-# The values after a mask write (16) depend on the values before it. Nothing here checks that a
-# device has the addresses: the caller knows the device's areas, or what a recording has seen.
+# Nothing here checks that a device has the addresses of a request: only the caller knows which
+# addresses the device has.
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class RegisterAccess:
 def register_access(request: Pdu) -> RegisterAccess | None:
     """The addresses that a request reads and writes.
 
-    None if its function has no table, or if the request breaks its form or a limit of the standard.
+    None if the request's function accesses no table, or if the request breaks the form of its
+    function or the standard's limit of its quantity.
     """
     if request.code not in TABLE_FUNCTIONS or request.problem is not None:
         return None
@@ -52,7 +53,7 @@ def register_access(request: Pdu) -> RegisterAccess | None:
 def keeps_limits(request: Pdu) -> bool:
     """True if a request has the form of its function and keeps the standard's limits.
 
-    The last address of a table is one of these limits.
+    These are the limits of its quantity, and the last address of a table, 65535.
     """
     if request.code not in TABLE_FUNCTIONS:
         return request.problem is None
@@ -61,7 +62,10 @@ def keeps_limits(request: Pdu) -> bool:
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
-    """The values of the written range after a request; `before` are the values before it."""
+    """The values that the addresses written by a request have after it.
+
+    `before` are their values before the request, on which the result of a mask write (16H) depends.
+    """
     match request.code:
         case 0x05:
             return (COIL_VALUES[_number(request, "value")],)
@@ -75,7 +79,10 @@ def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
 
 
 def response_to(request: Pdu, pdu: bytes, values: Sequence[int]) -> bytes:
-    """The response to a request that succeeds; `values` are the values that it reads."""
+    """The PDU of the response to a request that succeeds.
+
+    `pdu` is the PDU of the request, `values` are the values of the addresses that it reads.
+    """
     match request.code:
         case 0x05 | 0x06 | 0x16:
             return pdu
@@ -86,14 +93,14 @@ def response_to(request: Pdu, pdu: bytes, values: Sequence[int]) -> bytes:
 
 
 def _is_allowed(access: RegisterAccess, request: Pdu, limit: int) -> bool:
-    """True if the quantities are within the standard's limits."""
+    """True if a request reads and writes at least 1 value, and no more than the standard allows."""
     if request.code == 0x17:
         return 1 <= len(access.reads) <= limit and 1 <= len(access.writes) <= WRITE_LIMIT_17H
     return 1 <= len(access.reads or access.writes) <= limit
 
 
 def _addresses(address: int, quantity: int | None) -> range:
-    """The addresses of so many values; of one value if the function has no quantity."""
+    """The `quantity` addresses from `address` on; one if the function has no quantity."""
     return range(address, address + (1 if quantity is None else quantity))
 
 

@@ -1,8 +1,8 @@
 """Decides if a response belongs to a request of the same unit, and says why it does not."""
 
-# Here fields are compared: a field that both PDUs have must be equal in both. Decoders of a serial
-# line compare bytes instead (expected_response.py), which is stricter: a response that fits there
-# belongs to its request here too.
+# The fields of the two PDUs are compared: one that a response repeats must be equal in both.
+# Decoders of a serial line compare bytes instead (expected_response.py). That is stricter: a
+# response that fits a request there also belongs to the request here.
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mbtool.modbus.pdu import Pdu, parse_pdu
 _REPEATED = frozenset(
     {"address", "value", "sub_function", "and_mask", "or_mask", "mei_type", "quantity"}
 )
-"""Fields that a response repeats from its request."""
+"""The names of the fields that a response repeats from its request."""
 
 
 def is_response_code(request_code: int, response_code: int) -> bool:
-    """True if a function code is that of the response or exception response to another."""
+    """True if a response, or exception response, to `request_code` has the code `response_code`."""
     return response_code in (request_code, request_code | EXCEPTION_BIT)
 
 
@@ -31,7 +31,7 @@ def is_response_to(request: Pdu, pdu: bytes) -> bool:
 
 
 def mismatch(request: Pdu, response: Pdu) -> str | None:
-    """Say why a response does not belong to a request; None if it does."""
+    """Return the reason why a response does not belong to a request, as text; None if it does."""
     quantity, values = request.number("quantity"), response.numbers("values")
     if quantity is not None and values is not None:
         bits = request.code in READ_BITS

@@ -8,12 +8,12 @@ from typing import Protocol
 
 
 class ConnectionEnding(StrEnum):
-    """How a connection is ended after a response."""
+    """How the slave that is played ends a TCP connection after a response."""
 
     CLOSE = "close"
-    """With a FIN, in order."""
+    """The slave ends the connection in order, with a FIN."""
     RESET = "reset"
-    """With a RST, at once."""
+    """The slave ends the connection at once, with a RST."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,21 +21,21 @@ class Distortion:
     """The faults of one response; by default none."""
 
     unit_by: int = 0
-    """A number to add to the unit."""
+    """A number that is added to the unit of the response, modulo 256."""
     id_by: int = 0
-    """A number to add to the transaction id of Modbus/TCP."""
+    """A number that is added to the transaction id of a Modbus/TCP response, modulo 65536."""
     wrong_check: bool = False
-    """True if the CRC or LRC is wrong."""
+    """True if the response is sent with a wrong CRC or LRC."""
     cut: int = 0
-    """How many bytes are missing at the end of the ADU."""
+    """How many bytes at the end of the ADU are not sent."""
     extra: bytes = b""
-    """Bytes that follow the ADU."""
+    """Bytes that are sent directly after the ADU."""
     pieces: int = 1
     """In how many pieces the bytes are sent."""
     gap_ns: int = 0
-    """The pause between two pieces, in ns."""
+    """The time from the beginning of one piece to that of the next, in ns."""
     silent: bool = False
-    """True if nothing is sent."""
+    """True if the response is not sent at all."""
     ending: ConnectionEnding | None = None
     """How the connection ends after the response; None if it stays open."""
 
@@ -46,9 +46,9 @@ class Response:
 
     pdu: bytes
     delay_ns: int = 0
-    """From the end of the request to the start of the response, in ns."""
+    """The time from the end of the request to the start of the response, in ns."""
     distortion: Distortion | None = None
-    """The faults of its ADU on the wire; None if it has none."""
+    """The faults with which the response is sent; None if it is sent without faults."""
 
 
 class Responder(Protocol):

@@ -9,7 +9,7 @@ ADDRESSES = 0x10000
 
 
 class Table(StrEnum):
-    """The table that an address belongs to."""
+    """One of the four tables; the same address can exist in each of them."""
 
     COILS = "coils"
     DISCRETE_INPUTS = "discrete_inputs"

@@ -1,4 +1,4 @@
-"""A request and its response in one record. The log, jsonl and Python programs all use it."""
+"""A request and its response in one record, which logs, JSON Lines and Python programs all use."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Outcome(StrEnum):
     NOT_CAPTURED = "not-captured"
     """The other half was sent, or may have been, and the capture lacks it."""
     UNSOLICITED = "unsolicited"
-    """A response that no request asked for."""
+    """The transaction is a response that no request asked for."""
     BROADCAST = "broadcast"
-    """A request to all units, which has no response."""
+    """The transaction is a request to all units, to which no slave responds."""
     MALFORMED = "malformed"
     """The response does not have the form of its function."""
 
@@ -36,13 +36,13 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     link: str
     transport: Transport
     source: str | None = None
-    """The master's endpoint, on a network."""
+    """The master's address and port on a network; None on a serial line."""
     destination: str | None = None
-    """The slave's endpoint, on a network."""
+    """The slave's address and port on a network; None on a serial line."""
     unit: int
     transaction_id: int | None = None
     function: int
-    """Without the bit that marks an exception response."""
+    """The function code, without the bit that marks an exception response."""
     function_name: str
     sub_function: int | None = None
     """The sub-function of diagnostics (08), or the MEI type of 2B."""
@@ -57,11 +57,11 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     exception_name: str | None = None
     outcome: Outcome
     request_ns: int | None = None
-    """When the request was complete on the wire."""
+    """When the request was complete on the wire, in UTC ns."""
     response_ns: int | None = None
-    """When the response was complete on the wire."""
+    """When the response was complete on the wire, in UTC ns."""
     latency_ns: int | None = None
-    """From the end of the request to the start of the response, in ns."""
+    """The time from the end of the request to the start of the response, in ns."""
     retries: int
     """How many equal requests before this one had no response."""
     request_raw: bytes | None = None
@@ -72,5 +72,5 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
 
     @property
     def start_ns(self) -> int:
-        """The time of the request, or of the response if there is no request."""
+        """When the request was complete, or the response if there is no request, in UTC ns."""
         return self.request_ns if self.request_ns is not None else self.response_ns or 0

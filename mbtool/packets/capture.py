@@ -3,8 +3,9 @@
 # A reader takes an open binary stream and gives packets one at a time, so memory does not grow
 # with the file. The stream is buffered: `read(n)` gives fewer than n bytes only at its end.
 #
-# At damage a reader raises InputError, at an end in the middle of a record CutError, each after the
-# packets before that place. `name` is the file's name in these messages.
+# A reader raises InputError where the file is damaged, and CutError where the file ends in the
+# middle of a record. Before that it gives all packets in front of that place. `name` is the file's
+# name in the text of these errors.
 
 from __future__ import annotations
 
@@ -21,7 +22,10 @@ CAPTURE_MAGICS = (*PCAP_MAGICS, PCAPNG_MAGIC)
 
 
 def read_capture(stream: BinaryIO, name: str = "capture") -> Iterator[Packet]:
-    """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
+    """Give the packets of a pcap or pcapng file.
+
+    Raises InputError if the file is of another kind or damaged, CutError if it ends too early.
+    """
     magic = stream.read(4)
     if magic in PCAP_MAGICS:
         return read_pcap(stream, magic, name)

@@ -1,11 +1,12 @@
 """A TCP connection: delivers the bytes of both directions in order, causes before effects."""
 
-# A hole is a run of bytes that has not come yet. A hole that is given up becomes a gap.
+# A hole is a run of bytes that has not come yet although later ones have. A hole that is given up
+# becomes a gap, and the bytes behind it are delivered.
 #
 # Causes before effects. The sender of a segment had received the bytes that the segment
-# acknowledges, so it is delivered after them: a response never precedes its request, even if the
-# capture swapped the two. A segment is held while bytes that it acknowledges have not come, as a
-# segment behind a hole is.
+# acknowledges, so the segment is delivered after these bytes: a response never precedes its
+# request, even if the capture swapped the two. So a segment is held until the bytes that it
+# acknowledges have come, just as a segment behind a hole is held.
 #
 # When a hole is given up. Bytes behind a hole are held until a retransmission fills it.
 #
@@ -26,11 +27,11 @@
 # If a joined stream begins with a single byte and the byte behind it does not come in time, that
 # byte is a probe too.
 #
-# Times. A byte has the time at which it and all bytes before it had been captured. So a piece that
-# waited for an earlier one gets the time of the earlier one if that was captured later.
+# Times. The time of a byte is when that byte and all bytes before it had been captured. So bytes
+# that waited for earlier bytes get the time of those earlier bytes.
 #
-# A sequence number further than WINDOW from the next expected one belongs to no segment in flight.
-# The direction continues there, behind a gap of unknown length.
+# A segment whose sequence number is further than WINDOW from the next expected one cannot belong to
+# the bytes in flight. Its bytes are then taken as the next ones, behind a gap of unknown length.
 
 from __future__ import annotations
 
@@ -47,7 +48,8 @@ from mbtool.packets.stream_events import (
 )
 
 PATIENCE = 3
-"""Packets of the connection that may come between two packets which the capture swapped."""
+"""If the capture swapped two packets of a connection, at most so many other packets of it lie
+between the two."""
 PATIENCE_NS = 100_000_000
 """The longest time between two packets which the capture swapped, in ns."""
 HOLE_NS = 10_000_000_000
@@ -57,7 +59,11 @@ WINDOW = 1024 * 1024
 
 
 class TcpConnection:
-    """The two streams of a connection. Appends items to `out` in the order of delivery."""
+    """The two directions of a TCP connection.
+
+    Appends to `out`, in the order of delivery, the bytes, gaps and events, and its own begin and
+    end.
+    """
 
     __slots__ = (
         "_arrivals",
@@ -83,17 +89,18 @@ class TcpConnection:
         self.identity = identity
         self.closed = False
         self.last_ns = ts_ns
-        """The time of the last segment."""
+        """The time of the segment taken last, in ns."""
         self.keep_alives = 0
         self._master_is_lower = master_is_lower
         self._arrivals = 0
-        """The number of segments until now."""
+        """The number of segments taken so far."""
         self._now_ns = ts_ns
         self._out = out
         requests = Stream(Direction.REQUEST, identity.master, identity.slave)
         responses = Stream(Direction.RESPONSE, identity.slave, identity.master)
         self._directions = ((requests, responses), (responses, requests))
-        """The sender's stream and the other one, if the master sends, and if the slave does."""
+        """Two pairs of streams, the sender's first: one if the master sends, one if the slave
+        does."""
         out.append(StreamOpened(ts_ns, identity, joined))
 
     @property
@@ -103,7 +110,10 @@ class TcpConnection:
         return bool(requests.held or responses.held)
 
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
-        """True if a segment belongs to another connection between the same ends."""
+        """True if a segment belongs to a new connection between the same ends.
+
+        `from_lower` is True if the lower end sent it, as in `feed`.
+        """
         flags = segment.flags
         if not (self.closed or flags & SYN):
             return False
@@ -114,8 +124,8 @@ class TcpConnection:
             return (known and not same) or (self.closed and not flags & ACK)
         if flags & RST or not (segment.payload or segment.missing):
             return False
-        # These bytes come after the end. If they are not a second copy, either the end was none
-        # (a stray RST), or the SYN of the next connection is not in the capture.
+        # These bytes come after the end of this connection. If they are not a second copy, either
+        # the RST that ended it was a stray one, or the SYN of the next one is not in the capture.
         if sender.origin is None:
             return True
         start = sender.position_of(segment.sequence)
@@ -125,7 +135,8 @@ class TcpConnection:
     def feed(self, segment: TcpSegment, ts_ns: int, *, from_lower: bool) -> None:
         """Take a segment of this connection; a closed connection ignores it.
 
-        `from_lower` is True if the lower end sent it, in the caller's order of the two ends.
+        The caller sorts the two ends by port and address; `from_lower` is True if the lower sent
+        it.
         """
         self.last_ns = self._now_ns = ts_ns
         if self.closed:
@@ -171,7 +182,10 @@ class TcpConnection:
             self._out.append(StreamClosed(ts_ns, self.identity, reason, self.keep_alives))
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
-        """Note an acknowledgement. Gives the position in `stream` to wait for, or 0."""
+        """Note that the end which receives `stream` has acknowledged its bytes up to a number.
+
+        Returns the position of that number in `stream` if bytes before it have not come, else 0.
+        """
         position = stream.position_of(acknowledgement)
         if stream.finish is not None:
             position = min(position, stream.finish)  # FIN takes a sequence number, and is no byte.
@@ -181,7 +195,7 @@ class TcpConnection:
         return position
 
     def _reset_reason(self, sender: Stream) -> CloseReason:
-        """REFUSED if the slave resets a connection before either end has sent a byte."""
+        """REFUSED if the slave resets before either end has sent a byte; otherwise RESET."""
         requests, _ = self._directions[0]
         is_first_word = sender is not requests and sender.origin is None
         if is_first_word and not requests.position and not requests.held:
@@ -216,7 +230,10 @@ class TcpConnection:
             self._take_piece(sender, other, cut)
 
     def _continue_at(self, stream: Stream, sequence: int) -> int:
-        """Go on at a sequence number outside the window. Gives its position."""
+        """Go on at a sequence number further than WINDOW from the expected one.
+
+        Returns the position in `stream` that the sequence number now has.
+        """
         self._deliver_held(force=True)
         if not stream.joining:
             self._out.append(StreamGap(self._now_ns, self.identity, stream.direction, missing=0))
@@ -224,7 +241,10 @@ class TcpConnection:
         return stream.position
 
     def _take_piece(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
-        """Deliver or hold the bytes of a piece that were not delivered before."""
+        """Deliver or hold those bytes of a piece that were not delivered before.
+
+        Bytes that came too late, or that differ from their first copy, are reported as events.
+        """
         differs = False
         behind = sender.position - piece.start
         if behind > 0:
@@ -261,7 +281,8 @@ class TcpConnection:
         """True if the bytes that a piece acknowledges are delivered, or no longer awaited."""
         if piece.acknowledged <= other.position:
             return True
-        # If the other direction holds bytes behind its hole, the gap of that hole comes first.
+        # If the other direction holds bytes behind a hole, the gap for that hole is delivered
+        # first.
         has_gap_to_come = other.held and other.held[0].start <= piece.acknowledged
         return not has_gap_to_come and self._is_overdue(other)
 
@@ -284,12 +305,16 @@ class TcpConnection:
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                # A joined stream goes first: its beginning is decided before bytes are forced out.
+                # A stream that the capture joins in its middle goes first, so that its beginning is
+                # decided.
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
                 moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
-        """Stop waiting for the bytes before the first held piece. True if this moved the stream."""
+        """Stop waiting for the bytes before the first held piece, if they had time enough to come.
+
+        Returns True if a piece or a gap was delivered.
+        """
         if not stream.held:
             return False
         first = stream.held[0]

@@ -12,9 +12,9 @@
 # If the capture cut bytes off a fragment (snaplen), the packet is given up to the first missing
 # byte.
 #
-# Limits: MAX_DATAGRAMS packets of at most 64 KiB, and MAX_FRAGMENT_BYTES in all, to which each
-# packet and each piece adds PIECE_COST. Above that, the oldest packet is given up. A packet that is
-# not whole within FRAGMENT_NS is given up too, since senders use an identification again.
+# Limits: MAX_DATAGRAMS packets of at most 64 KiB are held, and MAX_FRAGMENT_BYTES in all, where
+# each packet and each piece counts PIECE_COST more. Above that, the oldest packet is given up. One
+# that is not whole within FRAGMENT_NS is given up too, since senders use an identification again.
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 MAX_DATAGRAMS = 256
 MAX_FRAGMENT_BYTES = 4 * 1024 * 1024
 PIECE_COST = 256
-"""Bytes of memory, roughly, for a packet or a piece of it beside its data."""
+"""The bytes of memory, roughly, that a packet or a piece of it needs in addition to its data."""
 FRAGMENT_NS = 10_000_000_000
 """How long after its first fragment a packet may become whole, in ns."""
 
@@ -53,10 +53,12 @@ _IPV4_HEADER = struct.Struct(">BxHHHBBH")
 _IPV6_HEADER = struct.Struct(">IHBB")
 
 Key = tuple[bytes, bytes, int, int]
-"""Source, destination, protocol (0 in IPv6) and identification."""
+"""What the fragments of one packet have in common: source address, destination address, protocol (0
+in IPv6) and identification."""
 _Header = tuple[Key, int, int, bool, int, int]
-"""Key, following protocol, start of the fragment in the payload, True if it is the last fragment,
-and where its data begins and ends in the captured bytes."""
+"""What the headers of a fragment say: its key, the protocol at the start of the packet's payload,
+the fragment's offset in that payload, True if it is the last fragment, and the offsets in the
+captured packet at which its data begins and ends."""
 
 
 class Fragment(NamedTuple):
@@ -69,7 +71,7 @@ class Fragment(NamedTuple):
     end: int
     last: bool
     data: bytes
-    """Shorter than end - start if the capture cut it."""
+    """The bytes of the fragment; fewer than end - start if the capture cut the packet."""
 
 
 class Overlap(Enum):
@@ -77,9 +79,9 @@ class Overlap(Enum):
 
     NONE = 0
     SAME = 1
-    """They have the same bytes, but begin or end elsewhere."""
+    """Where fragments overlap they have the same bytes, but they begin or end at other places."""
     DIFFERENT = 2
-    """They have other bytes, or another end of the packet."""
+    """Where fragments overlap they have different bytes, or they contradict the packet's length."""
 
 
 class DatagramEnd(Enum):
@@ -101,21 +103,21 @@ class Datagram:
     first_ns: int
     following: int
     pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
-    """Start, end and bytes of each, in order, without overlaps."""
+    """Start, end and bytes of each piece of the payload, in order, without overlaps."""
     held: int = 0
     """How many bytes of the packet the pieces cover."""
     total: int | None = None
-    """The end of the last fragment; None until it is seen."""
+    """The length of the packet's payload in bytes; None until its last fragment has come."""
     overlap: Overlap = Overlap.NONE
     ending: DatagramEnd | None = None
 
     @property
     def payload(self) -> bytes:
-        """The bytes up to the first one that is missing."""
+        """The bytes of the packet's payload up to the first byte that is missing."""
         return b"".join(self._leading())
 
     def packet(self) -> tuple[bytes, int]:
-        """A plain IP packet of the known bytes, and the length of the whole packet."""
+        """An IP packet with `payload`, and the length it would have if no byte were missing."""
         payload = self.payload
         source, destination, protocol, _ = self.key
         length = self.held if self.total is None else self.total
@@ -127,7 +129,7 @@ class Datagram:
         return data, len(data) - len(payload) + length
 
     def add(self, fragment: Fragment) -> int:
-        """Keep the bytes that are not known yet. Gives the number of pieces added."""
+        """Keep those bytes of a fragment that are new; return how many pieces this adds."""
         start, end = fragment.start, fragment.end
         known = self.pieces[-1][1] if self.pieces else 0
         if self.total is None and fragment.last and end >= known:
@@ -151,7 +153,7 @@ class Datagram:
         return len(added)
 
     def is_copy(self, fragment: Fragment) -> bool:
-        """True if all bytes of a fragment are known and equal."""
+        """True if all bytes of a fragment have come before and were the same."""
         cursor = fragment.start
         for start, end, data in self._touching(fragment.start, fragment.end):
             if start > cursor or _differ(fragment, (start, end, data)):
@@ -190,18 +192,19 @@ class Fragments:
 
     def __init__(self) -> None:
         self._datagrams: OrderedDict[tuple[str, Key], Datagram] = OrderedDict()
-        """Packets in the order of their first fragments, by the caller's `scope` and their key."""
+        """The packets by the `scope` that `feed` was given and their key, in the order of their
+        first fragments."""
         self._cost = 0
 
     @property
     def cost(self) -> int:
-        """The bytes held and the costs of their pieces, which MAX_FRAGMENT_BYTES limits."""
+        """The bytes held plus PIECE_COST for each packet and piece, at most MAX_FRAGMENT_BYTES."""
         return self._cost
 
     def feed(self, fragment: Fragment, ts_ns: int, link: str, scope: str = "") -> list[Datagram]:
-        """Take a fragment. Gives the packets whose reassembly ended, whole or not, in order.
+        """Take a fragment; return the packets whose reassembly ended, whole or not, in order.
 
-        Only fragments with the same `scope` become one packet.
+        Only fragments with the same `scope` are put together.
         """
         done = self.advance(ts_ns)
         key = (scope, fragment.key)
@@ -225,7 +228,10 @@ class Fragments:
         return done
 
     def advance(self, now_ns: int) -> list[Datagram]:
-        """Let time pass. Gives the packets that are given up, oldest first."""
+        """Give up the packets whose fragments did not come within FRAGMENT_NS.
+
+        Returns these packets, the oldest first.
+        """
         done: list[Datagram] = []
         while self._datagrams:
             key, oldest = next(iter(self._datagrams.items()))
@@ -235,7 +241,7 @@ class Fragments:
         return done
 
     def close(self) -> list[Datagram]:
-        """End the capture. Gives the packets that are not whole."""
+        """End the capture: give up and return the packets that are not whole."""
         given_up = [self._give_up(key, DatagramEnd.INCOMPLETE) for key in list(self._datagrams)]
         return list(chain.from_iterable(given_up))
 
@@ -253,7 +259,7 @@ class Fragments:
 
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
-    """Read the fragment in the IP packet at an offset; None if it is none, or holds no TCP."""
+    """Read the fragment that an IP packet at an offset is; None if it is no fragment of TCP."""
     found = None
     if len(data) >= at + 20 and data[at] >> 4 == 4:
         found = _read_ipv4(data, at, original_length)
@@ -262,7 +268,7 @@ def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None
     if found is None:
         return None
     key, following, start, is_last, begin, end = found
-    # As in read_segment: if a packet claims to be longer than its frame, the claim is wrong.
+    # As in read_segment: if an IP header claims more bytes than its frame has, the claim is wrong.
     length = min(end, original_length) - begin
     if not is_last:
         length &= ~7  # Offsets are multiples of 8 bytes.
@@ -297,7 +303,7 @@ def _read_ipv6(data: bytes, at: int, original_length: int) -> _Header | None:
 def fragment_events(
     datagram: Datagram, ts_ns: int, source_port: int, destination_port: int
 ) -> list[WireEvent]:
-    """The events for a packet whose reassembly ended."""
+    """The events to report for a packet whose reassembly ended: overlaps and missing fragments."""
     reports = []
     if datagram.overlap is Overlap.SAME:
         reports.append((EventKind.OVERLAP, "fragments of a packet overlap"))

@@ -1,10 +1,11 @@
 """Finds the IP header behind the header of the link layer."""
 
 # Link types are the LINKTYPE_ values of tcpdump.org/linktypes.html. Only those in IP_FINDERS are
-# read. A finder gives the offset of the IP header. It gives NOT_IP for other protocols and for
-# packets that are too short. These headers may stand before IP, also several of them: VLAN tags
-# (802.1Q, 802.1ad and the older 9100H), the tag of HSR (IEC 62439-3: 6 bytes), PPPoE (RFC 2516: 6
-# bytes, then PPP's protocol) and MPLS labels (RFC 3032: 4 bytes each, the last one is marked).
+# read. A finder takes a packet and returns the offset of its IP header. It returns NOT_IP for other
+# protocols and for packets that are too short. These headers may precede IP, also several: VLAN
+# tags (802.1Q, 802.1ad and the older 9100H), the tag of HSR (IEC 62439-3: 6 bytes), PPPoE (RFC
+# 2516: 6 bytes, then PPP's protocol) and MPLS labels (RFC 3032: 4 bytes each, the last one is
+# marked).
 
 from __future__ import annotations
 
@@ -41,7 +42,10 @@ def behind_ethernet(data: bytes, at: int) -> int:
 
 
 def _behind(data: bytes, kind: bytes, at: int) -> int:
-    """Find IP behind the headers that begin at an offset; `kind` is the EtherType of the first."""
+    """The offset of the IP header behind the tags and headers that begin at an offset, or NOT_IP.
+
+    `kind` is the EtherType of the first of them.
+    """
     while kind in _TAGGED:  # A tag ends with the EtherType of what follows.
         at += 6 if kind == _HSR else 4
         kind = data[at - 2 : at]
@@ -53,7 +57,10 @@ def _behind(data: bytes, kind: bytes, at: int) -> int:
 
 
 def _behind_labels(data: bytes, at: int) -> int:
-    """Find IP behind MPLS labels. Only the first half byte behind them shows whether it is IP."""
+    """The offset of the IP header behind MPLS labels, or NOT_IP.
+
+    Only the first half byte behind the labels, IP's version, shows whether IP follows.
+    """
     while len(data) > at + 4:
         at += 4
         if data[at - 2] & 1:
@@ -89,4 +96,5 @@ IP_FINDERS: dict[int, Callable[[bytes], int]] = {
     229: _raw,
     276: _cooked_v2,
 }
-"""By link type: 0 is NULL, 1 Ethernet, 108 LOOP, 113 and 276 Linux cooked, the others raw IP."""
+"""For each link type that is read, the function that finds the IP header: 0 is NULL, 1 Ethernet,
+108 LOOP, 113 and 276 Linux cooked, the others raw IP."""

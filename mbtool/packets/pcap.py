@@ -27,7 +27,8 @@ MAX_CAPTURED = 256 * 1024
 
 _NS_PER_SECOND = 1_000_000_000
 
-# Magic in file order: byte order, nanoseconds per unit of the fraction, bytes to skip per record.
+# By the magic's bytes in the file: the byte order of the file, the nanoseconds in one unit of the
+# fraction, and how many bytes more than usual the header of each record has.
 _FORMATS = {
     bytes.fromhex("a1b2c3d4"): (">", 1000, 0),
     bytes.fromhex("d4c3b2a1"): ("<", 1000, 0),
@@ -40,7 +41,11 @@ PCAP_MAGICS = tuple(_FORMATS)
 
 
 def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
-    """Give the packets of a file whose magic is read already. Raises InputError, CutError."""
+    """Give the packets of a pcap file from which `magic`, its first 4 bytes, is read already.
+
+    Raises InputError if the file is damaged or of an unknown version, CutError if it ends too
+    early.
+    """
     order, unit_ns, extra = _FORMATS[magic]
     header = stream.read(20)
     if len(header) < 20:

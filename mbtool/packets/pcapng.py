@@ -51,14 +51,14 @@ _MAX_NAME = 64
 
 
 class _Layout:
-    """The structures of a section, in the byte order of the section."""
+    """How the fixed parts of blocks and options are packed, in one of the two byte orders."""
 
     def __init__(self, order: str) -> None:
         self.block = Struct(order + "II")  # type, total length
         self.pair = Struct(order + "HH")  # an option's code and length; a version
         self.interface = Struct(order + "HHI")  # link type, reserved, snaplen
         self.single = Struct(order + "I")  # original length
-        # interface, (drops,) time high, time low, captured length, original length
+        # interface, (drops, obsolete only,) time high, time low, captured length, original length
         self.enhanced = Struct(order + "IIIII")
         self.obsolete = Struct(order + "H2xIIII")
         self.offset = Struct(order + "q")
@@ -80,7 +80,11 @@ class _Interface:
 
 
 def read_pcapng(stream: BinaryIO, name: str) -> Iterator[Packet]:
-    """Give the packets of a file whose magic is read already. Raises InputError, CutError."""
+    """Give the packets of a pcapng file whose first 4 bytes are read already.
+
+    Raises InputError if the file is damaged or of an unknown version, CutError if it ends too
+    early.
+    """
     return _Reader(stream, name).packets()
 
 
@@ -126,7 +130,11 @@ class _Reader:
         self._interfaces = []
 
     def _read_body(self, header: bytes, length: int, done: int) -> bytes:
-        """Read the rest of a block of which `done` bytes are read; leave out the second length."""
+        """Read and return the rest of a block, without its second length.
+
+        `header` is the block's type and length; `done` bytes of the block are read already. Raises
+        InputError if a length is impossible or the two differ, CutError if the file ends before.
+        """
         if length < done + 4 or length % 4 or length > MAX_BLOCK:
             raise self._damaged(f"a block claims {length} bytes")
         body = self._stream.read(length - done)
@@ -197,7 +205,7 @@ class _Reader:
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
-    """Read the options of a block. Of a list that ends too early, the options before that."""
+    """The options of a block by their code; if their list is cut off, those before the cut."""
     options: dict[int, bytes] = {}
     at = 0
     while at + 4 <= len(data):
@@ -210,6 +218,6 @@ def _options(header: Struct, data: bytes) -> dict[int, bytes]:
 
 
 def _clean(name: bytes) -> str:
-    """Turn the name of an interface into that of a link: short, printable, without a slash."""
+    """Turn an interface's name into a link's name: at most 64 characters, printable, no slash."""
     text = name.decode("utf-8", "replace").rstrip("\0")[:_MAX_NAME]
     return "".join(c if c.isprintable() and c != "/" else "_" for c in text)

@@ -6,8 +6,8 @@
 # destination of the first segment.
 #
 # A connection opens with a SYN or with its first payload. After its end its state is kept, so that
-# late copies do not open another one; a SYN with another sequence number does, and so do bytes
-# behind the end.
+# late copies of its segments do not open another connection. A SYN with another sequence number
+# opens one, and so do bytes beyond the last byte of the connection that ended.
 #
 # Limits: MAX_CONNECTIONS are kept; above that, the least recently used one is closed. Of these,
 # MAX_HOLDING hold bytes, each within the limits of a stream (at most about 32 MiB in all); above
@@ -46,29 +46,33 @@ from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
-"""How many connections may hold bytes at once."""
+"""How many connections may hold bytes back at once, to wait for earlier ones."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096
-"""How many messages are remembered, to give each once for an interface."""
+"""How many messages are remembered, so that each is given only once for an interface."""
 _SERIAL_HINT = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
 _TCP_HEADER_SEEN = 14
-"""Bytes of the TCP header up to and with its flags."""
+"""The number of bytes of the TCP header up to and including its flags."""
 
 _Key = tuple[str, bytes, int, bytes, int]
-"""The interface, or "" across interfaces; address and port of the lower end and of the other."""
+"""What identifies a connection: the interface, or "" if flows are followed across interfaces; then
+address and port of the lower end (by port, then address), and those of the other end."""
 
 
 class TcpReassembler:
     """Follows the TCP connections that have certain ports."""
 
     def __init__(self, ports: frozenset[int] = MODBUS_PORTS, *, across: bool = False) -> None:
-        """`across` is True if flows are followed across interfaces."""
+        """`ports` are the wanted TCP ports.
+
+        `across` is True if packets from different interfaces may belong to one connection.
+        """
         self._ports = ports
         self._across = across
         self._connections: OrderedDict[_Key, TcpConnection] = OrderedDict()
         self._holding: dict[_Key, TcpConnection] = {}
-        """Connections that hold bytes, in the order in which they began to."""
+        """The connections that hold bytes back, in the order in which they began to do so."""
         self._opened = 0
         self._fragments = Fragments()
         self._checked_ns = 0
@@ -76,7 +80,7 @@ class TcpReassembler:
         self._out: list[StreamItem] = []
 
     def feed(self, packet: Packet) -> list[StreamItem]:
-        """Take a packet. Never raises for its contents."""
+        """Take a packet; return what it completes. Never raises, whatever the packet contains."""
         finder = IP_FINDERS.get(packet.link_type)
         if finder is None:
             message = f"link type {packet.link_type} cannot be looked into"
@@ -130,7 +134,7 @@ class TcpReassembler:
                 return
 
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
-        """Take an IP packet. False if it holds no TCP, or is a fragment."""
+        """Take an IP packet at an offset. Returns False if it holds no TCP or is a fragment."""
         place = find_tcp(data, at, length)
         if place is None:
             return False
@@ -150,11 +154,14 @@ class TcpReassembler:
         return True
 
     def _scope(self, link: str) -> str:
-        """The interface in the keys of connections and fragments: "" if flows cross interfaces."""
+        """The interface's name for keys of connections and fragments.
+
+        It is "" if packets from different interfaces may belong to one connection.
+        """
         return "" if self._across else link
 
     def _finish(self, datagrams: list[Datagram], ts_ns: int) -> None:
-        """Take packets whose reassembly ended."""
+        """Follow the packets that reassembly made whole, and report what was wrong with others."""
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)
@@ -237,7 +244,7 @@ class TcpReassembler:
         connection.close(ts_ns, reason)
 
     def _report(self, ts_ns: int, link: str, kind: EventKind, message: str) -> None:
-        """Give an event, but only once for each interface and message."""
+        """Append an event to the output, but only once for each interface and message."""
         report = (link, message)
         if report not in self._reported and len(self._reported) < _MAX_REPORTED:
             self._reported.add(report)

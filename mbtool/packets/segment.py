@@ -7,8 +7,8 @@
 #
 # Limit: MAX_PAYLOAD bytes, more than any card hands over at once. A longer segment is malformed.
 #
-# The caller calls find_tcp, compares the ports, and only then calls read_segment, so that packets
-# of other ports cost no segment.
+# The caller calls find_tcp, compares the ports, and only then calls read_segment, so that no time
+# is spent on segments of other ports.
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ IPV6_EXTENSIONS = frozenset((0, 43, 60, 135, 139, 140))
 IPV6_FRAGMENT = 44
 IPV6_AUTHENTICATION = 51
 BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_FRAGMENT, IPV6_AUTHENTICATION}
-"""All headers that may stand between an IPv6 header and TCP."""
+"""The protocol numbers of all headers that may stand between an IPv6 header and TCP."""
 
 
 class TcpPlace(NamedTuple):
-    """Where the TCP header and payload are in a packet."""
+    """The offsets at which the TCP header begins and the TCP payload ends in a packet."""
 
     start: int
     end: int
-    """The end of the IP packet; more than len(data) if the capture cut the packet."""
+    """The offset of the IP packet's end; beyond the captured bytes if the capture cut the
+    packet."""
 
 
 class TcpSegment(NamedTuple):
@@ -62,7 +63,7 @@ class TcpSegment(NamedTuple):
 
 
 def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
-    """Find TCP in the IP packet at an offset; None if the packet holds no TCP, or is a fragment.
+    """Find TCP in the IP packet that begins at `at`; None if it holds no TCP, or is a fragment.
 
     fragments.py reassembles packets that came in fragments.
     """
@@ -86,7 +87,8 @@ def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
 def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int]:
     """Follow the extension headers of an IPv6 packet up to TCP, a fragment or another protocol.
 
-    Gives the end of the packet, the protocol at which it stopped, and where that begins.
+    Returns the offset of the packet's end, the number of the protocol at which the headers stop,
+    and the offset at which that protocol begins.
     """
     length, following = _IPV6.unpack_from(data, at + 4)
     start = at + 40
@@ -107,7 +109,7 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
 
 
 def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> TcpSegment | None:
-    """Read the segment at a place in the IP packet at an offset; None if it is malformed.
+    """Read the TCP segment of the IP packet that begins at `at`; None if it is malformed.
 
     The caller has checked that at least 14 bytes of the TCP header are there.
     """
@@ -116,7 +118,7 @@ def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) ->
     )
     header = (offset >> 4) * 4
     begin = place.start + header
-    # If an IP packet claims to be longer than its frame, the claim is wrong: nothing is missing.
+    # If an IP header claims more bytes than its frame has, the claim is wrong: nothing is missing.
     end = min(place.end, original_length)
     if header < 20 or not begin <= end <= begin + MAX_PAYLOAD:
         return None
@@ -140,5 +142,5 @@ def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) ->
 
 
 def endpoint(address: bytes, port: int) -> Endpoint:
-    """The endpoint of an IPv4 or IPv6 address as it stands in a header."""
+    """The endpoint of an IPv4 or IPv6 address, given as the 4 or 16 bytes in a header."""
     return Endpoint(str(ip_address(address)), port)

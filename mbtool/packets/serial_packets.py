@@ -34,11 +34,15 @@ _REPORTED = {
     0x09: (EventKind.LINE_ERROR, "a break"),
     0x0A: (EventKind.GAP, "bytes are lost: the receiver was overrun"),
 }
-"""Events of 250 to report. The others mark the begin and end of data, or control lines."""
+"""The event types of RTAC_SERIAL packets (link type 250) that are reported. The others mark the
+begin and the end of data, or control lines."""
 
 
 def serial_pieces(packet: Packet) -> list[Chunk | WireEvent]:
-    """The bytes of a packet of one of these link types, and the events that it reports."""
+    """The bytes of a serial line in a packet, and the events that the packet reports.
+
+    The packet's link type is RTAC_SERIAL or one of USER_LINK_TYPES.
+    """
     pieces: list[Chunk | WireEvent] = []
     data = packet.data
     if packet.link_type == RTAC_SERIAL:

@@ -1,19 +1,21 @@
 """One direction of a TCP connection: which bytes have come, which are held, which are missing."""
 
-# Positions count bytes from the first one known and do not wrap. A sequence number becomes a
-# position by its distance from the next one expected, modulo 2^32.
+# A position counts the bytes of the stream from its beginning and, unlike a sequence number, does
+# not wrap. A sequence number becomes a position by its distance from the next expected sequence
+# number, modulo 2^32.
 #
 # `held` is sorted, and its pieces do not overlap: where segments overlap, the first copy wins.
 # A piece without data stands for bytes that the capture did not keep (snaplen).
 #
-# A stream that the capture joins in the middle begins at the first byte known, but the capture may
-# have swapped its first packets. So position 0 lies LEAD bytes before the first segment seen, and
-# all bytes are held at first. The run before them is given up as a hole is, without a gap; then the
-# stream begins. A SYN decides the beginning at once.
+# If the capture joins a stream in the middle, the stream begins at the first byte captured. But the
+# capture may have swapped its first packets. So position 0 lies LEAD bytes before the first segment
+# seen, and all bytes are held at first. The bytes before them are awaited like those of a hole, and
+# given up without a gap; then the stream begins. A SYN decides the beginning at once.
 #
 # Limits: MAX_HELD_BYTES and MAX_HELD_PIECES are held (above that, the connection gives up the
-# oldest hole). RECENT_BYTES of delivered bytes are kept to compare retransmissions with, the places
-# of MAX_GAPS gaps to recognise late bytes, and MAX_ACKNOWLEDGEMENTS of bytes that have not come.
+# oldest hole). The last RECENT_BYTES delivered are kept to compare retransmissions with, and the
+# places of the last MAX_GAPS gaps to recognise bytes that come late. Of acknowledgements of bytes
+# that have not come, MAX_ACKNOWLEDGEMENTS are kept.
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ RECENT_BYTES = 1024
 MAX_GAPS = 8
 MAX_ACKNOWLEDGEMENTS = 8
 LEAD = 64 * 1024
-"""Position of the first segment seen of a joined stream: room for bytes that come swapped."""
+"""The position of the first segment seen of a stream that the capture joins in the middle. It
+leaves room for bytes that precede the segment and come after it, because the capture swapped
+packets."""
 
 _MASK = 0xFFFFFFFF
 _HALF = 0x80000000
@@ -47,7 +51,7 @@ class HeldBytes(NamedTuple):
     """
     ts_ns: int
     arrival: int
-    """The number of its packet in the connection."""
+    """The number of the packet that brought these bytes, counted in the connection."""
     receipt: int | None = None
     """The position in the other direction that the segment acknowledges; None if unknown."""
 
@@ -57,7 +61,7 @@ class HeldBytes(NamedTuple):
 
 
 class Stream:
-    """The bytes of one direction, in order."""
+    """One direction of a connection: how far its bytes were delivered, and those that wait."""
 
     __slots__ = (
         "_acknowledgements",
@@ -86,21 +90,22 @@ class Stream:
         self.beginning: int | None = None
         """The sequence number of the first byte to deliver; None until it is decided."""
         self.joining = False
-        """True while the beginning of a joined stream is undecided."""
+        """True while it is undecided where a stream begins that the capture joins in the middle."""
         self.position = 0
         """The position of the next byte to deliver."""
         self.finish: int | None = None
-        """The position of FIN; None until it is seen."""
+        """The position of the sender's FIN, behind the last byte; None until the FIN has come."""
         self.acknowledged = 0
         """The highest position that the other end has acknowledged."""
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
-        """Arrival and time of the delivered piece that was captured last."""
+        """Of all bytes delivered, those captured last: the number and the time of their packet."""
         self._recent = b""
         self._gaps: list[tuple[int, int]] = []
         self._acknowledgements: list[tuple[int, int, int]] = []
-        """Positions acknowledged before their bytes came, with arrival and time of the segment."""
+        """Positions that were acknowledged before their bytes came, each with the number and the
+        time of the packet that acknowledged it."""
 
     def position_of(self, sequence: int) -> int:
         """The position of a sequence number. `origin` must be known."""
@@ -116,7 +121,10 @@ class Stream:
         self.joining = False
 
     def take_syn(self, sequence: int) -> int:
-        """Begin the stream behind a SYN, if it has no beginning. Gives the next sequence number."""
+        """Begin the stream behind a SYN, if it has no beginning yet.
+
+        `sequence` is the number of the SYN. Returns the one after it: that of the first byte.
+        """
         sequence = sequence + 1 & _MASK
         if self.beginning is None:
             self.begin(sequence)
@@ -130,13 +138,13 @@ class Stream:
         self.acknowledge(LEAD, arrival, ts_ns)
 
     def begins_at(self, sequence: int) -> bool:
-        """True if a SYN right before this sequence number is the SYN of this stream."""
+        """True if a SYN that directly precedes this sequence number can be the stream's own SYN."""
         if self.joining:
             return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
 
     def is_before_next(self, sequence: int) -> bool:
-        """True if a sequence number is the one before the next expected byte."""
+        """True if a sequence number is one less than that of the next expected byte."""
         origin = self.origin
         return origin is not None and not (sequence + 1 - origin - self.position) & _MASK
 
@@ -147,7 +155,7 @@ class Stream:
         return len(first.data) == 1 and not (later and later[0].start == first.end)
 
     def rebase(self, sequence: int) -> None:
-        """Make a sequence number that of the next byte, and forget what was known before."""
+        """Give the next byte this sequence number, and forget gaps, FIN and acknowledgements."""
         self.origin = (sequence - self.position) & _MASK
         self.joining = False
         self._gaps.clear()
@@ -157,7 +165,11 @@ class Stream:
         self._recent = b""
 
     def acknowledge(self, position: int, arrival: int, ts_ns: int) -> None:
-        """Note that the other end has received all bytes before a position that have not come."""
+        """Note that the other end has acknowledged all bytes before `position`.
+
+        Some of these bytes have not come yet. `arrival` and `ts_ns` are number and time of the
+        packet that acknowledged them.
+        """
         if position > self.acknowledged:
             self.acknowledged = position
             known = [one for one in self._acknowledgements if one[0] > self.position]
@@ -166,7 +178,10 @@ class Stream:
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
     def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int) -> bool:
-        """True if acknowledged bytes have not come within `packets` packets or `wait_ns`."""
+        """True if acknowledged bytes have not come within `packets` packets or `wait_ns`.
+
+        `arrival` and `ts_ns` are the number and the time of the newest packet.
+        """
         for position, since, since_ns in self._acknowledgements:
             if position > self.position:
                 return arrival - since >= packets or ts_ns - since_ns >= wait_ns
@@ -177,7 +192,7 @@ class Stream:
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:
-        """Move on by `length` bytes: delivered ones, or missing ones if `data` is empty."""
+        """Move the position on by `length` bytes, which are `data`, or missing if that is empty."""
         self.position += length
         if not data:
             self._recent = b""
@@ -187,7 +202,10 @@ class Stream:
             self._recent = (self._recent + data)[-RECENT_BYTES:]
 
     def pass_over(self, hole: int) -> None:
-        """Give up a hole of so many bytes. A joined stream begins behind it."""
+        """Give up the hole at the current position; `hole` is its length in bytes.
+
+        If it is still undecided where the stream begins, it begins behind the hole.
+        """
         if self.joining:
             self.begin((self.origin or 0) + self.position + hole & _MASK)
             return
@@ -195,7 +213,10 @@ class Stream:
         self.advance(b"", hole)
 
     def take_late(self, piece: HeldBytes) -> bytes:
-        """The bytes of a piece whose hole was given up. Each such hole is reported once."""
+        """The bytes of a piece that come after their hole was given up; empty if there are none.
+
+        Bytes are returned only once for each such hole.
+        """
         for gap in self._gaps:
             start, end = max(gap[0], piece.start), min(gap[1], piece.end)
             if start < end:
@@ -204,7 +225,10 @@ class Stream:
         return b""
 
     def differs_from_delivered(self, start: int, data: bytes) -> bool:
-        """True if a second copy differs from the delivered bytes, as far as they are kept."""
+        """True if `data`, sent again from position `start` on, differs from what was delivered.
+
+        Only the last RECENT_BYTES delivered are compared.
+        """
         # A keep-alive probe may carry any one byte in place of the one before the next expected
         # (RFC 1122, 4.2.3.6).
         if len(data) == 1 and start == self.position - 1:
@@ -218,7 +242,10 @@ class Stream:
         )
 
     def hold(self, piece: HeldBytes) -> bool:
-        """Hold the bytes of a piece that are not held yet. True if its copy of others differs."""
+        """Hold those bytes of a piece that are not held yet.
+
+        Returns True if its other bytes, which are held already, differ from those held.
+        """
         differs = False
         merged: list[HeldBytes] = []
         cursor = piece.start

@@ -1,4 +1,4 @@
-"""Items that the reassembler gives beside the bytes of a connection, in order with them."""
+"""What the reassembler reports beside the bytes of connections: their begin, gaps, events, end."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ class CloseReason(StrEnum):
     """Why a connection ended."""
 
     FINISHED = "finished"
-    """Both ends closed it with FIN."""
+    """Both ends closed the connection with a FIN."""
     RESET = "reset"
     REFUSED = "refused"
-    """The slave reset it before it was open."""
+    """The slave reset the connection before either end sent a byte."""
     REPLACED = "replaced"
-    """Its ends opened another connection with the same ports."""
+    """The two ends opened another connection with the same ports."""
     IDLE = "idle"
-    """No packet for longer than the reassembler keeps a connection."""
+    """No packet came for longer than the reassembler keeps a connection."""
     DISCARDED = "discarded"
-    """The reassembler keeps no more connections."""
+    """The reassembler had too many connections, and this was the least recently used one."""
     CAPTURE_END = "capture-end"
 
 
@@ -32,9 +32,11 @@ class StreamOpened:
     ts_ns: int
     connection: Connection
     joined: bool
-    """True if its beginning is not in the capture. Its first byte may be inside an ADU."""
+    """True if the beginning of the connection is not in the capture. Then its first captured byte
+    may lie inside an ADU."""
     note: str = ""
-    """More about it. For a connection of a tap: the names in the certificates of its ends."""
+    """More about the connection. If it passes through a tap that uses TLS: the names in the
+    certificates of its ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class StreamGap:
     connection: Connection
     direction: Direction
     missing: int
-    """How many bytes; 0 if unknown, since the sequence numbers jumped too far."""
+    """How many bytes are missing; 0 if unknown, since the sequence numbers jumped too far."""
     kind: EventKind = EventKind.GAP
     """GAP, or CUT if the capture kept only part of a packet."""
 
@@ -64,7 +66,10 @@ class StreamClosed:
 
 @dataclass(frozen=True, slots=True)
 class StreamEvent:
-    """An event about packets of a connection. One about fragments may precede its StreamOpened."""
+    """An event about packets of a connection.
+
+    An event about IP fragments may come before the StreamOpened of its connection.
+    """
 
     connection: Connection
     event: WireEvent

@@ -3,9 +3,9 @@
 # A switch that mirrors traffic to a distant port sends it inside IP packets:
 #
 #     GRE (protocol 47; RFC 2784, RFC 2890): flags and version, protocol, then 4 bytes each for a
-#     checksum, a key and a sequence number where their flags are set; behind it
-#         88BEH   ERSPAN: with a sequence number type II, a header of 8 bytes, else type I, none;
-#                 then an Ethernet frame
+#     checksum, a key and a sequence number where their flags are set. Then follows, by protocol:
+#         88BEH   ERSPAN type II if GRE has a sequence number: a header of 8 bytes, then an Ethernet
+#                 frame; else ERSPAN type I: an Ethernet frame at once
 #         22EBH   ERSPAN type III: 12 bytes, 8 more where its last bit says so; then an Ethernet
 #                 frame, or an IP packet (draft-foschiano-erspan-03)
 #         6558H   an Ethernet frame
@@ -28,29 +28,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 GRE_IN_FRAGMENTS = -2
-"""Returned in place of an offset: the packet is a fragment that carries GRE."""
+"""What find_inner returns instead of an offset if the packet is a fragment that carries GRE."""
 MAX_TUNNELS = 4
-"""How many tunnels inside each other are read."""
+"""How many tunnels are read at most if each contains the next."""
 
 _VXLAN_PORT = 4789
 _VXLAN_FLAG = 0x08
 
 GRE = 47
 ERSPAN = (0x88BE, 0x22EB)
-"""GRE protocols: ERSPAN types I and II, ERSPAN type III."""
+"""The values of GRE's protocol field for ERSPAN: types I and II, then type III."""
 _ETHERNET, _IP = 0x6558, (0x0800, 0x86DD)
 _CHECKSUM, _KEY, _SEQUENCE = 0x8000, 0x2000, 0x1000
 _UNREADABLE = 0x4007
-"""GRE flags that are not read: routing, and a version other than 0."""
+"""A GRE header with any of these flags is not read: routing, or a version other than 0."""
 
 _IPV4_HEADER = struct.Struct(">B5xHxB")
 
 
 def find_inner(data: bytes, at: int, original_length: int) -> int:
-    """The offset of the IP packet inside the IP packet at an offset.
+    """The offset of the IP packet inside the outer IP packet, which begins at `at`.
 
     NOT_IP if there is none, GRE_IN_FRAGMENTS if the outer packet is a fragment that carries GRE.
-    Both offsets may lie behind the end of the data.
+    `at` and the result may lie behind the end of `data`.
     """
     if len(data) < at + 20:
         return NOT_IP
@@ -103,4 +103,5 @@ _FINDERS: dict[int, Callable[[bytes, int], int]] = {
     41: lambda _, at: at,
     GRE: _behind_gre,
 }
-"""By IP protocol: IPv4, UDP (VXLAN), IPv6, GRE."""
+"""For each IP protocol that can be a tunnel (IPv4, UDP for VXLAN, IPv6, GRE), the function that
+returns the offset of the inner IP packet."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _MAPPED_BITS = 96
-"""How many bits stand before the IPv4 address in a mapped one."""
+"""How many bits of an IPv4-mapped IPv6 address (::ffff:a.b.c.d) stand before the IPv4 address."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +31,15 @@ class AllowedPeers:
 
     @classmethod
     def parse(cls, texts: Iterable[str]) -> Self:
-        """Read the values of --allow: networks, or single addresses. Raises UsageError."""
+        """Read the values of --allow, each a network or the address of one machine.
+
+        Raises UsageError for a value that is neither, such as 192.168.1.7/24: an address inside a
+        network.
+        """
         return cls(tuple(_network(text) for text in texts))
 
     def __contains__(self, host: object) -> bool:
-        """True if a machine with this address may connect; False also for what is no address."""
+        """True if a machine with this address may connect; False also if `host` is no address."""
         try:
             address = plain_address(str(host))
         except ValueError:
@@ -50,7 +54,10 @@ THIS_MACHINE = AllowedPeers()
 
 
 def plain_address(host: str) -> IPv4Address | IPv6Address:
-    """Read an address, an IPv4 address in IPv6 form as IPv4. Raises ValueError."""
+    """Read an IP address; an IPv4-mapped IPv6 address gives the IPv4 address in it.
+
+    Raises ValueError for a text that is no IP address.
+    """
     address = ipaddress.ip_address(host)
     return (isinstance(address, IPv6Address) and address.ipv4_mapped) or address
 

@@ -1,4 +1,4 @@
-"""The clocks of whatever is live: UTC in nanoseconds since 1970."""
+"""The clocks of live captures, taps and slaves: UTC in nanoseconds since 1970."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ __all__ = ["now_ns", "steady_clock"]
 
 
 def steady_clock() -> Callable[[], int]:
-    """A clock that never steps back: UTC when this is called, from then on the monotonic clock.
+    """Return a clock that starts at the present UTC and then follows the monotonic clock.
 
-    A slave measures silences and delays with it, so setting the system's clock must not move it.
+    So it never steps back. A slave measures silences and delays with it; these must not change
+    when somebody sets the system's clock.
     """
     anchor_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 - this is a clock
     return lambda: anchor_ns + time.monotonic_ns()

@@ -1,14 +1,14 @@
-"""Sums up what a port's driver reports of damage on the line."""
+"""Sums up which bytes of a serial line the port's driver reports as damaged or lost."""
 
 # There are two sources: marks at single bytes (marks.py), and the driver's counters. Both are
 # reported, since neither is complete: some drivers count and set no marks, some set marks and do
 # not count, and only the counters know of lost bytes.
 #
 # A single error is reported at once. When more follow, as they do by thousands at a wrong baud
-# rate, they are summed up and reported once in GATHER_NS. The counters are read as often, and
-# whenever something is reported.
+# rate, they are summed up and reported once in GATHER_NS. The counters too are read once in
+# GATHER_NS, and whenever something is reported.
 #
-# Holds a count and the first SHOWN damaged bytes.
+# Memory: the number of damaged bytes since the last report, and the first SHOWN of them.
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 GATHER_NS = 1_000_000_000
-"""The shortest time between two reports."""
+"""The shortest time between two reports, in ns."""
 SHOWN = 8
 """How many damaged bytes a report shows."""
 
@@ -41,7 +41,7 @@ class ErrorCounts:
     """Characters that the driver's buffer had no room for."""
 
     def since(self, before: ErrorCounts) -> ErrorCounts:
-        """By how much each counter has grown."""
+        """Return by how much each counter has grown since `before` was read."""
         pairs = zip(astuple(self), astuple(before), strict=True)
         return ErrorCounts(*((after - then) & _COUNTER_MASK for after, then in pairs))
 
@@ -52,7 +52,7 @@ class ErrorCounts:
 
 @dataclass(frozen=True, slots=True)
 class LineTrouble:
-    """A report: damage in words, or a number of lost bytes."""
+    """One report: either `text` tells of damaged bytes, or `lost` is the number of lost bytes."""
 
     ts_ns: int
     text: str = ""
@@ -60,12 +60,12 @@ class LineTrouble:
 
 
 class LineErrors:
-    """Turns marks and counters into reports, at most two in GATHER_NS."""
+    """Turns a driver's marks and counters into reports: one of damage, one of loss in GATHER_NS."""
 
     def __init__(
         self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
     ) -> None:
-        """`counts` reads the driver's counters; None if it has none."""
+        """`counts` reads the driver's counters; it returns None if the driver has none."""
         self._counts = counts
         self._character_ns = character_ns
         self._before = counts()
@@ -76,7 +76,11 @@ class LineErrors:
         self._first_ns = self._last_ns = 0
 
     def mark(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
-        """Take the positions of damaged bytes in one read; `ts_ns` is the time of its last byte."""
+        """Remember the damaged bytes of one read, to be reported later.
+
+        `damaged` has their positions in `data`, at least one; `ts_ns` is the time of the last byte
+        of `data`.
+        """
         if not self._marked:
             self._first_ns = ts_ns - (len(data) - 1 - damaged[0]) * self._character_ns
             self._due_ns = min(self._due_ns, self._told_ns + GATHER_NS)
@@ -85,11 +89,11 @@ class LineErrors:
         self._first += bytes(data[at] for at in damaged[: SHOWN - len(self._first)])
 
     def tell(self, now_ns: int) -> Sequence[LineTrouble]:
-        """The reports that are due. Called after every read, so it mostly costs one comparison."""
+        """Return the reports that are due: mostly none, as this is called after every read."""
         return () if now_ns < self._due_ns else self.tell_all(now_ns)
 
     def tell_all(self, now_ns: int) -> list[LineTrouble]:
-        """All reports, due or not."""
+        """Return reports of all that was not yet reported, also before they are due."""
         grown = self._grown()
         marked = self._marked_text()
         said = [text for text in (marked, _counted_text(grown)) if text]

@@ -1,16 +1,17 @@
 """Lists the serial ports of this machine, and what would disturb listening on them."""
 
 # No port is opened: opening alone can make an adapter raise DTR and RTS and talk. On Linux all
-# comes from /sys, /proc and /dev; on other systems from pyserial.
+# facts come from /sys, /proc and /dev; on other systems from pyserial.
 #
 #     /sys/class/tty/NAME/device          leads to the hardware; pseudo-terminals have none
 #                  .../type               0 if the driver expected a UART and found none
 #                  .../flags              of a UART; bit 2000H is ASYNC_LOW_LATENCY
-#                  .../rx_trig_bytes      of a 16550: its FIFO hands over so many bytes at once, or
-#                                         what it has after four characters of silence
+#                  .../rx_trig_bytes      of a 16550: its FIFO hands over so many bytes at once, and
+#                                         fewer only after four characters of silence
 #                  .../device/latency_timer   of ftdi_sio, in ms; 1 while low latency is on
 #     /sys/class/tty/console/active       the ports that the kernel writes its messages to
-#     /dev/serial/by-id, by-path          udev's names: by adapter, or by the socket it is in
+#     /dev/serial/by-id, by-path          links of udev, named after the adapter, or after the
+#                                         socket that the adapter is in
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ from mbtool.ports.serial_port import who_may
 from mbtool.ports.system_files import read_line, read_number
 
 _SERIAL_CORE = "serial-base"
-"""Devices that Linux 6.5 and later put between a port and its hardware."""
+"""The bus of the devices that Linux 6.5 and later put between a port and its hardware."""
 _ASYNC_LOW_LATENCY = 0x2000
 _WITHOUT_LOW_LATENCY = {"cdc_acm", "ch341", "ch341-uart", "cp210x", "pl2303", "xr_serial"}
 """Drivers of the kernel that ignore the low-latency flag."""
@@ -38,7 +39,7 @@ _SERVICES = {
     "ModemManager": "sudo systemctl stop ModemManager",
     "gpsd": "sudo systemctl stop gpsd.socket gpsd",
 }
-"""Programs that open ports by themselves, and how to stop them: a killed one starts again."""
+"""Services that open ports, and the command that stops each; a killed one would start again."""
 
 
 def local_ports(root: Path = Path("/")) -> list[LocalSerialPort]:
@@ -71,7 +72,7 @@ def ports_by_pyserial() -> list[LocalSerialPort]:
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """What was read once for all ports."""
+    """What the descriptions of all ports need; it is read once."""
 
     root: Path
     stable: dict[str, str]
@@ -122,9 +123,10 @@ def _names(folder: Path) -> list[str]:
 
 
 def _stable_names(root: Path) -> dict[str, str]:
-    """Udev's names by the port's own name: by adapter if there is one, else by socket.
+    """Return, by a port's name (ttyUSB0), the path of a link of udev that leads to the port.
 
-    Two adapters without serial numbers share one name; it leads to the last of them.
+    The link is the one named after the adapter, or else after the socket. Two adapters without
+    serial numbers share one name; udev's link leads to only one of them.
     """
     found: dict[str, str] = {}
     for kind in ("by-path", "by-id"):
@@ -141,7 +143,7 @@ def _stable_names(root: Path) -> dict[str, str]:
 
 
 def _driver(hardware: Path) -> tuple[str | None, str | None]:
-    """The name of the driver and of the bus that the hardware is on."""
+    """Return the names of the hardware's driver and of its bus; None twice without a driver."""
     for device in (hardware, *hardware.parents):
         bus = os.path.basename(os.path.realpath(device / "subsystem"))
         if (device / "driver").exists() and bus != _SERIAL_CORE:
@@ -166,7 +168,7 @@ def _product(usb: Path) -> str:
 def _low_latency(
     timer: int | None, flags: int | None, driver: str | None
 ) -> tuple[bool | None, bool | None]:
-    """True if low latency is on, and true if it can be; None where that is unknown."""
+    """Tell if low latency is on, and if it can be switched on; None for what is unknown."""
     if timer is not None:
         return timer <= 1, True
     if flags is not None:

@@ -1,6 +1,7 @@
 """Takes a terminal driver's marks out of the bytes read, and says which bytes came damaged."""
 
-# With PARMRK set, a read of a port gives (termios(3); Linux drivers/tty/n_tty.c):
+# With PARMRK set, the bytes that a read of a port returns have these marks (termios(3); Linux
+# drivers/tty/n_tty.c):
 #
 #     FF FF       a byte FF that arrived undamaged
 #     FF 00 X     a byte X whose parity bit or stop bit was wrong
@@ -26,13 +27,17 @@ _DAMAGED = b"\xff\x00"
 
 
 class Unmarker:
-    """Turns marked bytes into the bytes of the wire, however the reads were cut."""
+    """Turns marked bytes into the bytes of the wire, also if a read ends inside a mark."""
 
     def __init__(self) -> None:
         self._held = b""
 
     def feed(self, data: bytes) -> tuple[bytes, Sequence[int]]:
-        """The bytes that this read completes, and the positions of damaged ones among them."""
+        """Take the data of one read; return its bytes without marks, and where damaged ones are.
+
+        The positions count in the returned bytes. If the data end inside a mark, its beginning is
+        held until the next read.
+        """
         if not self._held and _MARK not in data:
             return data, ()
         data = self._held + data
@@ -57,6 +62,6 @@ class Unmarker:
         return bytes(heard), damaged
 
     def flush(self) -> bytes:
-        """Give what was held: nothing follows it, so it is data."""
+        """Return the held bytes as data: as nothing follows them, they begin no mark."""
         held, self._held = self._held, b""
         return held

@@ -1,8 +1,8 @@
 """Finds the processes that have a serial port open. Linux only."""
 
-# /proc/PID/fd has a link for each open file. Only folders below /proc are opened, never a port:
-# that could change its control lines. Only root can look into the processes of other users; those
-# that could not be looked into are counted.
+# /proc/PID/fd has a link for each open file. Only folders below /proc are opened, never a port, as
+# opening a port could change its control lines. Only root can look into the processes of other
+# users; processes that could not be looked into are counted.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Holder]], int]:
-    """The processes that hold each of these ports, and how many could not be looked into."""
+    """Return, by port, the processes that have it open, and how many could not be looked into."""
     found: dict[str, list[Holder]] = {device: [] for device in devices}
     unseen = 0
     for process in _processes(root / "proc"):
@@ -53,7 +53,7 @@ def _open_files(process: Path) -> Iterator[str]:
 
 
 def _is_of_the_kernel(process: Path) -> bool:
-    """True for a thread of the kernel, which has no command line, and for one that has ended."""
+    """True for a thread of the kernel, which has no command line, and for an ended process."""
     try:
         return not (process / "cmdline").read_bytes()
     except PermissionError:

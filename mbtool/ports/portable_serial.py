@@ -3,7 +3,7 @@
 # pyserial opens a port for writing too, but this class has no way to write.
 #
 # A read waits IDLE_S or not at all: pyserial would set up the port anew for another timeout.
-# pyserial tells nothing of errors on the line.
+# pyserial does not say which bytes came damaged, nor how many were lost.
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class PyserialPort:
-    """A port that can only be read. Opening raises LinkError."""
+    """A port that can only be read. Raises LinkError if it cannot be opened."""
 
     damaged: Sequence[int] = ()
 

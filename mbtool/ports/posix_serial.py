@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""
 _ERROR_COUNTERS = slice(6, 11)
-"""frame, overrun, parity, brk, buf_overrun: the order of `ErrorCounts`."""
+"""Where the counters frame, overrun, parity, brk and buf_overrun stand: those of `ErrorCounts`."""
 
 
 class PosixPort:
-    """A port that can only be read. Opening raises LinkError."""
+    """A port that can only be read. Raises LinkError if it cannot be opened."""
 
     _access = os.O_RDONLY
 
@@ -100,7 +100,7 @@ class PosixPort:
 
 
 class PassingPort(PosixPort):
-    """An end of a cut line: a port that a tap reads and writes. Opens as `PosixPort`."""
+    """A port at one end of a cut line: a serial tap reads and writes it."""
 
     _access = os.O_RDWR
 
@@ -108,7 +108,10 @@ class PassingPort(PosixPort):
         return self._fd
 
     def write(self, data: bytes) -> int:
-        """Send what the driver has room for, and say how much. Raises LinkError."""
+        """Write as many bytes as the driver has room for; return their number.
+
+        Raises LinkError when the port is gone.
+        """
         try:
             return os.write(self._fd, data)
         except BlockingIOError:
@@ -118,11 +121,14 @@ class PassingPort(PosixPort):
 
 
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
-    """Apply the line settings. Gives an Unmarker if the driver marks damaged bytes, else None."""
+    """Lock the port and apply the line settings, and discard what arrived before.
+
+    Returns an Unmarker if the driver now marks damaged bytes, else None.
+    """
     termios.tcgetattr(fd)  # Its error says what is no serial port; pyserial's does not.
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    # The timeout sets VMIN to 1: then a read without data fails with EAGAIN, and an empty read
-    # means that the port is gone.
+    # With this timeout pyserial sets VMIN to 1. Then a read without data fails with EAGAIN, and an
+    # empty read means that the port is gone.
     settings = serial.Serial(inter_byte_timeout=0, **settings_for(port, format_))
     settings.fd = fd
     settings._reconfigure_port(force_update=True)  # type: ignore[attr-defined]
@@ -130,7 +136,8 @@ def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
         settings.set_low_latency_mode(True)
     is_marking = _ask_for_marks(fd)
     if not hasattr(termios, f"B{format_.baud}"):
-        # termios has no constant for such a rate; on some systems the calls above have undone it.
+        # termios has no constant for this baud rate. pyserial has set it in another way, which the
+        # calls after that have undone on some systems.
         with suppress(NotImplementedError):
             settings._set_special_baudrate(format_.baud)  # type: ignore[attr-defined]
     termios.tcflush(fd, termios.TCIFLUSH)
@@ -138,7 +145,7 @@ def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
 
 
 def _ask_for_marks(fd: int) -> bool:
-    """Have damaged bytes marked and breaks kept; True if the terminal does so."""
+    """Ask the driver to mark damaged bytes and to keep breaks; return True if it does both."""
     unwanted = termios.IGNPAR | termios.IGNBRK | termios.BRKINT | termios.ISTRIP
     attributes = termios.tcgetattr(fd)
     attributes[0] = attributes[0] & ~unwanted | termios.INPCK | termios.PARMRK

@@ -1,7 +1,8 @@
-"""Opens serial ports: to listen, to pass bytes on, and to speak."""
+"""Opens serial ports: to listen, to pass bytes on, and to act as a master or a slave."""
 
-# To listen, nothing is ever written. On POSIX the descriptor itself is read-only (posix_serial.py);
-# elsewhere pyserial opens the port, and the class has no way to write (portable_serial.py).
+# A port opened to listen is never written to. On POSIX its descriptor is read-only
+# (posix_serial.py); elsewhere pyserial opens it, and the class has no way to write
+# (portable_serial.py).
 
 from __future__ import annotations
 
@@ -24,11 +25,11 @@ if TYPE_CHECKING:
 WRITE_TIMEOUT_S = 1.0
 
 WriteTimeout = serial.SerialTimeoutException
-"""Raised if the port takes no bytes for WRITE_TIMEOUT_S."""
+"""The error of a write to a port that takes no bytes for WRITE_TIMEOUT_S."""
 
 
 def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
-    """Open a port that can only be read. Raises LinkError."""
+    """Open a port that can only be read. Raises LinkError if that fails."""
     if sys.platform != "win32":
         from mbtool.ports.posix_serial import PosixPort
 
@@ -40,7 +41,10 @@ def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
 
 
 def open_passing(port: str, format_: SerialFormat) -> PassingPort:
-    """Open an end of a cut line, which a serial tap reads and writes. Raises LinkError."""
+    """Open a port at one end of a cut line, for a serial tap to read and write.
+
+    Raises LinkError if that fails, and always on Windows.
+    """
     if sys.platform != "win32":
         from mbtool.ports.posix_serial import PassingPort
 
@@ -50,7 +54,10 @@ def open_passing(port: str, format_: SerialFormat) -> PassingPort:
 
 
 def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
-    """Open a port for a master or a slave; a read waits at most `timeout_s`. Raises LinkError."""
+    """Open a port for a master or a slave; a read of it waits at most `timeout_s` seconds.
+
+    Raises LinkError if the port cannot be opened or its driver refuses the settings.
+    """
     with explained(link.port, link.format):
         return serial.Serial(
             link.port,
@@ -63,7 +70,7 @@ def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
 
 @contextmanager
 def port_in_use(link: SerialLink) -> Iterator[None]:
-    """Turn what an open port raises into a LinkError."""
+    """Turn the errors of reads and writes of an open port, inside `with`, into a LinkError."""
     try:
         yield
     except WriteTimeout as error:

@@ -1,4 +1,4 @@
-"""What all ways to open a serial port share: the line settings, and one set of errors."""
+"""What all ways to open a serial port share: the line settings, and the messages of errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mbtool.ports.line_errors import ErrorCounts
 
 IDLE_S = 0.05
-"""The longest that a read of a listening port waits."""
+"""How long a read of a port that is listened to waits at most, in seconds."""
 
 _PTY_FOLDERS = ("/dev/pts/", "/dev/ttys")
 """Where Linux and macOS have pseudo-terminals."""
@@ -30,31 +30,35 @@ class ListeningPort(Protocol):
     """A serial port that can only be read."""
 
     damaged: Sequence[int]
-    """The positions, in the last read's bytes, of those with a wrong parity or stop bit."""
+    """At which positions the bytes that the last read gave had a wrong parity or stop bit."""
 
     def read(self, wait_s: float) -> bytes:
-        """Give what has arrived, at once; if nothing comes within the wait, no bytes.
+        """Return the bytes that have arrived; if there are none, wait until some arrive.
 
-        Raises LinkError when the port is gone.
+        Returns no bytes if none arrive in `wait_s` seconds (on Windows: in IDLE_S, unless `wait_s`
+        is 0). Raises LinkError when the port is gone.
         """
         ...
 
     def counts(self) -> ErrorCounts | None:
-        """The driver's error counters; None if it has none."""
+        """Return the driver's error counters; None if the driver has none."""
         ...
 
     def tune(self, format_: SerialFormat) -> None:
-        """Change the line settings, and forget what arrived before. Raises LinkError."""
+        """Change the line settings, and discard bytes that have arrived and were not yet read.
+
+        Raises LinkError if the driver does not support the settings, or the port is gone.
+        """
         ...
 
     def close(self) -> None: ...
 
 
 def settings_for(port: str, format_: SerialFormat) -> dict[str, Any]:
-    """The line settings as pyserial's arguments.
+    """Return the line settings as arguments of serial.Serial.
 
-    A pseudo-terminal has no parity and always 8 bits: Linux clears PARENB, and some C libraries
-    then report EINVAL. So no others are asked of it.
+    For a pseudo-terminal they are always 8N1, whatever `format_` says. It has no parity: Linux
+    clears PARENB, and some C libraries then report EINVAL.
     """
     is_pty = os.path.realpath(port).startswith(_PTY_FOLDERS)
     return {
@@ -66,13 +70,13 @@ def settings_for(port: str, format_: SerialFormat) -> dict[str, Any]:
 
 
 def lost(port: str) -> LinkError:
-    """The error of a port that was open and is gone."""
+    """Return the error to raise when an open port is gone, as when its adapter is unplugged."""
     return LinkError(f"serial port {port}: lost; is it still plugged in?")
 
 
 @contextmanager
 def explained(port: str, format_: SerialFormat) -> Iterator[None]:
-    """Turn what opening or setting up a port raises into a LinkError."""
+    """Turn the errors of opening or setting up a port, inside `with`, into a LinkError."""
     try:
         yield
     except Exception as error:
@@ -82,12 +86,12 @@ def explained(port: str, format_: SerialFormat) -> Iterator[None]:
 
 
 def is_port_error(error: Exception) -> bool:
-    """True for what the system says of a port: termios.error is no OSError."""
+    """True for an OSError and for a termios.error, which is no OSError."""
     return isinstance(error, OSError) or type(error).__module__ == "termios"
 
 
 def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
-    """Say in one line why a port could not be opened, and what would be right."""
+    """Return an error that says in one line why a port could not be opened, and what to do."""
     number = _error_number(error)
     # On Windows pyserial keeps the system's error only as text.
     text = str(error)
@@ -109,7 +113,10 @@ def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
 
 
 def _error_number(error: Exception) -> int | None:
-    """The system's error number; pyserial may keep it only in the error that it handled."""
+    """Return the errno of the system's error; None if it is unknown.
+
+    Where pyserial raises an error of its own, only that error's `__context__` may have the errno.
+    """
     for one in (error, error.__context__ if isinstance(error, serial.SerialException) else None):
         if one is not None and one.args and isinstance(one.args[0], int):
             return one.args[0]
@@ -122,7 +129,7 @@ def _ports_here() -> str:
 
 
 def who_may(port: str) -> Trouble:
-    """Who may open a port, and how to become one of them."""
+    """Tell who may open a port, and by which command the user gets that right."""
     if sys.platform == "win32":
         return Trouble("another program may hold it")
     import grp

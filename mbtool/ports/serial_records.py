@@ -4,19 +4,20 @@
 #     1 byte   8 bytes, signed     4 bytes    length bytes        little-endian
 #
 #     DATA     one read of the port, with the time taken right after it
-#     QUIET    no data; the line was silent up to this time. The first one means: the port is open
+#     QUIET    no data; the line was silent up to this time. The first QUIET tells the parent that
+#              the port is open
 #     LOST     8 bytes: how many bytes of the line did not fit into the pipe
-#     ERROR    one line for the user, UTF-8; the last record
+#     ERROR    why the process ends, in one line for the user, UTF-8; no record follows
 #     DAMAGE   what the driver reports of damaged bytes, one line, UTF-8
 #     OVERRUN  8 bytes: how many bytes the driver says it lost
 #     ANSWER   as DATA, from the slaves' side of a serial tap; DATA is then from the master's side
 #
 # A record is never larger than PIPE_BUF, so a write to the pipe succeeds whole or not at all. The
-# writer does not wait for the reader: if the pipe is full, bytes of the line are counted, and a
-# LOST record goes before the next record that fits; QUIET, DAMAGE and OVERRUN are then dropped and
-# not counted. A pipe holds 1 MiB where Linux allows it: more than 40 s of a busy line at 19200 baud
-# with a record for each character. Elsewhere it holds what the system gives. On Windows every write
-# to a pipe waits, and the driver's buffer has to hold what comes meanwhile.
+# writer does not wait for the reader: while the pipe is full, records are dropped. The bytes of
+# dropped DATA and ANSWER records are counted, and a LOST record with that count goes before the
+# next record that fits. A pipe holds 1 MiB where Linux allows it: more than 40 s of a busy line at
+# 19200 baud with a record for each character. Elsewhere it has the system's usual size. On Windows
+# a write to a full pipe waits, and the driver's buffer has to hold what comes meanwhile.
 
 from __future__ import annotations
 
@@ -33,11 +34,11 @@ _COUNT = struct.Struct("<q")
 _PIPE_SIZE = 2**20
 
 MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
-"""How many bytes of data a record may have."""
+"""How many bytes of data a record has at most."""
 
 
 class RecordKind(IntEnum):
-    """The kinds of records."""
+    """The kinds of records; the comment above says what each means."""
 
     DATA = 1
     QUIET = 2
@@ -61,7 +62,7 @@ class SerialRecord:
 
     @property
     def lost(self) -> int:
-        """The number in a LOST or an OVERRUN record."""
+        """How many bytes were lost. Only a LOST or an OVERRUN record has this number."""
         count: int = _COUNT.unpack(self.data)[0]
         return count
 
@@ -80,7 +81,7 @@ class RecordWriter:
         self._let_writes_wait(False)
 
     def put(self, kind: RecordKind, ts_ns: int, data: bytes = b"") -> None:
-        """Write a record; if the pipe is full, count its data as lost."""
+        """Write a record; if the pipe is full, drop it, and count its bytes of the line as lost."""
         if self._lost and self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost)):
             self._lost = 0
         if self._lost or not self._write(kind, ts_ns, data):
@@ -91,7 +92,10 @@ class RecordWriter:
         self.put(kind, ts_ns, _COUNT.pack(count))
 
     def end(self, ts_ns: int, error: str = "") -> None:
-        """Wait for room, and write a loss not yet reported, and the error."""
+        """Write a LOST record for losses not yet reported, and `error` if it is not empty.
+
+        This waits until the pipe has room.
+        """
         self._let_writes_wait(True)
         if self._lost:
             self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost))
@@ -117,7 +121,7 @@ class RecordReader:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[SerialRecord]:
-        """The records that the data completes."""
+        """Take data from the pipe; return the records that it completes."""
         buffer = self._buffer + data
         records = []
         start = 0

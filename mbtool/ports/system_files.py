@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def read_text(path: Path) -> str:
-    """All of a file."""
+    """Return the whole text of a file."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

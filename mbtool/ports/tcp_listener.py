@@ -9,8 +9,8 @@
 #
 # [::] takes IPv4 and IPv6 peers, on every system. Port 0 takes a free port.
 #
-# The system gives a server the connection before anyone can look at the peer, so whoever serves
-# asks `admits` for each connection and closes those that are refused.
+# The system completes a connection before the program sees the peer's address. So the slave and
+# the tap call `refusal` for each connection and close it if the peer must not connect.
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from mbtool.core import TapLink, TcpLink
 
 BACKLOG = 64
-"""How many connections wait in the system's queue until they are accepted."""
+"""How many connections may wait in the system's queue until they are accepted."""
 TELL_EVERY_S = 10.0
-"""The shortest time between two reports that no more connections can be opened."""
+"""The shortest time between two reports that no more connections can be opened, in seconds."""
 
 _EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
 
@@ -43,7 +43,7 @@ class TcpListener:
     """A socket that listens at the endpoint of a link, and who may connect to it."""
 
     sock: socket.socket
-    """Bound once `open` was called."""
+    """The listening socket. `open` makes it."""
 
     def __init__(
         self, link: TcpLink | TapLink, endpoint: Endpoint, allowed: AllowedPeers = THIS_MACHINE
@@ -52,10 +52,14 @@ class TcpListener:
         self._endpoint = endpoint
         self._allowed = allowed
         self._told_s = -TELL_EVERY_S
-        """When `on_exhausted` was last called, on the event loop's clock."""
+        """When `serve` last called its `on_exhausted`, in seconds on the event loop's clock."""
 
     def open(self) -> None:
-        """Bind and listen. Raises LinkError, UsageError."""
+        """Bind a socket to the endpoint, and listen.
+
+        Raises UsageError if other machines can reach the endpoint and none is allowed to connect,
+        LinkError if the host is unknown or the system refuses the endpoint.
+        """
         self._family, self._address = self._resolve()
         host = self._address[0]
         if not self._allowed.networks and host not in THIS_MACHINE:
@@ -74,11 +78,11 @@ class TcpListener:
 
     @property
     def endpoint(self) -> Endpoint:
-        """Where it listens, with the port that the system chose where 0 was asked for."""
+        """The endpoint that it listens at. After `open`, port 0 is replaced by the chosen port."""
         return self._endpoint
 
     def refusal(self, host: str) -> str | None:
-        """Why a peer must not connect, in words; None if it may."""
+        """Return in words why a peer with this address must not connect; None if it may."""
         return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
 
     async def serve(
@@ -86,10 +90,11 @@ class TcpListener:
         protocol: Callable[[], asyncio.BaseProtocol],
         on_exhausted: Callable[[str], None],
     ) -> asyncio.Server:
-        """Accept connections in the running event loop. Raises LinkError.
+        """Accept connections in the running event loop.
 
-        `on_exhausted` gets a line for the user while the process can open no more connections, at
-        most one in TELL_EVERY_S.
+        While the process can open no more connections, `on_exhausted` gets a line for the user, at
+        most one in TELL_EVERY_S. Raises LinkError if the endpoint is in use, which can happen
+        after `hold`.
         """
         loop = asyncio.get_running_loop()
 
@@ -110,9 +115,10 @@ class TcpListener:
             raise self._not_listening(error) from error
 
     def hold(self) -> None:
-        """Replace the socket, which a server has closed, by one that only keeps the address.
+        """Replace the socket, which the server has closed, by one that is bound but not listening.
 
-        The system refuses whoever connects, until `serve` listens again. Raises LinkError.
+        It keeps the address; the system refuses all connections until `serve` is called again.
+        Raises LinkError if the address cannot be bound.
         """
         self.sock = self._bind()
 
@@ -120,7 +126,7 @@ class TcpListener:
         self.sock.close()
 
     def _resolve(self) -> tuple[int, tuple[Any, ...]]:
-        """The address family and the address of the endpoint."""
+        """Return the endpoint's address family and address. Raises LinkError if there is none."""
         try:
             found = socket.getaddrinfo(
                 self._endpoint.host,

@@ -2,12 +2,13 @@
 
 # Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or better, with
 # certificates of both ends. A tap cannot listen in on that: it ends TLS towards the master with a
-# certificate of its own, and begins it anew towards the slave. Each side is chosen by itself.
+# certificate of its own, and begins it anew towards the slave. The user chooses for each of the two
+# sides whether it has TLS.
 #
 # All files are read before a connection is accepted; a LinkError names the file that is wrong. Each
 # certificate in a CA file is trusted as it is, also one that is no CA's, such as the certificate of
-# the device itself. If the file holds no CA, the target must show one of its certificates, and the
-# name in it is not checked.
+# the device itself. If the file holds no CA, the target must show one of the certificates in the
+# file, and the name in that certificate is not checked.
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ _NO_TLS = frozenset(
         "WRONG_VERSION_NUMBER",
     }
 )
-"""The reasons that versions of OpenSSL give when the first bytes are no TLS."""
+"""The reasons that OpenSSL, in one version or another, gives when the first bytes are no TLS."""
 _TOO_OLD = frozenset(
     {
         "NO_PROTOCOLS_AVAILABLE",
@@ -49,7 +50,7 @@ _TOO_OLD = frozenset(
     }
 )
 _OTHER_NAMES = frozenset({62, 64})
-"""X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH."""
+"""The errors X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH of OpenSSL."""
 _REFUSALS = {
     "BAD_CERTIFICATE": "the tap's certificate is not to its liking",
     "CERTIFICATE_EXPIRED": "the tap's certificate has expired",
@@ -58,11 +59,14 @@ _REFUSALS = {
     "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
     "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
 }
-"""What the alerts about certificates mean (RFC 8446, 6.2)."""
+"""By the name of a TLS alert (RFC 8446, 6.2): what the peer that sends it objects to."""
 
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:
-    """The context for masters that connect. Raises LinkError."""
+    """Return the TLS context for connections from masters.
+
+    Raises LinkError if a certificate or key file cannot be used.
+    """
     context = _context(ssl.PROTOCOL_TLS_SERVER)
     _load_own(context, "--tls-cert", tls.cert, tls.key)
     if tls.ca is not None:
@@ -72,10 +76,10 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
 
 
 def why_outdated(option: str, cert: str) -> str | None:
-    """One line if a certificate of the tap's own has expired, else None.
+    """Return a line for the user if a certificate of the tap's own has expired, else None.
 
-    It can still be used: not every peer checks that. Without the extra mbtool[tls], and for a file
-    that is wrong in another way, there is no line.
+    An expired certificate is used all the same, as not every peer checks that. Returns None also
+    without the extra mbtool[tls], and if the file cannot be read.
     """
     try:
         end = end_of(Path(cert).read_bytes())
@@ -87,14 +91,18 @@ def why_outdated(option: str, cert: str) -> str | None:
 
 
 def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
-    """The context for the target, and the name its certificate must have. Raises LinkError."""
+    """Return the TLS context for the target, and the name that its certificate must have.
+
+    Raises LinkError if a certificate or key file, or --tls-target-name, cannot be used.
+    """
     context = _context(ssl.PROTOCOL_TLS_CLIENT)
     if tls.ca is None:
         context.check_hostname = False
         context.verify_mode = ssl.CERT_NONE
     else:
         _load_ca(context, "--tls-target-ca", tls.ca)
-        # OpenSSL counts as a CA each certificate that could sign others; here are none.
+        # x509_ca counts the certificates that could sign others. If there are none, the file holds
+        # the target's own certificate, and its name is not checked.
         if tls.name is None and not context.cert_store_stats()["x509_ca"]:
             context.check_hostname = False
     if tls.cert is not None:
@@ -108,12 +116,15 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
                 f"--tls-target-name {name!r}: no host can have such a name; "
                 "give the one in the target's certificate"
             ) from None
-        # No host can have the name in the LINK either; connecting to it says so.
+        # The name is the host of the LINK. No host can have it, so connecting will fail and say so.
     return context, name
 
 
 def failure(error: OSError, who: str) -> str | None:
-    """Why TLS with the master or the slave failed; None if the error has nothing to do with TLS."""
+    """Return in words why TLS with `who` failed; None if the error has nothing to do with TLS.
+
+    `who` is "master" or "slave".
+    """
     if isinstance(error, ssl.SSLCertVerificationError):
         why = error.verify_message.rstrip(".")
         if error.verify_code in _OTHER_NAMES:
@@ -121,7 +132,7 @@ def failure(error: OSError, who: str) -> str | None:
         return f"TLS: the {who}'s certificate is refused: {why}"
     if not isinstance(error, ssl.SSLError):
         # If a handshake fails, asyncio itself raises one of the two errors below, without an errno.
-        # The same errors from the system have one.
+        # If the system raises them, they have an errno.
         if isinstance(error, ConnectionAbortedError) and error.errno is None:
             return f"TLS: the {who} does not complete the handshake"
         if isinstance(error, ConnectionResetError) and error.errno is None:
@@ -192,7 +203,10 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
 
 
 def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
-    """The content of a file, if it holds a PEM block of the wanted kind. Raises LinkError."""
+    """Return the content of a file.
+
+    Raises LinkError if the file cannot be read, or holds no PEM block of the wanted kind.
+    """
     try:
         held = Path(path).read_bytes()
     except OSError as error:

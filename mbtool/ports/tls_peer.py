@@ -1,12 +1,13 @@
 """Who is at the other end of a TLS connection, as its certificate says."""
 
-# Python's ssl gives the subject of a certificate that it has verified, and hardly any extension.
-# Modbus/TCP Security has the role of a client in one: extension 1.3.6.1.4.1.50316.802.1, a
-# UTF8String (MB-TCP-Security-v21, 8.4). The library cryptography reads it, and when a certificate
-# ends; it comes with the extra mbtool[tls]. Without it TLS works all the same.
+# Python's ssl gives the subject of a certificate that it has verified, and hardly any extension. In
+# Modbus/TCP Security a client's role is in such an extension: 1.3.6.1.4.1.50316.802.1, a
+# UTF8String (MB-TCP-Security-v21, 8.4). The library cryptography reads this extension, and the time
+# at which a certificate expires. The library comes with the extra mbtool[tls]; without it TLS works
+# all the same, but roles and expired certificates are not reported.
 #
-# Others write what a certificate says: at most MAX_TEXT characters of it are shown, and characters
-# that a terminal would act on are shown as their escapes.
+# The text in a peer's certificate is not ours, so it may be anything: at most MAX_TEXT characters
+# of it are shown, and characters that a terminal would act on are shown as their escapes.
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ ROLE = "1.3.6.1.4.1.50316.802.1"
 MAX_TEXT = 200
 
 _ROLE_DER = bytes.fromhex("06 0b 2b06010401 83890c 8622 01")
-"""ROLE as it stands in a certificate. Few have it, and only these are read any further."""
+"""ROLE in DER, as in a certificate. Only a certificate with these bytes is searched for a role."""
 _SHORT = {
     "commonName": "CN",
     "organizationName": "O",
@@ -31,13 +32,14 @@ _SHORT = {
     "stateOrProvinceName": "ST",
     "localityName": "L",
 }
-"""RFC 4514, 3."""
+"""The short names of attributes of a certificate's subject (RFC 4514, 3)."""
 
 
 class PeerTls(ssl.SSLObject):
     """TLS with a peer whose certificate may have names that are not UTF-8, as old CAs wrote them.
 
-    Without this class ssl, and with it asyncio's handshake, would fail after it verified them.
+    Without this class, ssl verifies such a certificate and then raises UnicodeDecodeError when
+    asyncio asks for the names, so the handshake fails.
     """
 
     def getpeercert(self, binary_form: bool = False) -> Any:
@@ -67,9 +69,10 @@ def described(tls: ssl.SSLObject) -> str:
 
 
 def subject_of(certificate: Mapping[str, Any]) -> str:
-    """The subject of a certificate as ssl gives it, the most particular name first.
+    """Return the subject of a certificate as text, its attributes in reverse order: CN first.
 
-    If it has no subject, the alternative names of its holder.
+    `certificate` is what ssl's getpeercert gives. If the certificate has no subject, the text has
+    its alternative names (subjectAltName).
     """
     names = [pair for part in certificate.get("subject", ()) for pair in part]
     said = [f"{_SHORT.get(key, key)}={value}" for key, value in names[::-1]]
@@ -78,13 +81,16 @@ def subject_of(certificate: Mapping[str, Any]) -> str:
 
 
 def load_reader() -> None:
-    """Import the library, if it is there, before an event loop would have to wait 0.1 s for it."""
+    """Import the library cryptography, if it is installed, before an event loop runs.
+
+    The import takes 0.1 s, during which an event loop could do nothing else.
+    """
     with suppress(ImportError):
         import cryptography.x509  # noqa: F401
 
 
 def role_of(der: bytes) -> str | None:
-    """The role in a certificate (DER); None if it has none, or one that cannot be read.
+    """Return the role in a certificate (DER); None if it has none, or one that cannot be read.
 
     Raises ImportError without the extra mbtool[tls].
     """
@@ -107,7 +113,7 @@ def role_of(der: bytes) -> str | None:
 
 
 def end_of(pem: bytes) -> datetime | None:
-    """When the first certificate in a file (PEM) ends; None if that cannot be read.
+    """Return when the first certificate in a PEM file expires; None if that cannot be read.
 
     Raises ImportError without the extra mbtool[tls].
     """

@@ -32,12 +32,12 @@ class Term:
     text: str
     """The term as error messages write it."""
     value: Callable[[NamedTransaction], Any]
-    """Its value for a transaction; None if it does not apply."""
+    """Returns the term's value in a transaction; None if the transaction has no such value."""
     kind: ValueKind
     choices: tuple[str, ...] = ()
     """All texts that a name can have; empty if it can be any text."""
     constant: str | None = None
-    """The text, if the term is a text in the expression."""
+    """The text itself, if the term is a text in quotes; else None."""
     items: tuple[Term, ...] = ()
     """The members of a list; for a name, one term that stands for all members."""
 
@@ -49,7 +49,7 @@ class Term:
 
 
 def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
-    """Why a comparison can never be true, and what to write instead; None if it can.
+    """Say why a comparison can never be true, and what to write instead; None if it can.
 
     `membership` is True for `left in right`.
     """

@@ -47,7 +47,11 @@ _SHOWN = 60
 
 
 def parse_where(text: str) -> Where:
-    """Compile an expression. Raises UsageError."""
+    """Compile an expression into a function that tells whether a transaction passes.
+
+    Raises UsageError if the expression is wrong, is too long or has too many levels, or if one of
+    its comparisons can never be true.
+    """
     text = text.strip()
     if len(text) > MAX_LENGTH:
         raise UsageError(f"--where takes at most {MAX_LENGTH} characters, not {len(text)}")
@@ -87,7 +91,7 @@ class _Compiler:
     def _chain(
         self, left: ast.expr, operators: Sequence[ast.cmpop], rights: Sequence[ast.expr]
     ) -> Where:
-        """A chain of comparisons, as in `40 <= address < 50`."""
+        """Compile a chain of comparisons, as in `40 <= address < 50`."""
         terms = [self._term(node) for node in (left, *rights)]
         compares = []
         for at, one_operator in enumerate(operators):

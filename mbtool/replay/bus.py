@@ -41,7 +41,7 @@ class ByteRun:
     """When the first byte began, counted from the beginning of the part that is played."""
     data: bytes
     after_silence: bool = False
-    """True if the line must be silent before it, as between frames."""
+    """True if a silence of t3.5 must come before these bytes, as between frames."""
 
 
 class BusPlayer:
@@ -59,12 +59,13 @@ class BusPlayer:
         self._character_ns = character_ns
         self._silence_ns = silence_ns
         self._passed_ns: int | None = None
-        """When the last byte given out leaves the line; None before the first."""
+        """The time at which the last byte given to the port has left the line; None before the
+        first."""
         self.bytes = 0
         self.delayed = 0
-        """How many runs the line delayed."""
+        """How many runs left more than BEHIND_NS late because the line was still busy."""
         self.lateness = Sample()
-        """How late all other runs were sent, in ns."""
+        """How late each run left that neither the line delayed nor a step let through, in ns."""
 
     @property
     def has_ended(self) -> bool:
@@ -78,11 +79,11 @@ class BusPlayer:
 
     @property
     def passed_ns(self) -> int | None:
-        """When the last byte that was sent leaves the line; None before the first."""
+        """The time at which the last byte sent has left the line; None before the first."""
         return self._passed_ns
 
     def next_run(self, now_ns: int) -> ByteRun | None:
-        """The run to send at once, which then counts as sent; None if none is due."""
+        """Return the run to send at once and count it as sent; None if no run is due."""
         run = self._queue.upcoming()
         if run is None or self._free_ns(run) > now_ns:
             return None
@@ -117,7 +118,7 @@ class BusPlayer:
         return busy_ns if run.after_silence else busy_ns - AHEAD_NS
 
     def _busy_ns(self, run: ByteRun) -> int:
-        """When the line has carried everything before a run, with the silence before it."""
+        """The time at which the line has carried all earlier runs and the silence before `run`."""
         if self._passed_ns is None:
             return 0
         return self._passed_ns + (self._silence_ns if run.after_silence else 0)

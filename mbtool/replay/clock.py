@@ -19,7 +19,7 @@ from fractions import Fraction
 SLOWEST = Fraction(1, 64)
 FASTEST = Fraction(64)
 _STEP = 2
-"""The factor of `faster` and `slower`."""
+"""`faster` multiplies the rate by this number, `slower` divides it."""
 
 
 class PlayClock:
@@ -59,19 +59,19 @@ class PlayClock:
         return self._anchor_ns is not None
 
     def position(self, now_ns: int) -> int:
-        """How much recorded time was played, over all laps."""
+        """The position at a real time, in recorded ns, added up over all laps."""
         if self._anchor_ns is None or self._rate is None:
             return self._anchor_position_ns
         return self._anchor_position_ns + (now_ns - self._anchor_ns) * self._rate // 1
 
     def in_recording(self, position_ns: int) -> int:
-        """A position within its lap: 0 to the recording's length."""
+        """Turn a position over all laps into one within its lap: 0 to the recording's length."""
         if self._lap_ns is not None:
             position_ns %= self._lap_ns
         return min(max(position_ns, 0), self.length_ns)
 
     def lap(self, position_ns: int) -> int:
-        """How often the end was passed, from 0."""
+        """How often the end was passed before a position over all laps; 0 without a loop."""
         return position_ns // self._lap_ns if self._lap_ns is not None else 0
 
     @property
@@ -79,17 +79,18 @@ class PlayClock:
         return self._lap_ns is not None
 
     def lap_begin(self, lap: int) -> int:
-        """The position at which a lap begins."""
+        """The position, over all laps, at which a lap begins; laps are numbered from 0."""
         return lap * self._lap_ns if self._lap_ns is not None else 0
 
     def is_over(self, now_ns: int) -> bool:
-        """True if everything was played; never in a loop."""
+        """True if the whole recording was played; always False in a loop."""
         return self._lap_ns is None and self.position(now_ns) >= self.length_ns
 
     def time_of(self, position_ns: int) -> int | None:
         """The real time at which a position is reached; None while the clock stands still.
 
-        It is the first ns at which `position` is not before it.
+        That is the first nanosecond at which `position` returns at least `position_ns`. At the rate
+        None every position is reached as soon as the clock runs.
         """
         if self._anchor_ns is None:
             return None
@@ -98,23 +99,23 @@ class PlayClock:
         return self._anchor_ns - (self._anchor_position_ns - position_ns) / self._rate // 1
 
     def run(self, now_ns: int) -> None:
-        """Start, or go on after a pause."""
+        """Start the clock, or let it go on after a pause."""
         if self._anchor_ns is None:
             self._anchor_ns = now_ns
 
     def pause(self, now_ns: int) -> None:
-        """Stand still until `run`."""
+        """Let the clock stand still until `run` is called."""
         self._anchor_position_ns = self.position(now_ns)
         self._anchor_ns = None
 
     def jump(self, position_ns: int, now_ns: int) -> None:
-        """Go on from another position."""
+        """Continue at another position; a clock that stands still does not start."""
         self._anchor_position_ns = position_ns
         if self._anchor_ns is not None:
             self._anchor_ns = now_ns
 
     def set_rate(self, rate: Fraction, now_ns: int) -> None:
-        """Go on at another rate, limited to SLOWEST to FASTEST."""
+        """Set the rate; one outside SLOWEST to FASTEST becomes the nearer of the two."""
         self.jump(self.position(now_ns), now_ns)
         self._rate = min(max(rate, SLOWEST), FASTEST)
 

@@ -52,15 +52,18 @@ class Ignored:
     """The parts of captures that are not compared."""
 
     spans: Sequence[Span] = ()
-    """Registers whose values may differ."""
+    """Registers and bits whose values are not compared."""
     latency: bool = False
-    """True if latencies may differ."""
+    """True if latencies are not compared."""
 
 
 def differences(
     a: Traffic, b: Traffic, profiles: Mapping[str, Profile], ignored: Ignored
 ) -> list[Difference]:
-    """All differences, slave by slave; `profiles` by name, for the names of registers."""
+    """Return all differences between captures `a` and `b`, slave by slave.
+
+    `profiles` are the device profiles by name; they give the names of registers.
+    """
     links = a.links_of_units() | b.links_of_units()  # For each unit the greater number.
     unique = frozenset(unit for unit, count in links.items() if count == 1)
     slaves_a, slaves_b = a.slaves(unique), b.slaves(unique)
@@ -209,7 +212,7 @@ class _SlaveComparison:
     def _difference(
         self, key: RequestKey, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
     ) -> Difference:
-        """A difference of a request; `alike` is how many others differ in the same way."""
+        """Make the Difference of a request; `alike` is how many others differ in this way."""
         request = self._a.requests.get(key) or self._b.requests[key]
         return Difference(
             kind=kind,
@@ -226,7 +229,11 @@ class _SlaveComparison:
 
 
 def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
-    """True if the values are equal; if some were not kept, if the ranges are equal."""
+    """True if a register had the same values in both captures.
+
+    If it had more values than are kept, it is enough that its least and greatest value are the
+    same.
+    """
     bounds = (a.least, a.greatest) == (b.least, b.greatest)
     return a.values.keys() == b.values.keys() or (bounds and not (a.is_all and b.is_all))
 
@@ -234,7 +241,7 @@ def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
 def _runs(
     keys: Iterable[ValueKey], can_join: Callable[[ValueKey], bool]
 ) -> Iterator[list[ValueKey]]:
-    """Join neighbouring registers for which `can_join` is true; each other register alone."""
+    """Group registers: neighbours for which `can_join` is true together, each other alone."""
     run: list[ValueKey] = []
     for key in keys:
         joins = bool(run) and can_join(run[-1]) and can_join(key)

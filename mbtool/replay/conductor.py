@@ -53,11 +53,12 @@ class Conductor:
         self._judge = judge
         self._limits = limits
         self._open: dict[int, _SentRequest] = {}
-        """By the step's number."""
+        """The requests that wait for a response, each by the number of its step."""
         self._free_ns: int | None = None
-        """The earliest time for the next request; None: at once."""
+        """The earliest time at which the next request may be sent; None if it may be sent at
+        once."""
         self.lateness = Sample()
-        """How late steps were sent that waited for the clock only, in ns."""
+        """How late each step was sent that waited for nothing but the clock, in ns."""
         self.unsolicited = 0
         """How many responses belonged to no open request."""
 
@@ -71,7 +72,7 @@ class Conductor:
         return self._queue.taken
 
     def next_step(self, now_ns: int) -> Step | None:
-        """The step to send at once, which then counts as sent; None if none is due."""
+        """Return the step to send at once and count it as sent; None if no step is due."""
         step = self._upcoming()
         if step is None or not self._is_free(step, now_ns):
             return None
@@ -93,7 +94,11 @@ class Conductor:
         self._queue.allow_step()
 
     def note_sent(self, step: Step, now_ns: int) -> None:
-        """Note that the last byte of a step was sent."""
+        """Take the time at which the last byte of a step was sent.
+
+        The latency and the time-out of its response count from there; after a broadcast, so does
+        the turnaround delay.
+        """
         request = self._open.get(step.number)
         if request is not None:
             request.sent_ns = now_ns
@@ -101,7 +106,10 @@ class Conductor:
             self._free_ns = now_ns + self._limits.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """The time of the next step, end of a pause or time-out; None if nothing is due."""
+        """Return the earlier of two times; None if there is neither.
+
+        They are the time at which the next step may be sent, and the end of the first time-out.
+        """
         times = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
         if step is not None and not self._must_wait(step):
@@ -114,8 +122,9 @@ class Conductor:
     def answered(self, number: int, pdu: bytes, start_ns: int, end_ns: int) -> bool | None:
         """Take a response to the request with this number.
 
-        `start_ns` and `end_ns` are the times of its first and last byte. Returns True if it means
-        the same as the recorded one, None if no open request has this number.
+        `start_ns` and `end_ns` are the times of its first and last byte. Returns True if the
+        response means the same as the recorded one, False if it does not, and None if no open
+        request has this number.
         """
         request = self._open.pop(number, None)
         if request is None:
@@ -125,7 +134,11 @@ class Conductor:
         return self._judge.judge(request.step, pdu, max(start_ns - request.sent_ns, 0))
 
     def expire(self, now_ns: int) -> list[tuple[Step, bool]]:
-        """Give up the requests whose time-out has passed; returns what `give_up` does."""
+        """Give up the requests that have waited longer than the time-out.
+
+        Returns for each what `give_up` returns: its step, and True if the recording has no response
+        to it either.
+        """
         late = [
             number
             for number, each in self._open.items()
@@ -134,10 +147,10 @@ class Conductor:
         return [each for number in late for each in self.give_up(number, now_ns)]
 
     def give_up(self, number: int, now_ns: int) -> list[tuple[Step, bool]]:
-        """Stop waiting for a response.
+        """Stop waiting for the response to the request with this number.
 
-        Returns the step, and True if the recording has no response either; nothing if no open
-        request has this number.
+        Returns a list with one pair: the step, and True if the recording has no response to it
+        either. The list is empty if no open request has this number.
         """
         request = self._open.pop(number, None)
         if request is None:
@@ -146,7 +159,7 @@ class Conductor:
         return [(request.step, self._judge.judge(request.step, None, None))]
 
     def _note_over(self, now_ns: int) -> None:
-        """Let the next request be sent after the pause."""
+        """Keep the next request back for `pause_ns`, as a request has just ended."""
         self._free_ns = now_ns + self._limits.pause_ns
 
     def _upcoming(self) -> Step | None:

@@ -34,23 +34,26 @@ RESPONSE_NS = 5_000_000_000
 DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 
 _WHOLE_ADU = 1024
-"""More bytes than an ADU has."""
+"""A number of bytes greater than any ADU has: cutting off so many leaves nothing of it."""
 _RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
 
 
 @dataclass(frozen=True, slots=True)
 class DamagedAnswer:
-    """A damaged response."""
+    """A damaged response in a recording."""
 
     raw: bytes
-    """Its bytes as captured."""
+    """The bytes of the response, as they were captured."""
     transport: Transport
     has_wrong_check: bool
     """True if only its checksum is wrong; False if it is incomplete or more is wrong."""
     latency_ns: int
 
     def again(self, transport: Transport, delay_ns: int) -> Response | None:
-        """A response with the same damage for a link; None if that means silence there."""
+        """Return a response with the same damage, to be sent on a link with this transport.
+
+        None if the damage becomes silence on such a link.
+        """
         if transport is self.transport or {transport, self.transport} <= _RTU:
             return Response(b"\0", delay_ns, Distortion(cut=_WHOLE_ADU, extra=self.raw))
         pdu = whole_pdu(self.transport, self.raw) if self.has_wrong_check else None
@@ -62,9 +65,10 @@ class DamagedAnswer:
 def damaged_answers(
     asked: Sequence[Transaction], events: Iterable[WireEvent]
 ) -> dict[int, DamagedAnswer]:
-    """The damaged responses of requests without an answer, by index in `asked`.
+    """Find the damaged responses to requests for which the recording has no intact one.
 
-    `asked` is in order of time.
+    `asked` holds the transactions in order of time. The result names a request by its index in
+    `asked`.
     """
     undecoded: dict[str, list[WireEvent]] = defaultdict(list)
     for event in events:
@@ -74,7 +78,8 @@ def damaged_answers(
         each.sort(key=_time)
     found: dict[int, DamagedAnswer] = {}
     next_ns: dict[str, int] = {}
-    """By link, the time of the request after the current one; requests are visited backwards."""
+    """By link, the time of the request after the current one: the loop goes from the last request
+    to the first."""
     for index in range(len(asked) - 1, -1, -1):
         one = asked[index]
         request_ns = one.start_ns
@@ -102,7 +107,7 @@ def _time(event: WireEvent) -> int:
 
 
 def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
-    """True if bytes begin like a response to a request."""
+    """True if the bytes of `raw` begin like a response to the request of `asked`."""
     body, request = _body(asked.transport, raw), _body(asked.transport, asked.request_raw or b"")
     if len(body) < 2 or body[0] != asked.unit or body[1] & ~EXCEPTION_BIT != asked.function:
         return False
@@ -110,7 +115,11 @@ def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
 
 
 def _body(transport: Transport, raw: bytes) -> bytes:
-    """The unit and the PDU; of ASCII, the digits before the first line end."""
+    """Return an ADU's bytes from the unit on, with the checksum.
+
+    ASCII digits are turned into bytes up to the first line end; no bytes if they are not
+    hexadecimal.
+    """
     if transport is not Transport.ASCII:
         return raw
     digits = raw.lstrip(b":")[: len(raw) // 2 * 2]

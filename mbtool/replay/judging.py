@@ -56,7 +56,7 @@ class Tolerance:
     share: float = 0.0
     """Allowed increase as a share of the recorded median and 95th percentile: 0.5 is 50 %."""
     least_ns: int = 1_000_000
-    """An increase that is always allowed."""
+    """An increase in ns that is always allowed, however small the recorded latency is."""
 
     def latest_ns(self, recorded_ns: int) -> float:
         return recorded_ns + max(recorded_ns * self.share, self.least_ns)
@@ -70,14 +70,17 @@ class _RequestResult:
     count: int = 0
     different: int = 0
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """How often a recorded outcome was replaced by another one."""
+    """How often each pair was seen: the recorded outcome, and the other one in its place."""
     recorded: Sample = field(default_factory=Sample)
     """The recorded latencies."""
     answered: Sample = field(default_factory=Sample)
-    """The new latencies."""
+    """The latencies of the new responses."""
 
     def add_difference(self, recorded: str, outcome: str) -> None:
-        """Count a wrong response; if the outcomes are equal, only its values are wrong."""
+        """Count a response that is not as recorded.
+
+        If both outcomes are equal, only values differ, and no pair of outcomes is counted.
+        """
         self.different += 1
         if recorded == outcome:
             return
@@ -119,9 +122,11 @@ class Judge:
         learns: bool = False,
         tolerance: Tolerance | None = None,
     ) -> None:
-        """`profiles` by name, for names and units; without `tolerance` latencies do not count.
+        """`profiles` are the device profiles by name, which give names and units of measure.
 
-        With `learns`, registers that differ are collected and do not count as differences.
+        The values of registers in `spans` may differ. Without `tolerance` latencies are not
+        compared. With `learns`, registers that differ are collected and do not count as
+        differences.
         """
         self._profiles = profiles or {}
         self._spans = list(spans)
@@ -129,18 +134,19 @@ class Judge:
         self._tolerance = tolerance
         self._wordings: dict[str | None, DeviceWording] = {}
         self._results: dict[tuple[int, bytes], _RequestResult] = {}
-        """By unit and request PDU."""
+        """The results of each request, by its unit and its PDU."""
         self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
-        """By unit, device and register."""
+        """The values of each register that differed, by unit, name of the device's profile, and
+        register."""
         self.count = 0
         """How many responses were compared, silence included."""
         self.wrong = 0
-        """How many of them differed."""
+        """How many of the compared responses were not as recorded."""
 
     def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
-        """Compare a response, None for silence, with the recorded one. True if they mean the same.
+        """Compare a response with the recorded one of its step. True if they mean the same.
 
-        `latency_ns` is the response's, None if it is unknown.
+        `response` is the PDU, None for silence. `latency_ns` is its latency, None if it is unknown.
         """
         self.count += 1
         result = self._results.setdefault((step.unit, step.pdu), _RequestResult(step))
@@ -166,7 +172,7 @@ class Judge:
         return is_right
 
     def differences(self) -> list[Difference]:
-        """All differences by unit: outcomes in the order of requests, then values and latencies."""
+        """Return all differences, sorted by unit: outcomes first, then values, then latencies."""
         found = [*self._outcomes(), *self._value_differences(), *self._latencies()]
         return sorted(found, key=lambda one: one.unit)
 
@@ -185,7 +191,7 @@ class Judge:
         ]
 
     def learned(self) -> list[tuple[int, Span]]:
-        """The registers that differed, as ranges with their units."""
+        """The registers that differed: ranges of addresses, each with the unit id of its slave."""
         spans: list[tuple[int, Span]] = []
         for unit, key in sorted({(unit, key) for unit, _, key in self._registers}):
             one = Span(key.table, key.address, key.address)
@@ -316,7 +322,10 @@ def _length(pdu: bytes) -> str:
 
 
 def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
-    """The first bytes of both; if these are equal, the bytes from the first difference on."""
+    """Show two PDUs as short texts in which their difference can be seen.
+
+    These are the first bytes of both; if they are equal, the bytes from the first difference on.
+    """
     first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
     if first is None or first < SHOWN_BYTES:
         return _shown(pdu), _shown(other)

@@ -28,7 +28,7 @@ class LatencyModel(Protocol):
 
 
 class RecordedLatency:
-    """Each response's recorded latency, else the median of its unit and function."""
+    """Gives each response its recorded latency, or the median of its unit and function."""
 
     is_recorded_time = True
 
@@ -40,7 +40,7 @@ class RecordedLatency:
 
 
 class FixedLatency:
-    """The same latency for all responses."""
+    """Gives all responses the same latency."""
 
     is_recorded_time = False
 
@@ -52,7 +52,7 @@ class FixedLatency:
 
 
 class SampledLatency:
-    """A random recorded latency of the response's unit and function."""
+    """Gives each response a latency drawn from those recorded for its unit and function."""
 
     is_recorded_time = True
 

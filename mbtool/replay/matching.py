@@ -39,13 +39,13 @@ class MatchStrategy(StrEnum):
     AUTO = "auto"
     """As KEY, then from the register image, then from the device's profile."""
     SEQUENCE = "sequence"
-    """The exact order of the recording."""
+    """A request is answered only if it is the next one in the recording."""
     KEY = "key"
     """The next answer to the same unit, function, addresses and values."""
     TIME = "time"
-    """The answer nearest to the clock's time."""
+    """The answer to the same request whose time is nearest to the clock's."""
     IMAGE = "image"
-    """The register image at the clock's time."""
+    """The values that the registers had at the clock's time."""
 
     @property
     def by_clock(self) -> bool:
@@ -57,16 +57,20 @@ class OnEnd(StrEnum):
     """What follows after the last recorded answer."""
 
     LAST = "last"
-    """The last answer again."""
+    """A request gets its last recorded answer again."""
     LOOP = "loop"
-    """The recording from its beginning."""
+    """The answers begin again with the first recorded one."""
     IMAGE = "image"
-    """The last values of the registers."""
+    """A request is answered with the last values of the registers."""
     SILENT = "silent"
 
 
 class NoAnswer(Enum):
-    """A matcher's result if it has no recorded answer: a miss, the register image, silence."""
+    """What a matcher returns if it has no recorded answer to a request.
+
+    MISS: the recording has no such request. IMAGE: answer from the register image. SILENCE: send no
+    response.
+    """
 
     MISS = "miss"
     IMAGE = "image"
@@ -81,7 +85,7 @@ class Moment(NamedTuple):
 
     at_ns: int
     is_over: bool = False
-    """True if the clock has reached the end."""
+    """True if the clock has reached the end of the recording."""
     is_paused: bool = False
 
 
@@ -110,7 +114,7 @@ class KeyMatcher:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """By request, how many answers it has had."""
+        """How many answers each request has been given so far, by request."""
 
     def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
         answers = self._answers.get(key)

@@ -37,9 +37,9 @@ class PlayQueue(Generic[_Item]):
         return self._lap * len(self._items) + self._next
 
     def upcoming(self, *, may_restart: bool = True) -> _Item | None:
-        """The next item; None after the last one, unless a new lap begins.
+        """Return the next item; None after the last one.
 
-        Without `may_restart` no new lap begins yet.
+        In a loop a new lap begins after the last item, but only if `may_restart` is true.
         """
         if self._next >= len(self._items):
             if not (self._clock.is_loop and self._items and may_restart):
@@ -52,9 +52,10 @@ class PlayQueue(Generic[_Item]):
         self._steps += 1
 
     def due_ns(self, item: _Item, now_ns: int) -> int | None:
-        """When the upcoming item may be played; None if the clock stands and no step is left.
+        """Return the real time at which `item`, the upcoming one, may be played.
 
-        Once the clock runs again, unused steps are dropped.
+        None if the clock stands still and no step is left. Once the clock runs again, unused steps
+        are dropped.
         """
         due_ns = self._clock.time_of(self._position(item))
         if due_ns is not None:
@@ -64,7 +65,7 @@ class PlayQueue(Generic[_Item]):
         return due_ns
 
     def take(self, item: _Item, now_ns: int) -> bool:
-        """Go on to the next item. True if the clock was the reason, False if it was a step.
+        """Go on from `item` to the next one. True if the clock made it due, False if a step did.
 
         A step moves the clock to the item's position.
         """

@@ -55,7 +55,8 @@ if TYPE_CHECKING:
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
-"""In a loop, the time between end and next beginning of a recording of a single instant."""
+"""In a loop, the ns from one lap to the next if the recording has no length, as with one
+request."""
 
 
 class OnMiss(StrEnum):
@@ -71,7 +72,7 @@ class Device(Protocol):
     """A simulated device that answers requests that the recording cannot answer."""
 
     def learn(self, table: Table, address: int, value: int) -> None:
-        """Take a value that the recording knows."""
+        """Set a register or bit to the value that it has in the recording."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None: ...
 
@@ -94,10 +95,11 @@ class RecordedSlave:
     ) -> None:
         """Prepare to play a recording.
 
-        `rate` is the clock's, and divides recorded latencies; with None there are no latencies.
-        `devices` answer for their units. `transport` is that of the requests. `with_damage` plays
-        damaged responses too. Raises ValueError if the rate is not above 0, or None although
-        `match` needs a clock.
+        `rate` is the clock's rate, recorded time per real time. Recorded latencies are divided by
+        it; with None they are left out. `devices` holds simulated devices, each by the unit for
+        which it answers. `transport` is that of the requests. `with_damage` plays damaged responses
+        too. Raises ValueError if the rate is not above 0, or if it is None although `match` needs a
+        clock.
         """
         if rate is None and match.by_clock:
             raise ValueError(f"{match} goes by the clock, which needs a rate")
@@ -119,14 +121,14 @@ class RecordedSlave:
         self._steps = 0
         """How many more answers may be played while the player stands still."""
         self._time_ns = recording.begin_ns
-        """The player's time, as a time in the recording."""
+        """The player's time: the time in the recording from which values are taken, in ns."""
         self._lap = 0
         self._written: dict[tuple[int, Table, int], tuple[int, int]] = {}
         """By unit, table and address, the value that a master wrote and the player's time then."""
         self.asked = 0
-        """How many requests there were."""
+        """How many requests the master sent."""
         self.missed = 0
-        """How many of them the recording has no answer for."""
+        """How many of the master's requests the recording has no answer for."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._steering.begin(now_ns)
@@ -148,11 +150,11 @@ class RecordedSlave:
         return self._make_up(unit, pdu, found, now_ns)
 
     def control(self, control: Control, now_ns: int) -> None:
-        """Apply a user's control."""
+        """Do what a key of the user asks for."""
         self._steering.apply(control, now_ns)
 
     def progress(self, now_ns: int) -> Progress:
-        """The player's state."""
+        """The player's state, for the line that shows it to the user."""
         position_ns = self._time_ns - self._recording.begin_ns
         if self._match.by_clock:
             position_ns = self._clock.position(now_ns)
@@ -162,7 +164,7 @@ class RecordedSlave:
         return self._steering.progress(position_ns, done)
 
     def _moment(self, now_ns: int) -> Moment:
-        """Update the player's time in the recording."""
+        """Update the player's time in the recording, and return it with the player's state."""
         if not self._match.by_clock:
             is_paused = self._steering.is_paused and not self._steps
             self._steps = max(self._steps - 1, 0)
@@ -176,7 +178,7 @@ class RecordedSlave:
         return Moment(self._time_ns, is_over=self._clock.is_over(now_ns))
 
     def _step(self, now_ns: int) -> None:
-        """Go on to the next recorded request, or allow one more answer."""
+        """Jump to the next recorded request or, if no clock is used, allow one more answer."""
         if not self._match.by_clock:
             self._steps += 1
             return
@@ -216,7 +218,7 @@ class RecordedSlave:
         return 0 if self._clock.rate is None else round(latency_ns / self._clock.rate)
 
     def _make_up(self, unit: int, pdu: bytes, found: NoAnswer, now_ns: int) -> Response | None:
-        """The answer to a request that has no recorded one."""
+        """Make the response to a request that has no recorded answer; None for silence."""
         request = parse_pdu(pdu, Direction.REQUEST)
         access = register_access(request)
         if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mbtool.modbus import Transaction
 
 Key = tuple[int, bytes]
-"""Unit and request PDU."""
+"""The unit and the PDU of a request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +45,14 @@ class RecordedAnswer:
     """The recorded response to one request, or its silence."""
 
     pdu: bytes | None
-    """None if there was no response."""
+    """The PDU of the response; None if there was no intact response."""
     at_ns: int
     """When the response was complete on the wire; for silence, when the request was."""
     latency_ns: int
     asked_ns: int = 0
     """When the request was complete on the wire."""
     damaged: DamagedAnswer | None = None
-    """The damaged response, if the silence was one."""
+    """The damaged response, if one was captured in place of an intact one; else None."""
 
 
 _ALL = TimeRange()
@@ -72,7 +72,7 @@ class Recording:
         self.begin_ns = 0
         """The time of the first request, or of the beginning of the time range."""
         self.length_ns = 0
-        """From there to the last answer, or to the end of the time range."""
+        """The time in ns from `begin_ns` to the last answer, or to the end of the time range."""
 
     @classmethod
     def of(
@@ -83,7 +83,8 @@ class Recording:
     ) -> Self:
         """Build a recording; the transactions may come in any order.
 
-        `events` of the same links have the bytes of damaged responses.
+        Only requests inside the time range `part` get answers. `events` are those of the same
+        links: the bytes of damaged responses are taken from them.
         """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
@@ -108,12 +109,18 @@ class Recording:
         return self._values.get((unit, table), _NOTHING)
 
     def latency_ns(self, unit: int, function: int) -> int:
-        """The median latency of a unit for a function, else of the unit, else 0."""
+        """The median latency in ns with which a unit responded to a function.
+
+        If it never did, the median of all responses of the unit; if there are none, 0.
+        """
         of_unit = self._medians.get((unit, None), 0)
         return self._medians.get((unit, function), of_unit)
 
     def latencies(self, unit: int, function: int) -> Sequence[int]:
-        """All latencies of a unit for a function, else of the unit."""
+        """All latencies in ns with which a unit responded to a function.
+
+        If it never did, those of all responses of the unit.
+        """
         seen = self._latencies.get((unit, function)) or self._latencies.get((unit, None))
         return seen or ()
 
@@ -125,7 +132,7 @@ class Recording:
     def _add_answer(
         self, transaction: Transaction, damaged: DamagedAnswer | None, keys: dict[Key, Key]
     ) -> None:
-        """Add an answer; `keys` are the known keys, so that equal requests share one object."""
+        """Add the answer of a transaction; `keys` gives equal requests one common Key object."""
         request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
             return
@@ -141,7 +148,10 @@ class Recording:
         self.order.append((key, answer))
 
     def _add_latencies(self, asked: Iterable[Transaction]) -> None:
-        """By unit and function, and by unit and None for all functions of the unit."""
+        """Collect the latencies by unit and function.
+
+        Those of all functions of a unit are collected under the unit and None.
+        """
         for one in asked:
             if one.latency_ns is not None:
                 for function in (one.function, None):

@@ -31,23 +31,24 @@ class Step:
     """One request of the recording."""
 
     number: int
-    """Its index in the script."""
+    """The index of this step in the script, from 0."""
     position_ns: int
-    """When its last byte was sent, counted from the first request."""
+    """When the last byte of the request was sent, in ns from the first request of the recording."""
     unit: int
     pdu: bytes
     expected: bytes | None
     """The PDU of the recorded response; None if there was none."""
     latency_ns: int | None
-    """The recorded latency."""
+    """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool
     reference: str
-    """Its addresses in the notation of the device."""
+    """The addresses that the request names, in the notation of the device."""
     function_name: str
     device: str | None
-    """The name of the profile, if there is one."""
+    """The name of the device's profile; None if it has none."""
     open_before: tuple[int, ...] = ()
-    """Numbers of earlier steps that were still open; all other answered steps must be over."""
+    """Numbers of the earlier steps that still waited for their responses when this request was
+    recorded. All other earlier steps that were answered must be over before this one is sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class Script:
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
         pdus: dict[bytes, bytes] = {}
-        """Equal PDUs share one object."""
+        """One object for all PDUs that are equal, which saves memory."""
         open_until: dict[int, int] = {}
         """The numbers of open steps, and when their responses came."""
         for number, (request_ns, pdu, one) in enumerate(asked):
@@ -97,7 +98,7 @@ class Script:
 
     @property
     def length_ns(self) -> int:
-        """From the first request to the last."""
+        """The time in ns from the first request to the last."""
         return self.steps[-1].position_ns if self.steps else 0
 
     @property

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
 MIN_VALUES = 8
 MEDIUM = 0.14
-"""Distance of `exceeds` from 0.5 from which a shift is of medium size."""
+"""A shift is at least of medium size if `exceeds` is so far or farther from 0.5."""
 
 _ROUNDING = 1e-9
-"""Tables whose log probabilities differ by less count as equally likely."""
+"""In Fisher's test, tables whose log probabilities differ by less than this count as equally
+likely."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,8 @@ class Shift:
     """The result of a rank test of samples a and b."""
 
     p: float
-    """The probability of such a difference if both have the same distribution."""
+    """The probability of a difference that is at least as great, if both samples come from the same
+    distribution."""
     exceeds: float
     """The probability that a value of b exceeds one of a; equal values count half."""
 
@@ -67,7 +69,11 @@ def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
 
 
 def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
-    """The probability of shares as different as k of n and other_k of other_n if they are equal."""
+    """Return the probability of shares that differ at least as much as the two given ones.
+
+    The shares are k of n and other_k of other_n. The probability is that under the assumption that
+    the true shares are equal.
+    """
     hits, lowest = k + other_k, max(0, k + other_k - other_n)
     logs = [_log_chance(each, n, hits, n + other_n) for each in range(lowest, min(hits, n) + 1)]
     here = logs[k - lowest] + _ROUNDING

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 class Control(StrEnum):
-    """The function of a key."""
+    """What a key of the user does to a player."""
 
     PAUSE = "pause"
-    """Stand still, or go on if it does already."""
+    """Pause the player, or let a paused one go on."""
     STEP = "step"
     """Play one more item, then stand still."""
     FASTER = "faster"
@@ -35,7 +35,7 @@ class Progress:
     """Recorded time from the beginning of the part that is played."""
     length_ns: int
     lap: int
-    """How often the end was passed, from 0."""
+    """How often the end of the recording was passed, from 0."""
     rate: Fraction | None
     """Recorded time per real time; None: as fast as possible."""
     is_paused: bool
@@ -59,14 +59,17 @@ class Steering:
     """Applies controls to the clock of a player."""
 
     def __init__(self, clock: PlayClock, on_step: Callable[[int], None]) -> None:
-        """`on_step` is called with the time of a step, when the clock stands still."""
+        """`on_step` is called for each step that the user asks for, with the time in ns.
+
+        The clock stands still by then.
+        """
         self._clock = clock
         self._on_step = on_step
         self.is_paused = False
         self.has_begun = False
 
     def begin(self, now_ns: int) -> None:
-        """Start the clock at the first call, unless it is paused."""
+        """Start the clock at the first call, unless the user has paused it."""
         if not self.has_begun:
             self.has_begun = True
             if not self.is_paused:

@@ -20,10 +20,14 @@ class Timeline:
 
     def __init__(self) -> None:
         self._history: dict[int, tuple[list[int], list[int]]] = {}
-        """By address: the times of changes, and the value from each of them on."""
+        """For each address, the times at which its value changed, and the value from each time
+        on."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
-        """Add values from `address` on that were read or written, not before the last noted."""
+        """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`.
+
+        `at_ns` must not be before that of an earlier call.
+        """
         for each, value in enumerate(values, start=address):
             times, known = self._history.setdefault(each, ([], []))
             if not known or known[-1] != value:
@@ -31,7 +35,7 @@ class Timeline:
                 known.append(value)
 
     def at(self, address: int, at_ns: int) -> tuple[int, int] | None:
-        """The value at a time, and since when it is so; None for an address never seen."""
+        """The value of an address at a time, and since when it has it; None if never seen."""
         history = self._history.get(address)
         if history is None:
             return None

@@ -51,7 +51,7 @@ class SlaveKey(NamedTuple):
 
 
 class RequestKey(NamedTuple):
-    """A request without its values; -1 if a function has no such field."""
+    """What requests with different values have in common; -1 if a function has no such field."""
 
     function: int
     sub_function: int
@@ -81,9 +81,9 @@ class Sample:
     def __init__(self) -> None:
         self.values = array("q")
         self._stride = 1
-        """Every how many-th value is kept."""
+        """One of so many values is kept: 1 keeps each value, 2 every second one."""
         self._skip = 1
-        """How many more values come until one is kept, that one included: 1 keeps the next."""
+        """The count of calls of `add` until a value is kept: 1 if the next call keeps its value."""
 
     def add(self, value: int) -> None:
         self._skip -= 1
@@ -102,12 +102,12 @@ class RequestTraffic:
 
     function_name: str
     reference: str
-    """The addresses in the notation of the device."""
+    """The addresses that the request names, in the notation of the device."""
     count: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     """How often: `ok`, `exception 02`, `no answer`, `malformed`, `broadcast`, `unsolicited`."""
     latencies: Sample = field(default_factory=Sample)
-    """Of responses and exception responses, in ns."""
+    """The latencies of responses and exception responses, in ns."""
 
 
 @dataclass(slots=True)
@@ -117,7 +117,8 @@ class ObservedValues:
     values: dict[int, None] = field(default_factory=dict)
     """The values in the order in which they were first seen, as keys."""
     is_all: bool = True
-    """False if there were more than MAX_VALUES."""
+    """False if there were more than MAX_VALUES different values, so that some are not in
+    `values`."""
     least: int = 0xFFFF
     greatest: int = 0
 
@@ -137,11 +138,11 @@ class SlaveTraffic:
     def __init__(self) -> None:
         self.count = 0
         self.device: str | None = None
-        """The name of its profile, if it has one."""
+        """The name of the device's profile; None if it has none."""
         self.requests: dict[RequestKey, RequestTraffic] = {}
         self.registers: dict[ValueKey, ObservedValues] = {}
         self.is_complete = True
-        """False if a limit left something out."""
+        """False if requests or registers beyond a limit were left out."""
 
     def add(self, transaction: NamedTransaction) -> None:
         self.count += 1
@@ -223,11 +224,15 @@ class Traffic:
 
     @property
     def is_complete(self) -> bool:
-        """False if a limit left something out."""
+        """False if slaves, requests or registers beyond a limit were left out."""
         return self._has_all_slaves and all(slave.is_complete for slave in self._slaves.values())
 
     def slaves(self, unique: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
-        """The slaves; those with a `unique` unit by their unit alone, the others by link too."""
+        """Return the slaves by their keys.
+
+        A unit of `unique` is identified by its number alone, any other one by its number and its
+        link.
+        """
         return {
             SlaveKey(unit, None if unit in unique else link): slave
             for (link, unit), slave in self._slaves.items()

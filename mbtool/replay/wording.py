@@ -24,7 +24,7 @@ class DeviceWording:
 
     @classmethod
     def of_device(cls, device: str | None, profiles: Mapping[str, Profile]) -> Self:
-        """The wording of the profile with this name; the standard's if there is none."""
+        """The wording of the profile called `device`; without one, that of the Modbus standard."""
         return cls(profiles.get(device) if device is not None else None)
 
     def __init__(self, profile: Profile | None) -> None:
@@ -39,7 +39,11 @@ class DeviceWording:
         return write_reference(self._profile, table, address, quantity)
 
     def of(self, key: ValueKey) -> tuple[str | None, PointInstance | None]:
-        """The name of a register; and its point, to format values, if it is one register long."""
+        """Return the name of a register and its point, which formats its values.
+
+        Both are None if the profile has no such register. The point is None if its values take
+        several registers.
+        """
         point = self._points.get((key.table, key.address))
         if point is None:
             return None, None
@@ -54,7 +58,7 @@ def function_text(function: int, name: str, sub_function: int = -1) -> str:
 
 
 def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
-    """A few values in the device's words, or the range of many."""
+    """The values in the device's words; if there are more than SHOWN_VALUES, only their range."""
     count = len(observed.values)
     if count > SHOWN_VALUES or not observed.is_all:
         more = "" if observed.is_all else "more than "
@@ -65,7 +69,7 @@ def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
 
 
 def latency_side(sample: Sample) -> Side:
-    """The median and the 95th percentile of at least one latency."""
+    """The median and the 95th percentile of a sample of latencies, which must not be empty."""
     ordered = sorted(sample.values)
     median, p95 = median_low(ordered), ordered[min(len(ordered) - 1, len(ordered) * 95 // 100)]
     return Side(

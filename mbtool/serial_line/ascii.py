@@ -6,8 +6,9 @@
 # of the capture follows. A second of silence ends an incomplete frame (Serial Line V1.02, 2.5.2.1),
 # and so does a clock that was set back. The silences t1.5 and t3.5 have no meaning here.
 #
-# The delimiter is LF until function 08, sub-function 3 changes it (V1.1b3, 6.8.1). The change takes
-# effect when the slave has responded, or when a frame ends with the requested delimiter.
+# The delimiter, the last character of a frame, is LF until function 08, sub-function 3 changes it
+# (V1.1b3, 6.8.1). The change takes effect when the slave has responded, or when a frame ends with
+# the requested delimiter.
 #
 # If the port has 8 data bits, bit 7 may be a parity bit. So it is ignored in colon, CR and LF.
 #
@@ -54,7 +55,7 @@ class AsciiSplitter:
         speaker: Direction | None = None,
         timed: bool = True,
     ) -> None:
-        """`speaker` is set if only one side is heard: the direction of all frames.
+        """`speaker` is the direction of all frames if only one side is heard; None if both are.
 
         `timed` is False if the times are not known; then no silence ends a frame.
         """
@@ -72,7 +73,7 @@ class AsciiSplitter:
         self._first_ns = 0
         self._last_ns = 0
         self._read_ns = 0
-        """When the first character of this read ended."""
+        """When the first character of the read that is being taken ended, in ns."""
         self._least_ns = 0
         self._given_ns: int | None = None
         """When the last frame given out ended; None at the start."""
@@ -84,7 +85,10 @@ class AsciiSplitter:
         return not self._frame
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
-        """Take the characters of one read; `ts_ns` is the time of the last one."""
+        """Take the characters of one read; return the frames and skipped characters they complete.
+
+        `ts_ns` is when the last of the characters ended.
+        """
         events: list[Adu | Skipped] = []
         if not data:
             return events
@@ -104,7 +108,10 @@ class AsciiSplitter:
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
-        """Take the information that the line was silent from the last character until now."""
+        """Take the information that the line was silent from the last character until `now_ns`.
+
+        If that is more than 1 s, return the incomplete frame and the skipped characters held.
+        """
         events: list[Adu | Skipped] = []
         if self._timed and now_ns - self._last_ns > CHARACTER_TIMEOUT_NS:
             self._end(events, "a frame that ends in more than 1 s of silence")
@@ -113,7 +120,7 @@ class AsciiSplitter:
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the capture: give out all that is held."""
+        """End the capture: return the incomplete frame and the skipped characters held."""
         events: list[Adu | Skipped] = []
         self._end(events, "a frame that never ends")
         self._noise.end(events)
@@ -121,7 +128,10 @@ class AsciiSplitter:
         return events
 
     def _time(self, offset: int) -> int:
-        """When a character of this read ended; at the earliest, the end of the read before."""
+        """When the character at an offset of the read that is being taken ended, in ns.
+
+        That is at the earliest when the last character of the previous read ended.
+        """
         return max(self._read_ns + offset * self._character_ns, self._least_ns)
 
     def _take_outside(
@@ -181,14 +191,17 @@ class AsciiSplitter:
         self._last_ns = self._time(end - 1)
 
     def _is_whole(self, delimiter: int | None) -> bool:
-        """True if the frame ends with this character, the one after its first CR."""
+        """True if `delimiter`, the character after the frame's first CR, ends the frame."""
         if delimiter == self._delimiter:
             return True
         frame = read_frame(bytes(self._frame), eight_bits=self._eight_bits)
         return frame is not None and frame.checksum.ok
 
     def _end(self, events: list[Adu | Skipped], cut: str | None = None) -> None:
-        """Give out the frame, or skip it and tell why. `cut` is the reason if it has no end."""
+        """Append the characters of the frame to `events`: as an `Adu`, or as `Skipped`.
+
+        `cut` is the reason for skipping a frame that was cut off; None if the frame has its end.
+        """
         if not self._frame:
             return
         raw = bytes(self._frame)
@@ -247,7 +260,10 @@ class AsciiSplitter:
         return classification
 
     def _verdicts(self, frame: AsciiFrame, classification: Classification) -> tuple[Verdict, ...]:
-        """The verdicts on a frame. Its end may change the line's delimiter."""
+        """The verdicts on a frame.
+
+        If the frame ends with the requested delimiter, that becomes the line's delimiter.
+        """
         if frame.end == bytes((CR, self._asked_delimiter)):
             self._delimiter = self._asked_delimiter
         verdicts = []
@@ -268,6 +284,6 @@ class AsciiSplitter:
         return tuple(verdicts)
 
     def _is_glued(self) -> bool:
-        """True if the frame begins where the one before it ended."""
+        """True if the frame begins at the time at which the frame before it ended, or earlier."""
         start_ns = self._first_ns - self._character_ns
         return self._timed and self._given_ns is not None and start_ns <= self._given_ns

@@ -1,8 +1,8 @@
 """Bit repair: finds the one wrong bit of a damaged RTU frame, so that its meaning is known."""
 
 # A CRC is linear: after one wrong bit, its remainder depends only on that bit's place in the frame.
-# A frame of 20 bytes has 160 places and there are 65,536 remainders. So one in 400 of the frames
-# that are damaged otherwise looks by chance as if it had a single wrong bit.
+# A frame of 20 bytes has 160 places and there are 65,536 remainders. So of 400 frames with other
+# damage, one looks by chance as if it had a single wrong bit.
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mbtool.modbus.adu_bytes import crc, crc_on
 
 
 def repaired(frame: bytes) -> bytes | None:
-    """A frame with one bit changed so that its CRC is correct; None if no single bit does that.
+    """The frame with one bit changed so that its CRC is correct; None if no single bit does that.
 
-    Takes at most 256 bytes, whose CRC is wrong.
+    `frame` has at most 256 bytes, and its CRC is wrong.
     """
     place = _wrong_bits().get(crc(frame))
     if place is None or place // 8 >= len(frame):
@@ -26,7 +26,10 @@ def repaired(frame: bytes) -> bytes | None:
 
 @cache
 def _wrong_bits() -> dict[int, int]:
-    """By the CRC's remainder, where the wrong bit is: 8 times the bytes after it, plus the bit."""
+    """For each remainder of the CRC that one wrong bit can leave, the place of that bit.
+
+    The place is 8 times the number of bytes after the wrong byte, plus the bit's number (0 to 7).
+    """
     places = {}
     for behind in range(MAX_RTU_ADU):
         for bit in range(8):

@@ -1,12 +1,13 @@
 """Tells requests from responses on a bus where nothing says who speaks; follows the bus state."""
 
-# One tap on a two-wire line hears the master and the slaves alike. What a frame is follows from its
-# form and from the bus state (bus_state.py): frame_costs.py compares the two directions in bits.
+# One tap on a two-wire line hears the master and the slaves alike. Whether a frame is a request or
+# a response follows from its form and from the bus state (bus_state.py): frame_costs.py gives the
+# cost of each in bits, and the cheaper one wins.
 #
 # An adapter may merge several frames, so that all the silences between them appear as one silence
 # before the first. That silence does not tell which response was missing. But if it is longer than
-# usual on this line, some response was: an explanation without a missing response costs more
-# (`silence_cost`).
+# usual on this line, some response was missing: an explanation in which all responses came costs
+# more (`silence_cost`).
 #
 # The search for frames (search.py) asks for the next state of each of its paths. `BusModel` keeps
 # the states that are possible after the frames given out: several, at most MAX_STATES, after an
@@ -81,7 +82,8 @@ class BusModel:
     ) -> Classification:
         """Tell the direction of a whole frame whose first byte began at `at_ns`.
 
-        `roles` are the directions whose form it has, where the caller knows them already.
+        `roles` are the directions that the frame can have by its length; if they are left out, they
+        are computed here.
         """
         roles = roles or roles_of(pdu)
         if len(roles) == 1:
@@ -106,7 +108,7 @@ class BusModel:
         return by_state + by_time
 
     def _least_cost(self, unit: int, pdu: bytes, role: Direction, at_ns: int) -> CostParts:
-        """The cost in the possible bus state where it is least."""
+        """The cost of a frame as `role`, in whichever possible bus state that is the cheapest."""
         least = math.inf, 0.0
         for bits, state in self.states:
             by_state, by_time = frame_cost(self.history, state, unit, pdu, role, at_ns)
@@ -115,7 +117,11 @@ class BusModel:
         return least
 
     def expects(self, state: BusState, unit: int, code: int, size: int, role: Direction) -> bool:
-        """True if a frame with this unit, function and PDU size (0: unknown) is due."""
+        """True if a frame with this unit, function and PDU size (0: unknown) is due.
+
+        A response is due if it can answer the pending request. A request is due if none is pending
+        and this function was requested of this unit before.
+        """
         if role is Direction.RESPONSE:
             pending = state.pending
             if pending is None or not pending.is_named_by(unit, code):
@@ -124,9 +130,10 @@ class BusModel:
         return state.pending is None and (unit, code) in self.history.functions
 
     def expects_incomplete(self, head: bytes, sizes: Mapping[Direction, int]) -> bool:
-        """True if bytes can be the incomplete beginning of the frame that is due.
+        """True if `head` can be the incomplete beginning of the frame that is due.
 
-        `sizes` gives the frame's size in each direction, where its bytes tell it already.
+        `sizes` gives the size of the whole frame, in bytes, as a request and as a response, if
+        `head` tells it already.
         """
         if len(self.states) > 1:
             return False
@@ -142,7 +149,7 @@ class BusModel:
         return self.expects(state, head[0], head[1], size and size - RTU_EXTRA_BYTES, role)
 
     def silence_cost(self, state: BusState, *, is_last: bool = False) -> float:
-        """The cost of supposing that no response was missing in the last silence.
+        """The cost, in bits, of supposing that no response was missing in the last silence.
 
         `is_last` is True if no frame after that silence is known yet.
         """
@@ -165,9 +172,9 @@ class BusModel:
         end_ns: int,
         inside_ns: int = 0,
     ) -> None:
-        """Take a frame that was given out: learn from it and compute the states after it.
+        """Take a frame that was given out: learn from it and compute the bus states after it.
 
-        `inside_ns` is the longest silence in it.
+        `inside_ns` is the longest silence inside the frame; 0 if its bytes follow one another.
         """
         role, state, history = classification.direction, self.state, self.history
         is_sure = classification.confidence >= SURE
@@ -201,7 +208,7 @@ class BusModel:
         inside_ns: int,
         by_form: bool,
     ) -> list[CostedState]:
-        """The possible bus states after a frame that is a request, or a response."""
+        """The possible bus states after a frame of direction `role`."""
         after = [
             (
                 bits + self.cost(state, unit, pdu, role, start_ns),
@@ -213,17 +220,18 @@ class BusModel:
         return [(bits - least, state) for bits, state in after]
 
     def reset_state(self) -> None:
-        """Forget the bus state: the clock was set back."""
+        """Forget the bus state: the clock was set back, so its times mean nothing any more."""
         self.states = [(0.0, BusState())]
 
     def hear_damage(self) -> None:
-        """Take bytes that could not be read."""
+        """Compute the possible bus states after bytes that could not be read."""
         self.states = most_likely((bits, state.after_damage()) for bits, state in self.states)
 
     def hear_damaged_frame(self, frame: bytes, role: Direction, start_ns: int, end_ns: int) -> None:
-        """Take a damaged frame, given as it was sent. Nothing is learned from it.
+        """Compute the possible bus states after a damaged frame. Nothing is learned from it.
 
-        Its addressee may have received the damage too, and ignored the frame.
+        `frame` is what was sent, with the damage repaired. The addressee may have received the
+        damage too, and ignored the frame.
         """
         after = self._states_after(frame[0], frame[1:-2], role, start_ns, end_ns, 0, False)
         ignored = [
@@ -242,7 +250,10 @@ class BusModel:
         inside_ns: int = 0,
         by_form: bool = False,
     ) -> BusState:
-        """The bus state after a frame. `by_form`: its form allows one direction only."""
+        """The bus state after a frame that was heard in `state`.
+
+        `by_form` is True if by its form the frame can only have the direction `role`.
+        """
         silence_ns = self._unexplained_silence_ns(state, role, start_ns, inside_ns)
         pending, overdue, answered = state.pending, state.overdue, None
         if role is Direction.REQUEST:
@@ -262,7 +273,10 @@ class BusModel:
     def _unexplained_silence_ns(
         self, state: BusState, role: Direction, start_ns: int, inside_ns: int
     ) -> int:
-        """The length of the last silence after a frame, or 0 if a missing response explains it."""
+        """The length, in ns, of the last silence up to the end of a frame.
+
+        It is 0 if the silence was the wait for a response that never came.
+        """
         if self.history.trusts_silences or not self.history.timed:
             return 0
         if inside_ns:
@@ -273,6 +287,9 @@ class BusModel:
 
 
 def roles_of(pdu: bytes) -> tuple[Direction, ...]:
-    """The directions whose form a whole PDU has; both for an unknown function."""
+    """The directions in which the PDU's function allows its length; both if none does.
+
+    None does for an unknown function.
+    """
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES

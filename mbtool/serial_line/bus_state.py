@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 DOUBT_BITS = 6.0
-"""Bits. An alternative that costs so much more than the best one (1 in 65) raises no doubt."""
+"""An explanation that costs so many bits more than the best one (which makes it true once in 65
+times) raises no doubt about the best one."""
 MAX_PENDING_NS = 1_000_000_000
 """How long a request is pending. After that the master may send again.
 
@@ -35,9 +36,10 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
     pdu: bytes
     expected: ExpectedResponse
     awaited_from_ns: int
-    """The end of its last byte, or of its retry."""
+    """When the wait for the response began, in ns: at the end of this request, or, if it is
+    overdue, at the end of the request sent after it."""
     silence_before_ns: int | None
-    """The silence before it; None for the first frame of a capture."""
+    """The silence before this request, in ns; None for the first frame of a capture."""
 
     def is_same(self, unit: int, pdu: bytes) -> bool:
         """True if a frame's unit and PDU equal this request's."""
@@ -53,11 +55,12 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
 
 
 class BusState(msgspec.Struct, frozen=True, gc=False):
-    """What decides who may speak next."""
+    """What the frames heard so far tell about who may speak next: the master or which slave."""
 
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None
-    """A request that the master gave up, or whose response was damaged. It may come late."""
+    """A request that the master gave up, or whose response was damaged. Its response may come
+    late."""
     answered: PendingRequest | None = None
     """The request that the last frame answered."""
     last_response: bytes = b""
@@ -67,13 +70,13 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     direction_known: bool = False
     """True if some frame before could only be a request, or only a response, by its form."""
     last_ns: int | None = None
-    """The end of the last frame; None at the start of a capture."""
+    """When the last frame ended, in ns; None at the start of a capture."""
     unexplained_silence_ns: int = 0
-    """Length of the last silence that no missing response explains. Used only when the adapter
-    merges frames: the true position of the silence among them is then unknown."""
+    """The length, in ns, of the last silence that was not the wait for a missing response. Used
+    only when the adapter merges frames: then it is unknown between which frames the silence was."""
 
     def pending_at(self, at_ns: int) -> PendingRequest | None:
-        """The pending request, if its time is not over."""
+        """The pending request; None if there is none, or if MAX_PENDING_NS have passed."""
         pending = self.pending
         if pending is None or at_ns - pending.awaited_from_ns > MAX_PENDING_NS:
             return None
@@ -92,10 +95,11 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
         return (pending.unit, expected.code, expected.size) == (unit, code, size)
 
     def settles_silence(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
-        """True if a new silence takes the place of the last unexplained one at this frame.
+        """True if a frame brings a new silence, which replaces `unexplained_silence_ns`.
 
-        `inside_ns` is the longest silence in the frame. A request with no response before it does
-        not count, since that missing response explains the silence.
+        The new silence is the one before the frame, or the longest one inside it (`inside_ns`).
+        False for a request that follows an unanswered request: there the missing response explains
+        the silence.
         """
         if not self.unexplained_silence_ns or (role is Direction.REQUEST and self.answered is None):
             return False
@@ -114,7 +118,7 @@ CostedState = tuple[float, BusState]
 
 
 def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
-    """At most MAX_STATES different states below DOUBT_BITS, the cheapest first."""
+    """The states that cost less than DOUBT_BITS, each once: at most MAX_STATES, cheapest first."""
     kept: list[CostedState] = []
     for bits, state in sorted(states, key=lambda one: one[0]):
         if bits < DOUBT_BITS and len(kept) < MAX_STATES and all(state != one for _, one in kept):
@@ -128,9 +132,10 @@ def confidence_of(bits: float) -> float:
 
 
 NO_RIVAL_CONFIDENCE = confidence_of(DOUBT_BITS)
-"""From this confidence on no other bus state is kept."""
+"""If the direction of a frame has at least this confidence (0.5 to 1), the bus state that would
+follow from the other direction is not kept."""
 
 
 def bits_of(confidence: float) -> float:
-    """The difference in cost that gives a confidence: the inverse of `confidence_of`."""
+    """The difference in cost, in bits, that gives a confidence: the inverse of `confidence_of`."""
     return math.log2(confidence / (1 - confidence)) if confidence < 1 else math.inf

@@ -1,9 +1,10 @@
-"""The candidates: which segments may begin at each byte of an RTU window, and what they cost."""
+"""Finds what may begin at each byte of an RTU window: whole, damaged and incomplete frames."""
 
-# Candidates are: frames of a known form with a correct CRC; frames of unknown form, whose end only
-# the CRC or the silences tell; damaged frames; an incomplete frame at the end of the window. What
-# does not depend on the bus state is computed once for each offset. The work for one offset is
-# bounded by the 256 bytes that a frame can have.
+# Each of these is a candidate with a cost in bits (costs.py). Candidates are: frames of a known
+# form with a correct CRC; frames of unknown form, whose end only the CRC or the silences tell;
+# damaged frames; an incomplete frame at the end of the window. Candidates whose cost does not
+# depend on the bus state are computed once for each offset. The work for one offset is bounded by
+# the 256 bytes that a frame can have.
 
 from __future__ import annotations
 
@@ -31,14 +32,15 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_statistics import LineStatistics
 
 MAX_UNKNOWN_ENDS = 3
-"""The most ends tried for a frame of an unknown function."""
+"""A frame of an unknown function may end where its CRC is correct. At most so many such places are
+tried."""
 LOST_BYTES = (1, 2)
 """The numbers of lost bytes that are tried for a damaged frame."""
 LONG_SKIP = 4
-"""From this many skipped bytes on, a damaged frame may be among them, of either direction."""
+"""So many skipped bytes in a row, or more, may contain a damaged request or response."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
-"""What receivers hear when the bus changes direction: one low period, read as a byte."""
+"""The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
 (V1.1b3, 6.8.1)."""
@@ -46,23 +48,24 @@ _QUERY_DATA = b"\x08\x00\x00"
 
 @dataclass(frozen=True, slots=True)
 class ByteWindow:
-    """Bytes of a line with their times."""
+    """The bytes of a line that one search explains, with their times."""
 
     data: bytes
     times: list[int]
     """When each byte ended, in ns."""
     character_ns: int
     silences: list[bool]
-    """True for each byte after a silence of t3.5, and for a silence after the last byte."""
+    """For each byte, True if a silence of t3.5 precedes it. One more value at the end is True if a
+    silence follows the last byte."""
     is_behind_noise: bool
-    """True if the bytes given out last belong to no frame."""
+    """True if the bytes directly before the window belong to no frame."""
     may_continue: bool
     """True if an incomplete frame at the end may still be completed."""
     must_decide: bool = False
-    """True if what precedes an incomplete frame is given out without waiting for its end."""
+    """True if the bytes before an incomplete frame are decided now, without waiting for its end."""
 
     def start_ns(self, offset: int) -> int:
-        """When a byte began."""
+        """When the byte at an offset began, in ns."""
         return self.times[offset] - self.character_ns
 
 
@@ -72,20 +75,20 @@ class FrameCandidate(msgspec.Struct, gc=False):
     size: int
     role: Direction
     roles: tuple[Direction, ...]
-    """The directions whose form it has."""
+    """The directions that the frame can have by its size."""
     cost: float
     is_unbound: bool = False
-    """True if only its CRC tells where it ends."""
+    """True if only the frame's CRC tells where the frame ends."""
 
 
 class DamagedCandidate(msgspec.Struct, gc=False):
-    """A frame that is possibly damaged."""
+    """Bytes that are possibly a damaged frame."""
 
     size: int
     cost: float
     role: Direction = Direction.UNKNOWN
     repaired: bytes = b""
-    """The frame as it was sent, if one wrong bit explains the damage."""
+    """The frame as it was sent, if one wrong bit explains the damage; empty otherwise."""
 
 
 class _RangeCount:
@@ -108,7 +111,7 @@ class _RangeCount:
 
 
 class Candidates:
-    """The candidate segments of one window."""
+    """The whole, damaged and incomplete frames that may begin at each byte of one window."""
 
     def __init__(
         self,
@@ -126,7 +129,8 @@ class Candidates:
         self._frames: dict[int, list[FrameCandidate]] = {}
         """The frames at each offset examined so far."""
         self._stateless: dict[int, list[DamagedCandidate]] = {}
-        """The same for damaged frames whose cost is the same in every bus state."""
+        """Damaged frames at each offset examined so far whose cost is the same in every bus
+        state."""
         self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
         self._silences = [0] * (self._end + 2)
@@ -135,7 +139,7 @@ class Candidates:
             self._silences[offset + 1] = self._silences[offset] + window.silences[offset]
 
     def split_cost(self, offset: int, size: int) -> float:
-        """The cost of the silences inside a segment."""
+        """The cost, in bits, of the silences of t3.5 between the bytes of a segment."""
         silences = self._silences[offset + size] - self._silences[offset + 1]
         if not silences:
             return 0.0
@@ -153,10 +157,11 @@ class Candidates:
         return self.split_cost(offset, size) + self._enclosed_cost(offset, size, known=known)
 
     def _enclosed_cost(self, offset: int, size: int, *, known: bool) -> float:
-        """The cost of the frames that begin inside a segment.
+        """The cost, in bits, of the frames that begin inside a segment.
 
-        Registers may by chance contain a frame, but not one after a silence. Where only the length
-        speaks for the segment (`known` is False), they may contain one frame and no more.
+        The registers of a frame may by chance look like another frame, which costs nothing. But
+        each frame inside that begins after a silence costs. If `known` is False, only its length
+        shows that the segment is a frame; then all frames inside cost, except one.
         """
         first, last = offset + 1, offset + size - MIN_FRAME + 1
         enclosed = self._frames_after_silence.count(first, last)
@@ -165,7 +170,10 @@ class Candidates:
         return costs.CRC_COINCIDENCE * enclosed
 
     def _begins_after_silence(self, offset: int) -> bool:
-        """True if a frame begins after a silence: of known form, or up to the next silence."""
+        """True if a silence precedes the byte at `offset` and a frame begins there.
+
+        The frame has a known form, or it has a correct CRC and extends to the next silence.
+        """
         if not self._window.silences[offset]:
             return False
         if self.frames(offset):
@@ -174,7 +182,7 @@ class Candidates:
         return burst >= MIN_FRAME and crc(self._data[offset : offset + burst]) == 0
 
     def frames(self, offset: int) -> list[FrameCandidate]:
-        """The frames of known form with a correct CRC."""
+        """The frames of known form with a correct CRC that begin at an offset."""
         frames = self._frames.get(offset)
         if frames is None:
             frames = self._frames[offset] = self._find_frames(offset)
@@ -196,7 +204,7 @@ class Candidates:
         return frames
 
     def unknown_frames(self, offset: int) -> Iterator[FrameCandidate]:
-        """The frames of unknown form with a correct CRC."""
+        """The frames of unknown form with a correct CRC that begin at an offset."""
         head = self._data[offset : offset + MAX_RTU_ADU]
         if len(head) >= MIN_FRAME:
             burst = self._burst_size(offset) if self._window.silences[offset] else 0
@@ -204,7 +212,10 @@ class Candidates:
             yield from self._ended_by_crc(offset, head, burst)
 
     def _whole_burst(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
-        """A frame that fills a burst of this size, 0 for none."""
+        """A frame with a correct CRC that is the whole burst, as a request and as a response.
+
+        `burst` is the number of bytes from one silence to the next; 0 if no silence precedes them.
+        """
         if burst < MIN_FRAME or crc(head[:burst]) != 0:
             return
         for role in self._roles:
@@ -215,7 +226,7 @@ class Candidates:
             yield FrameCandidate(burst, role, self._roles, cost)
 
     def _ended_by_crc(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
-        """Frames of a function without a known size that end before or after the burst does."""
+        """Frames of unknown size that end where the CRC is correct, but not at the burst's end."""
         is_query = head[1:4] == _QUERY_DATA
         roles = [
             role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
@@ -226,14 +237,14 @@ class Candidates:
             cost = self._enclosed_cost(offset, size, known=False)
             if not cost and self._all_frames.count(offset + 1, offset + size - MIN_FRAME + 1):
                 cost = costs.UNKNOWN_CRC_COINCIDENCE
-            is_burst = size < burst and not any(head[size:burst])  # It is, but for 00 at the end.
+            is_burst = size < burst and not any(head[size:burst])  # Only 00 follows in the burst.
             cost += costs.UNKNOWN_FORM_BURST if is_burst else costs.UNKNOWN_FORM
             cost += self._zero_end_cost(offset, size)
             for role in roles:
                 yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
 
     def _zero_end_cost(self, offset: int, size: int) -> float:
-        """The cost of the 00 at the end of a frame of unknown form."""
+        """The cost, in bits, of the bytes 00 at the end of a frame of unknown form."""
         raw = self._data[offset : offset + size]
         zeros = size - max(len(raw.rstrip(b"\x00")), MIN_FRAME)
         if not zeros:
@@ -250,7 +261,7 @@ class Candidates:
         return 0
 
     def damaged(self, offset: int, state: BusState) -> Iterator[DamagedCandidate]:
-        """The frames that are possibly damaged, where no frame with a correct CRC begins."""
+        """Damaged frames that may begin at an offset where no frame with a correct CRC begins."""
         head = self._data[offset : offset + MAX_RTU_ADU]
         if len(head) < MIN_FRAME:
             return
@@ -270,7 +281,10 @@ class Candidates:
     def _damaged_as(
         self, offset: int, head: bytes, size: int, role: Direction, state: BusState
     ) -> Iterator[DamagedCandidate]:
-        """Frames that had this size when they were sent; one that is due may have lost bytes."""
+        """The damaged frames of direction `role` that had `size` bytes when they were sent.
+
+        Only a frame that is due is also tried with one or two lost bytes.
+        """
         expected, cost = self._expectation(head, size, role, state)
         if not expected:
             cost += costs.UNEXPECTED_DAMAGED
@@ -283,9 +297,10 @@ class Candidates:
                 yield DamagedCandidate(size - lost, cost + more)
 
     def _damaged_burst(self, offset: int) -> Iterator[DamagedCandidate]:
-        """A burst that is one frame with damage in its first bytes.
+        """The whole burst as one frame, whose first bytes are damaged and so do not tell its size.
 
-        Only if frames are never glued on this line: then no frame is hidden in the burst.
+        This is tried only if frames are never glued on this line: then the burst is not several
+        frames.
         """
         burst = self._burst_size(offset) if self._window.silences[offset] else 0
         if (
@@ -309,7 +324,8 @@ class Candidates:
     def _repaired_other_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
         """Frames with one wrong bit in the function or byte count, so that their size looks wrong.
 
-        Only of functions that were requested of their unit: others would be found everywhere.
+        Only functions that were requested of the frame's unit are tried: with all functions, such
+        frames would be found everywhere.
         """
         history = self._model.history
         if not history.has_function(head[:1]):
@@ -333,9 +349,10 @@ class Candidates:
         return DamagedCandidate(size, cost + self.inside_cost(offset, size), role, whole)
 
     def damaged_request(self, offset: int) -> Iterator[DamagedCandidate]:
-        """A damaged request that was heard before, where a shorter frame has a correct CRC.
+        """A damaged request, heard before without damage, where a frame with a correct CRC begins.
 
-        If its CRC ends in 00 and just that byte is lost, the rest may be a whole response.
+        A request whose CRC ends in 00 has a correct CRC without that byte too. So if just that byte
+        is lost, the rest may look like a whole response.
         """
         head = self._data[offset : offset + MAX_RTU_ADU]
         size = frame_size(head, Direction.REQUEST) if Direction.REQUEST in self._roles else 0
@@ -360,7 +377,7 @@ class Candidates:
     def _expectation(
         self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """True if a frame with these first bytes is due, and the cost of its contents."""
+        """True if a frame that begins with `head` is due, and the cost of its contents in bits."""
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:
@@ -373,9 +390,10 @@ class Candidates:
         return self._model.expects(state, unit, head[1], pdu_size, role), 0.0
 
     def incomplete(self, offset: int, state: BusState) -> tuple[bool, float] | None:
-        """True if the rest of the window begins a frame that is due, and its cost as incomplete.
+        """Read the bytes from an offset to the window's end as the beginning of a frame.
 
-        None if the rest cannot be the beginning of a frame.
+        Returns True if that frame is due, else False, and the cost of the reading in bits. Returns
+        None if the bytes cannot be the beginning of a frame, or if no more bytes can follow.
         """
         rest = self._end - offset
         if not self._window.may_continue or rest >= MAX_RTU_ADU:

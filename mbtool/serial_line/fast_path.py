@@ -2,8 +2,9 @@
 
 # Most bytes of a working line are decided here. A frame is certain if its function tells its
 # length, its CRC is correct in one direction only (or the other direction is far less likely), and
-# the bus state expects it. A silence or one more byte has to follow it. Bytes are certain to be an
-# incomplete frame if a longer frame is due that begins so; then a search has to wait for the rest.
+# the bus state expects it. A silence or one more byte has to follow it. If the frame that is due is
+# longer than the bytes held and can begin with them, they are certainly an incomplete frame, and
+# the search waits for the rest.
 
 from __future__ import annotations
 
@@ -21,24 +22,30 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _REQUEST_CONFIDENCE = 0.98
-"""Without silences: the least confidence of a request that has the form of a response too. A wrong
-one would reverse all directions after it."""
+"""On a line whose silences tell nothing, a frame that could be a request or a response is taken for
+a request only with at least this confidence (0.5 to 1). A mistake would reverse the directions of
+all frames after it."""
 _RESPONSE_CONFIDENCE = 0.95
-"""The same for a response, whose request came just before."""
+"""On a line whose silences tell nothing, a frame that could be a request or a response is taken for
+a response only with at least this confidence (0.5 to 1). It is less than for a request, since the
+response's request came just before."""
 _REQUEST_ONLY = [Direction.REQUEST]
 _FAR_LESS_LIKELY = 10.0
-"""Bits. A frame that costs so much more than another at the same bytes is ignored."""
+"""If two frames begin at the same byte and one costs so many bits more, that one is ignored."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
-"""Bits. A frame that costs more than a new request needs a search."""
+"""The cost, in bits, of a request never heard before. A frame that costs more needs a search."""
 
 
 class FastPath:
-    """Looks at the bytes held, from the first on."""
+    """Tells if the bytes held begin with a certain frame, or are certainly an incomplete one."""
 
     def __init__(self, bus_model: BusModel, speaker: Direction | None, max_size: int) -> None:
-        """From `max_size` bytes on the search decides. `speaker` is the only side heard, if set."""
+        """`speaker` is the direction of all frames if only one side is heard; None if both are.
+
+        `max_size` is how many bytes are held when the search decides without waiting for a silence.
+        """
         self.needed = MIN_FRAME
-        """The number of bytes held before which nothing can be decided."""
+        """How many bytes must be held before anything can be decided."""
         self._model = bus_model
         self._speaker = speaker
         self._max_size = max_size
@@ -48,7 +55,10 @@ class FastPath:
         """The size of the frame at the front in each direction, once its bytes tell it."""
 
     def restart(self, *, behind_noise: bool) -> None:
-        """Begin with other bytes. `behind_noise` is True if those before belong to no frame."""
+        """Forget what was found at the front, since other bytes are at the front now.
+
+        `behind_noise` is True if the bytes before them belong to no frame.
+        """
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
         self._sizes = []
@@ -102,7 +112,7 @@ class FastPath:
         return (size, [role]) if is_certain else (0, [])
 
     def is_incomplete(self, data: bytes, silences_at: Sequence[int]) -> bool:
-        """True if all bytes are the beginning of the frame that is due.
+        """True if the bytes held are certainly the incomplete beginning of the frame that is due.
 
         `silences_at` are the offsets of the bytes that have a silence before them.
         """
@@ -116,12 +126,12 @@ class FastPath:
         return not any(self._is_frame(data[offset:]) for offset in silences_at)
 
     def _is_frame(self, data: bytes) -> bool:
-        """True if a whole frame of known form begins here."""
+        """True if the bytes begin with a whole frame of known form and a correct CRC."""
         sizes = [frame_size(data, role) or self._max_size for role in self._roles]
         return any(size <= len(data) and crc(data[:size]) == 0 for size in sizes)
 
     def _measure(self, data: bytes) -> list[tuple[Direction, int]]:
-        """The size of the front as a frame of each direction; empty if one has no known size."""
+        """The size of the frame at the front in each direction; empty if one is not known."""
         head = data[:MAX_RTU_ADU]
         sizes, longest = [], 0
         for role in self._roles:
@@ -148,7 +158,7 @@ class FastPath:
         return is_heard and not is_due and not self._is_behind_noise
 
     def _is_direction_certain(self, classified: Classification, head: bytes, size: int) -> bool:
-        """True if the direction of a frame with the form of both is certain."""
+        """True if the direction is certain of a frame that by its form could have either."""
         if self._model.history.trusts_silences:
             return classified.confidence >= SURE
         if classified.direction is Direction.REQUEST:

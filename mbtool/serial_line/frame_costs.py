@@ -1,4 +1,4 @@
-"""What it costs to take a frame for a request or for a response, in a bus state."""
+"""What it costs, in bits, to take a frame for a request or for a response in a given bus state."""
 
 # A response names the unit and function of the pending request, and fits its quantity or echoes its
 # address. Without a pending request, a frame with the form of a request is a request. Requests and
@@ -27,13 +27,14 @@ MAX_UNIT = 247
 """The largest address of a slave (Serial Line V1.02, 2.2)."""
 
 CostParts = tuple[float, float]
-"""Bits by the bus state, and bits by the silence before the frame."""
+"""The cost of a frame in two parts, in bits: what the bus state makes it cost, and what the silence
+before the frame adds."""
 
 
 def frame_cost(
     history: LineHistory, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int
 ) -> CostParts:
-    """The cost of a frame as a request or a response. `at_ns` is when its first byte began."""
+    """The cost, in bits, of a frame as `role` says. `at_ns` is when its first byte began."""
     if role is Direction.REQUEST:
         cost, by_time = _request_cost(history, state, unit, pdu, at_ns)
         if _is_only_a_response(history, state.pending, unit, pdu):
@@ -74,7 +75,7 @@ def _request_cost(
 
 
 def _may_be_second_response(answered: PendingRequest | None, unit: int, pdu: bytes) -> bool:
-    """True if a frame that equals the last response may come from the same slave again."""
+    """True if a frame that equals the last response may be a second response of the same slave."""
     return answered.unit == unit if answered else pdu[0] not in ECHOING
 
 
@@ -115,7 +116,7 @@ def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bo
 
 def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) -> bool:
     """True if a frame can be the response to the overdue request."""
-    if pdu == overdue.pdu and pdu[0] in NEVER_ECHOED:  # The read again, not its response.
+    if pdu == overdue.pdu and pdu[0] in NEVER_ECHOED:  # The master repeats its read.
         return False
     return at_ns - overdue.awaited_from_ns <= MAX_PENDING_NS and overdue.fits(unit, pdu)
 
@@ -167,7 +168,11 @@ def _lateness_cost(history: LineHistory, silence_ns: int, *, is_echo: bool) -> f
 def _is_only_a_response(
     history: LineHistory, pending: PendingRequest | None, unit: int, pdu: bytes
 ) -> bool:
-    """True if a frame as long as a request fits the pending one, and is an improbable request."""
+    """True if a frame has the length of a request, but is improbable as one.
+
+    It is, if it fits the pending request as its response, and its contents are implausible in a
+    request or were never heard in one.
+    """
     if pending is None or pdu == pending.pdu or not pending.fits(unit, pdu):
         return False
     if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):

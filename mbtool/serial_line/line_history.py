@@ -14,17 +14,18 @@ if TYPE_CHECKING:
     from mbtool.serial_line.bus_state import BusState, PendingRequest
 
 MAX_REQUESTS = 1024
-"""Requests remembered. Beyond that, the one not heard for the longest time is forgotten."""
+"""How many requests of a line are remembered; beyond that, the one heard least recently is
+forgotten."""
 
 
 class LineHistory:
-    """What the cost of a frame depends on beside the bus state; learned from frames."""
+    """What earlier frames of a line have shown; the cost of a frame depends on it."""
 
     def __init__(self, *, timed: bool) -> None:
         """`timed` is False if the bytes' times are not known."""
         self.timed = timed
         self.trusts_silences = timed
-        """True if silences tell who speaks: not without times, nor if the adapter merges frames."""
+        """True if silences tell who speaks; False without times or if the adapter merges frames."""
         self.latency = LatencyStatistics()
         self.unexplained_silences = LatencyStatistics()
         """The silences between merged frames in which no response was missing."""
@@ -33,20 +34,23 @@ class LineHistory:
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
-        """The units with the functions that were requested of them."""
+        """Each unit and function code that a request has named together."""
         self.units: set[int] = set()
 
     def has_function(self, head: bytes) -> bool:
-        """True if a frame's first byte, or first two bytes, name a unit (and function) requested.
+        """True if a request has named the unit, and the function if given, that begin a frame.
 
-        The second byte may be that of an exception response.
+        `head` is the unit, or the unit and the function code, also that of an exception response.
         """
         if len(head) == 1:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
     def learn_request(self, state: BusState, unit: int, pdu: bytes, by_form: bool) -> None:
-        """Learn from a request that came in a bus state. `by_form`: it can be nothing else."""
+        """Learn from a request that came in a bus state.
+
+        `by_form` is True if by its form the frame cannot be a response.
+        """
         self.functions.add((unit, pdu[0]))
         self.units.add(unit)
         self.requests.pop((unit, pdu), None)
@@ -62,7 +66,10 @@ class LineHistory:
     def learn_latency(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
     ) -> None:
-        """Learn how long the response took that began at `start_ns`."""
+        """Learn how long the slave took to answer `pending`; its response began at `start_ns`.
+
+        `is_sure` is True if the frame is surely a response.
+        """
         latency_ns = start_ns - pending.awaited_from_ns
         if pdu != pending.pdu and is_sure:
             self.latency.learn(latency_ns)

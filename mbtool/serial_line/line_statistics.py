@@ -7,11 +7,14 @@ from math import log2
 from mbtool.serial_line import costs
 
 _LEARNING_RATE = 1 / 32
-"""Weight of one frame in a frequency: a few dozen frames outweigh the start value."""
+"""Weight of one frame when the frequency of an event is learned: a few dozen frames outweigh the
+start value."""
 _SLOW_LEARNING_RATE = 1 / 96
-"""The weight that a slow frequency ends with: what is seen once in 20 frames needs more frames."""
+"""Weight of one frame in the frequency of a rare event, reached after many frames: for what happens
+once in 20 frames, a few dozen frames are too few."""
 _RATE_DECAY = 31 / 32
-"""The factor for each frame by which a slow frequency approaches that weight."""
+"""For a rare event, the factor by which each frame lowers the weight of the next, until that is
+_SLOW_LEARNING_RATE."""
 
 
 class LearnedCost:
@@ -20,9 +23,9 @@ class LearnedCost:
     __slots__ = ("_bits", "_final_rate", "_max_bits", "_min_bits", "_rate", "frequency")
 
     def __init__(self, bits: float, limits: tuple[float, float], *, is_slow: bool = False) -> None:
-        """`bits` is the start value, `limits` are the least and the most bits.
+        """`bits` is the start value; `limits` are the least and the most bits that it can become.
 
-        `is_slow` is True for what is so rare that many frames are needed to learn its frequency.
+        `is_slow` is True for an event so rare that its frequency is learned from many frames.
         """
         self._min_bits, self._max_bits = limits
         self.frequency: float = 2**-bits
@@ -33,7 +36,7 @@ class LearnedCost:
         """The value of `bits`; None if `frequency` has changed since it was computed."""
 
     def learn(self, seen: bool) -> None:
-        """Take one more frame, at which it was seen or not."""
+        """Count one more frame; `seen` is True if the event with this cost occurred at it."""
         self.frequency += (seen - self.frequency) * self._rate
         if self._rate > self._final_rate:
             self._rate *= _RATE_DECAY
@@ -41,7 +44,7 @@ class LearnedCost:
 
     @property
     def bits(self) -> float:
-        """The cost, within the limits."""
+        """The learned cost in bits, at least the lower and at most the upper limit."""
         if self._bits is None:
             bits = -log2(self.frequency) if self.frequency else self._max_bits
             self._bits = min(max(bits, self._min_bits), self._max_bits)
@@ -49,7 +52,7 @@ class LearnedCost:
 
 
 class LineStatistics:
-    """The learned costs of what happens at the frames of an RTU line."""
+    """The learned costs of skipped bytes, noise, glued frames, split frames and wrong bits."""
 
     def __init__(self, *, timed: bool = True) -> None:
         """`timed` is False if the bytes' times are not known: then all frames look glued."""
@@ -58,7 +61,7 @@ class LineStatistics:
         self.glue = LearnedCost(costs.GLUED if timed else 0.0, costs.GLUED_LIMITS)
         self.split = LearnedCost(costs.SPLIT, costs.SPLIT_LIMITS)
         self.one_bit = LearnedCost(costs.RARE_ONE_BIT, costs.RARE_ONE_BIT_LIMITS)
-        """Counted per damage: how often one wrong bit explains it."""
+        """Learned from damaged frames only: how often one wrong bit explains the damage."""
 
 
 class LatencyStatistics:
@@ -67,46 +70,52 @@ class LatencyStatistics:
     __slots__ = ("_heard", "_longest_ns")
 
     INITIAL_NS = 200_000_000
-    """The longest time assumed before enough responses are heard: slow devices take as long."""
+    """The response time assumed to be the longest until enough responses are heard, in ns: slow
+    devices take so long."""
     MIN_NS = 10_000_000
-    """The least value of the longest time, since adapters deliver bytes in blocks."""
+    """The longest response time is never taken to be less than this, in ns, since adapters deliver
+    bytes in blocks."""
     ENOUGH_RESPONSES = 16
     """Number of responses after which INITIAL_NS no longer counts."""
     MIN_WRITE_NS = 20_000_000
-    """A write within this time is never late, however fast the line's reads are."""
+    """A response to a write that takes no longer than this, in ns, is never late, however fast the
+    line's reads are."""
     MIN_RETRY_NS = 60_000_000
-    """No master retries sooner."""
+    """No master repeats a request sooner than this, in ns, after the request."""
     ADAPTER_TIMER_NS = 255_000_000
-    """The longest latency timer of an FTDI adapter."""
+    """The longest latency timer that an FTDI adapter can be set to, in ns."""
     MARGIN_DOUBLINGS = 0.25
-    """A response is late when it takes a fifth longer (2 ** 0.25) than the longest time."""
+    """A response is late when it takes a fifth longer (2 ** 0.25) than the longest response
+    time."""
 
     def __init__(self) -> None:
         self._heard = 0
         self._longest_ns = float(self.MIN_NS)
 
     def learn(self, latency_ns: int) -> None:
-        """Take one more response. The longest time shrinks by 1 % for each shorter one."""
+        """Take the time of one more response; if it is shorter, the longest time shrinks by 1 %."""
         self._heard += 1
         self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.MIN_NS)
 
     def learn_capped(self, latency_ns: int) -> None:
-        """The same for what may be no response: it can at most double the longest time."""
+        """Take a time that may be no response time: it can at most double the longest time."""
         self.learn(min(latency_ns, 2 * int(self._longest_ns)))
 
     @property
     def is_known(self) -> bool:
-        """True if enough responses were heard."""
+        """True if ENOUGH_RESPONSES were heard to know the longest response time."""
         return self._heard >= self.ENOUGH_RESPONSES
 
     def doublings_late(self, silence_ns: int, least_ns: int = 0) -> float:
-        """The binary logarithm of a silence over the longest time; negative if it is shorter.
+        """The binary logarithm of a silence divided by the longest response time.
 
-        The longest time is taken as `least_ns` if it is less.
+        It is negative if the silence is the shorter. The longest response time counts as at least
+        `least_ns`.
         """
         longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
-            # Moves from INITIAL_NS to the longest time heard, by equal factors for each response.
+            # The longest time moves from INITIAL_NS to the longest heard, by an equal factor for
+            # each response.
             missing = 1 - self._heard / self.ENOUGH_RESPONSES
             longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)

@@ -31,14 +31,14 @@ class SegmentKind(Enum):
 
 
 class Segment(msgspec.Struct, frozen=True, gc=False):
-    """A part of the window with one meaning."""
+    """A run of bytes of the window with one meaning, such as a frame."""
 
     kind: SegmentKind
     offset: int
     size: int
     role: Direction = Direction.UNKNOWN
     roles: tuple[Direction, ...] = ()
-    """The directions whose form a frame has."""
+    """The directions that a frame can have by its size."""
     repaired: bytes = b""
     """A damaged frame as it was sent, if one wrong bit explains the damage; empty otherwise."""
     confidence: float = 1.0
@@ -46,31 +46,36 @@ class Segment(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def identity(self) -> tuple[SegmentKind, int, int, Direction]:
-        """The segment without its confidence."""
+        """What tells the segment from others: its kind, place and direction, not its confidence."""
         return self.kind, self.offset, self.size, self.role
 
 
 class Path(msgspec.Struct, eq=False):
-    """Segments from the first byte of the window to an offset."""
+    """A chain of segments from the first byte of the window to an offset, with its cost in bits."""
 
     cost: float
     state: BusState
     previous: Path | None
     segment: Segment | None
     skipped: int = 0
-    """How many bytes were skipped in a row up to here."""
+    """How many bytes at the end of the path are skipped in a row."""
     is_noise: bool = False
-    """True if these directly follow a frame and all are noise of a change of direction."""
+    """True if the bytes skipped at the end of the path directly follow a frame and are all noise,
+    as receivers hear it when the bus changes direction."""
     runs: int = 0
     """How many runs of skipped bytes the path has: each makes the next one cheaper."""
     ends_frame: bool = False
-    """True if a frame ends here, so that another one probably begins."""
+    """True if the path ends with a frame, so that another frame probably begins behind it."""
     rivals: tuple[Path, ...] = ()
-    """Paths that end in the same bus state and cost less than DOUBT_BITS more."""
+    """Paths to the same place that cost more and were dropped in favour of this one. Those that
+    cost less than DOUBT_BITS more lower the confidence of its segments."""
 
 
 def with_confidence(ends: list[Path]) -> Iterator[Segment]:
-    """The segments of the cheapest path, with less confidence where a rival path differs."""
+    """The segments of the first and cheapest of `ends`, in order.
+
+    A frame has less confidence if it is missing in a path that costs little more.
+    """
     best = list(_chain(ends[0]))
     doubts: dict[int, float] = {}
     for path in best:
@@ -100,10 +105,10 @@ def _chain(end: Path) -> Iterator[Path]:
 
 
 def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segment]:
-    """The first segments, as far as the best path to an incomplete frame and the best other agree.
+    """The first segments of a path to an incomplete frame, up to where the best other path differs.
 
-    `incomplete` is the first of these paths, and the cheaper one; its confidences hold. The rest,
-    up to `end`, is one incomplete segment.
+    `incomplete` is that path; it costs no more than the others, which are in `ends`, the cheapest
+    first. All bytes behind these segments, up to `end`, become one incomplete segment.
     """
     other = {path.segment.identity for path in _chain(ends[0]) if path.segment} if ends else set()
     segments = with_confidence([incomplete, *ends])

@@ -8,7 +8,7 @@ from mbtool.modbus.packing import bit_bytes
 COUNTS = frozenset((2, *range(11, 19)))
 """Sub-functions of 08 that read a register or a counter (V1.1b3, 6.8.1)."""
 ODD_EXCEPTIONS = 0x40
-"""Exception codes from here on, and 0, are used by no known device."""
+"""No known device uses exception codes from this one on, or exception code 0."""
 
 
 def is_odd_request(pdu: bytes) -> bool:
@@ -24,7 +24,8 @@ def is_odd_request(pdu: bytes) -> bool:
 def is_odd_response(pdu: bytes) -> bool:
     """True if a PDU with the form of a response has contents that no slave sends.
 
-    That is half a register, or an exception code that neither the specification nor devices use.
+    That is an odd number of bytes where registers are due, or an exception code that neither the
+    specification nor devices use.
     """
     if pdu[0] & EXCEPTION_BIT:
         return len(pdu) == 2 and not 0 < pdu[1] < ODD_EXCEPTIONS
@@ -45,6 +46,9 @@ def is_counted(pdu: bytes) -> bool:
 
 
 def is_padded(request: bytes, response: bytes) -> bool:
-    """True if a response to a read of bits fills its last byte with 0 (V1.1b3, 6.1)."""
+    """True if the unused bits of a response to a read of bits, in its last byte, are 0.
+
+    The standard demands it (V1.1b3, 6.1).
+    """
     used = int.from_bytes(request[3:5]) % 8
     return not used or response[-1] >> used == 0

@@ -6,8 +6,8 @@
 # 1. The fast path (fast_path.py): is the frame at the front certain, or certainly incomplete?
 # 2. At a silence of t3.5, the search (search.py) explains the bytes held. All of them are given out
 #    except an incomplete frame, which an adapter may have split. That one is held until HOLD_NS
-#    after its last byte. What precedes it, if only its end could make that certain, is held for at
-#    most MAX_SILENCES silences.
+#    after its last byte. The bytes before it are held too if only its end can make their meaning
+#    certain, but for at most MAX_SILENCES silences.
 # 3. Without a silence, the search runs when the window is full. All but the last 256 bytes are
 #    given out.
 #
@@ -41,8 +41,8 @@ HOLD_NS = 300_000_000
 """How long an incomplete frame is held: more than the longest latency timer of an FTDI adapter,
 255 ms."""
 MAX_SILENCES = 16
-"""The silences after which the bytes held are decided. A frame delivered in pieces of 32 bytes has
-8."""
+"""After so many silences the bytes held are decided, though a frame may be incomplete. A frame
+delivered in pieces of 32 bytes has 8 silences."""
 
 _MAX_GLUED = 2**-0.8
 """If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
@@ -61,13 +61,14 @@ class RtuSplitter:
     ) -> None:
         """`timed` is False if the bytes' times are made up, as for a file of bytes alone.
 
-        `speaker` is set if only one side is heard: the direction of all frames.
+        `speaker` is the direction of all frames if only one side is heard; None if both are.
         """
         self._character_ns = line.character_ns
         self._t1_5_ns = line.t1_5_ns
         self._t3_5_ns = line.t3_5_ns
         self._silent_ns = line.character_ns + line.t3_5_ns
-        """From the end of a byte to the end of the next one after a silence of t3.5."""
+        """The time, in ns, from the end of a byte to the end of the next one if a silence of t3.5
+        lies between them."""
         self._timed = timed
         self._speaker = speaker
         self._roles = ROLES if speaker is None else (speaker,)
@@ -79,9 +80,9 @@ class RtuSplitter:
         self._decided_size = 0
         """How many of the bytes held the last search called an incomplete frame."""
         self._silence_count = 0
-        """The silences since bytes were last given out."""
+        """How many silences of t3.5 there were since bytes were last given out."""
         self._silences_at: list[int] = []
-        """The offsets of the bytes held that have such a silence before them."""
+        """The offsets of the bytes held that have a silence of t3.5 before them."""
         self._was_noise = False
         """True if the bytes skipped last were all noise of a change of direction."""
         self._last_end: tuple[int, Verdict] | None = None
@@ -93,7 +94,10 @@ class RtuSplitter:
         return not self._data
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
-        """Take the bytes of one read; `ts_ns` is the time of the last one."""
+        """Take the bytes of one read; return the frames and skipped bytes that they complete.
+
+        `ts_ns` is when the last of the bytes ended.
+        """
         events: list[Adu | Skipped] = []
         size, step_ns, times = len(data), self._character_ns, self._times
         if not size:
@@ -131,14 +135,17 @@ class RtuSplitter:
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
-        """Take the information that the line was silent from the last byte until now."""
+        """Take the information that the line was silent from the last byte until `now_ns`.
+
+        Returns the frames and skipped bytes that this silence ends.
+        """
         events: list[Adu | Skipped] = []
         if self._data and (silence_ns := now_ns - self._times[-1]) >= self._t3_5_ns:
             self._hear_silence(events, silence_ns >= HOLD_NS)
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the capture: give out all bytes held."""
+        """End the capture: return all bytes held, as frames and skipped bytes."""
         events: list[Adu | Skipped] = []
         if self._data:
             self._hear_silence(events, is_long=True)
@@ -224,7 +231,7 @@ class RtuSplitter:
                     self._hear_damage(segment, start_ns, end_ns)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
-        """Learn from damage, and compute the bus states after it."""
+        """Learn from damaged bytes, and compute the possible bus states after them."""
         self._statistics.one_bit.learn(bool(segment.repaired))
         if self._speaker is not None:
             return
@@ -234,7 +241,11 @@ class RtuSplitter:
             self._model.hear_damage()
 
     def _silences(self, keep: int) -> list[bool]:
-        """True for each byte after a silence of t3.5, and for a silence after the last byte."""
+        """For each byte held, True if a silence of t3.5 precedes it.
+
+        One more value at the end is True if a silence follows the last byte, as one does unless
+        `keep` is set.
+        """
         least_ns, times, last = self._silent_ns, self._times, self._last_end
         first = last is None or times[0] - last[0] >= least_ns
         between = [after - before >= least_ns for before, after in pairwise(times)]
@@ -249,13 +260,13 @@ class RtuSplitter:
         alone = self._model.classify(unit, pdu, start_ns, segment.roles)
         if alone.direction is segment.role:
             return Classification(segment.role, alone.by, segment.confidence)
-        # The bytes after it decided otherwise.
+        # The bytes after this frame show that it has another direction than it seemed to have.
         return Classification(segment.role, DirectionBy.IDLE, segment.confidence)
 
     def _emit_frame(
         self, size: int, classification: Classification, events: list[Adu | Skipped]
     ) -> None:
-        """Give out the frame at the front."""
+        """Append the frame at the front to `events`, remove its bytes, and learn from it."""
         raw = self._data[:size]
         times = self._times
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
@@ -326,7 +337,7 @@ class RtuSplitter:
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Give out skipped bytes: a frame with a wrong CRC as one event, others by bursts."""
+        """Give out skipped bytes: a frame with a wrong CRC as one event, others one burst each."""
         while size:
             cut = size
             kind, reason, check = why_skipped(self._data[:size], self._roles)

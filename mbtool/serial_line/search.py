@@ -40,15 +40,17 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_statistics import LineStatistics
 
 BEAM_WIDTH = 4
-"""The most paths kept at an offset. They differ in their bus state, or in ending with a skip."""
+"""The most paths kept at an offset. They differ in their bus state, or one ends with a skipped byte
+and another does not."""
 MIN_HEAD = 3
-"""Bytes of a frame before its registers: unit, function and byte count."""
+"""The number of bytes of a frame before its registers: unit, function and byte count."""
 MAX_ENCLOSED = 2
-"""Frames that the registers of another frame may contain in a row: a request and its response."""
+"""The most frames in a row that the registers of another frame may contain: a request and its
+response."""
 
 
 class PathSearch:
-    """The search over one window."""
+    """The search for the most likely explanation of the bytes of one window."""
 
     def __init__(
         self,
@@ -57,7 +59,10 @@ class PathSearch:
         statistics: LineStatistics,
         roles: tuple[Direction, ...] = ROLES,
     ) -> None:
-        """`roles` has one direction only if it is known who speaks; then no bus state matters."""
+        """`roles` are the directions that frames can have.
+
+        That is one direction if only one side is heard; then costs do not depend on the bus state.
+        """
         self._window = window
         self._data = window.data
         self._end = len(window.data)
@@ -65,15 +70,15 @@ class PathSearch:
         self._statistics = statistics
         self._is_speaker_known = len(roles) == 1
         self._paths: list[list[Path]] = [[] for _ in range(self._end + 1)]
-        """The paths to each offset."""
+        """For each offset in the window, the paths kept that end there."""
         self._lowest_costs = [float("inf")] * (self._end + 1)
-        """The cost of the cheapest path to each offset."""
+        """For each offset in the window, the cost in bits of the cheapest path that ends there."""
         self._incomplete: Path | None = None
         """The cheapest path to an incomplete frame at the end of the window."""
         self._incomplete_limit = float("inf")
-        """Another path to an incomplete frame has to cost less than this."""
+        """Another path to an incomplete frame is kept only if it costs fewer bits than this."""
         self._limit = float("inf")
-        """Paths that cost more than this are dropped."""
+        """Paths that cost more bits than this are dropped."""
         self._candidates = Candidates(window, bus_model, statistics, roles)
 
     def segments(self) -> list[Segment]:
@@ -127,7 +132,10 @@ class PathSearch:
         return segments
 
     def _may_touch_frame(self, segment: Segment, side: int) -> bool:
-        """True for skipped bytes, not noise, that have no silence at a side (0 or their size)."""
+        """True for skipped bytes that are no noise and have no silence at one side.
+
+        `side` is 0 for the side before them, their size for the side behind them.
+        """
         raw = self._data[segment.offset : segment.offset + segment.size]
         is_noise = len(raw) < MIN_HEAD or NOISE.issuperset(raw)
         is_beside = not self._window.silences[segment.offset + side]
@@ -216,7 +224,10 @@ class PathSearch:
     def _add_incomplete(
         self, offset: int, path: Path, state: BusState, start_cost: float, *, is_frame: bool
     ) -> None:
-        """Add an incomplete frame. `is_frame` is True if a complete frame begins here too."""
+        """Extend a path by an incomplete frame, from an offset to the window's end.
+
+        `is_frame` is True if a complete frame begins at the offset too.
+        """
         before = path.cost + start_cost
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
         if least >= self._incomplete_limit:
@@ -245,7 +256,10 @@ class PathSearch:
             self._keep_incomplete(incomplete)
 
     def _keep_incomplete(self, path: Path) -> None:
-        """Keep the cheapest path to an incomplete frame; one with the same segment is its rival."""
+        """Keep a path to an incomplete frame if it is the cheapest so far.
+
+        Of two paths to the same incomplete frame, the dearer one becomes a rival of the other.
+        """
         best = self._incomplete
         if best is not None and best.segment == path.segment:
             best, path = (path, best) if path.cost < best.cost else (best, path)
@@ -257,7 +271,10 @@ class PathSearch:
     def _add_damaged(
         self, offset: int, path: Path, state: BusState, start_cost: float, *, is_frame: bool
     ) -> None:
-        """Add damaged frames. `is_frame` is True if a frame with a correct CRC begins here too."""
+        """Extend a path by each damaged frame that may begin at an offset.
+
+        `is_frame` is True if a frame with a correct CRC begins there too.
+        """
         found = self._candidates
         for one in found.damaged_request(offset) if is_frame else found.damaged(offset, state):
             end = offset + one.size
@@ -278,7 +295,11 @@ class PathSearch:
             self._keep(end, Path(cost, state.after_damage(), path, segment, runs=path.runs))
 
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
-        """Add a byte that is in no frame, although a frame (of unknown form) can begin here."""
+        """Extend a path by the byte at an offset, taken for a byte that belongs to no frame.
+
+        A frame with a correct CRC may begin there: one of known form if `is_frame` is True, one of
+        unknown form if `is_unknown` is True.
+        """
         is_noise = self._data[offset] in NOISE and (path.ends_frame or path.is_noise)
         continues = path.skipped and is_noise is path.is_noise
         if continues:

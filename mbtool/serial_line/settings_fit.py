@@ -16,7 +16,7 @@
 # A setting is scored by the bytes in frames with a correct CRC or LRC, less the bytes marked as
 # damaged. A frame with a correct CRC appears by chance now and then, never several in a row.
 #
-# Holds what the splitters hold, and counts.
+# Holds the bytes that the splitters hold (ascii.py, rtu.py), and a few counts.
 
 from __future__ import annotations
 
@@ -32,12 +32,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 SURE_FRAMES = 3
-"""The least number of frames of settings that are sure."""
+"""Settings are sure only if so many frames, or more, have a correct CRC or LRC."""
 SURE_FIT = 0.9
-"""The least fit (0 to 1) of settings that are sure: noise and the cut first frame cost a tenth."""
+"""Settings are sure only if their fit (0 to 1) is at least this: noise, and a first frame of which
+the beginning was not heard, may take a tenth."""
 LIKELY_FRAMES = 2
 LIKELY_FIT = 0.3
-"""The least frames and fit (0 to 1) of settings that are likely."""
+"""Settings are likely if at least LIKELY_FRAMES frames have a correct CRC or LRC, and their fit is
+at least LIKELY_FIT (0 to 1)."""
 ENOUGH_WITHOUT_FRAME = 48
 """Bytes after which a setting without any frame is given up."""
 ENOUGH_WITHOUT_FIT = 200
@@ -57,7 +59,10 @@ def settings_to_try() -> list[SerialFormat]:
 
 
 def other_parity(line: SerialFormat) -> SerialFormat:
-    """The format with the other parity. Its bytes differ only by the errors that a driver marks."""
+    """The same format with odd parity instead of even, and with even instead of any other.
+
+    A port delivers the same bytes with both; only the errors that its driver marks differ.
+    """
     return SerialFormat(line.baud, line.data_bits, "O" if line.parity == "E" else "E", 1)
 
 
@@ -69,16 +74,19 @@ class SettingsScore:
     frames: int
     """The number of frames with a correct CRC or LRC."""
     failures: int
-    """The number of runs of bytes that are no such frame."""
+    """The number of damaged frames and of runs of bytes that are no frame."""
     framed: int
-    """The number of bytes in frames."""
+    """The number of bytes in frames with a correct CRC or LRC."""
     heard: int
     damaged: int
     """The number of bytes whose parity or stop bit is wrong by these settings."""
 
     @property
     def fit(self) -> float:
-        """The share of undamaged bytes in frames, 0 to 1."""
+        """The share of the bytes that are in correct frames, times the share of undamaged bytes.
+
+        The result is from 0 (nothing fits) to 1.
+        """
         if not self.heard:
             return 0.0
         return self.framed / self.heard * (1 - min(self.damaged / self.heard, 1))
@@ -106,7 +114,9 @@ class SettingsScore:
 
 
 class SettingsTrial:
-    """The bytes heard at one serial format, scored in each setting and mode that they may have."""
+    """The bytes heard at one serial format, scored for each line setting with which they may have
+    been sent, as RTU and as ASCII.
+    """
 
     def __init__(self, heard_as: SerialFormat, *, only_ascii: bool = False) -> None:
         self.heard = 0
@@ -122,7 +132,7 @@ class SettingsTrial:
             reading.feed(data, damaged, ts_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Take the information that the line was silent from the last byte until now."""
+        """Take the information that the line was silent from the last byte until `now_ns`."""
         for reading in self._readings:
             reading.count(reading.splitter.advance(now_ns))
 
@@ -149,7 +159,7 @@ damaged bytes among them."""
 
 
 class _SettingsReading:
-    """One setting and mode, with its splitter and its counts."""
+    """The bytes heard, read with one line setting and mode, and the counts for its score."""
 
     def __init__(
         self, settings: LineSettings, view: Callable[[bytes, Sequence[int]], View]
@@ -204,7 +214,10 @@ def _as_heard(data: bytes, damaged: Sequence[int]) -> View:
 
 
 def _seven_bits(parity: str) -> Callable[[bytes, Sequence[int]], View]:
-    """Read the eighth bit as parity; without parity, as the first of two stop bits."""
+    """Make the function that reads bytes heard with 8 data bits as characters of 7.
+
+    The eighth bit is then the parity bit or, with `parity` N, the first of two stop bits.
+    """
     wrong = bytes(_is_wrong(byte, parity) for byte in range(256))
     low = bytes(byte & 0x7F for byte in range(256))
 

@@ -1,1 +1,1 @@
-"""The embedded slave. Its rooms: device, families, faults and shells."""
+"""The slave that mbtool plays, in four packages: device, families, faults and shells."""

@@ -1,1 +1,4 @@
-"""Where bytes come from. Callers import from the modules: each loads only what it needs."""
+"""Where bytes come from: files, serial ports, interfaces and taps.
+
+Callers import from the modules, as each module loads only what it needs.
+"""

@@ -4,8 +4,9 @@
 # commas or not at all, in rows of any length. From a # on, a row is a comment.
 #
 # Such bytes have no times (Stamp.UNKNOWN). They get times as if they had come back to back at the
-# line's speed from 1970-01-01 on. These keep the order and say how far into the file a byte stands.
-# They do not depend on the file's date, which says nothing of when the bytes were recorded.
+# line's speed from 1970-01-01 on. Such times keep the bytes in order, and show how far into the
+# file a byte stands. They do not depend on the file's date, which need not be the date of the
+# recording.
 #
 # Holds at most READ_BYTES of a file.
 
@@ -36,7 +37,11 @@ class SerialBytes(NamedTuple):
     line: LineSettings
     """The line's settings: those that the user gives, else those that the file shows."""
     pieces: Iterator[Chunk]
-    """Raises InputError, CutError, OSError."""
+    """The bytes, piece by piece.
+
+    The iterator raises InputError for bad content, CutError for a file that was cut off, and
+    OSError if reading fails.
+    """
 
 
 def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
@@ -68,7 +73,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
     row = 1
     in_comment = False
     rest = b""
-    """The end of a piece, if the next piece of the same row may continue it."""
+    """The last word of a piece, or its end, if the next piece of the same row may continue it."""
     while piece := stream.readline(READ_BYTES):
         is_whole = piece.endswith(b"\n")
         text, sharp, _ = (b"" if in_comment else rest + piece).partition(b"#")
@@ -77,7 +82,8 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
         words = _PARTED.split(text)
         last = words.pop()
         if not is_whole and not in_comment:
-            # The next piece may continue this word. Pairs of a very long word are taken at once.
+            # The next piece may continue the last word, so it waits. Of a long word all whole pairs
+            # of digits are taken now, so that what waits stays short.
             even = len(last) // 2 * 2 if len(last) > _SHOWN else 0
             words.append(last[:even])
             rest = last[even:]

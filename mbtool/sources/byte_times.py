@@ -6,7 +6,7 @@
 # The header names the columns, in any order. Other columns are not used, also not `line`: all rows
 # are of one bus, in the order of time. Times are seconds, since the start of the recording or since
 # 1970; a recording that starts at 0 is shown as starting in 1970. An analyser that counts from its
-# trigger gives negative times to what came before: then the first row is shown as the start.
+# trigger gives negative times to the bytes before it: then the time of the first row is shown as 0.
 #
 # The time of a byte is the arrival of its last bit. sigrok's decoder gives the end of the data bits
 # as t_end_s. If t_end_s is less than one character time after t_start_s, the time is t_start_s plus
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 START, END, BYTE = "t_start_s", "t_end_s", "byte_hex"
 LOOKED_AT = 1000
-"""From how many rows the line's settings are found."""
+"""How many of the first rows the line's settings are found from."""
 MAX_ROW = 4096
-"""How many characters a row may have."""
+"""How many bytes a row may have."""
 
 _BYTE = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}", re.ASCII)
 _MAX_NS = 2**63 - 1
@@ -45,9 +45,9 @@ _BAUDS = (
     250000, 460800, 500000, 921600, 1000000,
 )  # fmt: skip
 _TOLERANCE = 0.02
-"""By what share a measured rate may differ from a usual baud rate."""
+"""By what share of a usual baud rate a measured rate may differ from it."""
 _LENGTHS = (8, 11, 10)
-"""How many bits a byte's times may span: its data bits, or all bits of a character."""
+"""How many bits may lie between a row's start and end: the data bits, or the whole character."""
 _SHOWN = 40
 
 
@@ -60,7 +60,10 @@ class _Row(NamedTuple):
 def read_byte_times(
     stream: BinaryIO, name: str, link: str, line: LineSettings | None
 ) -> SerialBytes:
-    """Read the header and the first rows; `line` has the settings that the user gives, if any."""
+    """Read the header and the first rows, which give the line's settings if `line` is None.
+
+    A wrong header or row raises InputError only when the pieces before it have been taken.
+    """
     rows = _rows(stream, name)
     first: list[_Row] = []
     problem: InputError | None = None
@@ -73,7 +76,7 @@ def read_byte_times(
 
 
 def is_byte_times(head: bytes) -> bool:
-    """True if a file that begins like this has byte times."""
+    """True if a file that begins with these bytes is a CSV of byte times."""
     columns = head.partition(b"\n")[0].split(b",")
     return START.encode() in (column.strip() for column in columns)
 
@@ -90,7 +93,7 @@ def _chunks(
 
 
 def _format(rows: Sequence[_Row]) -> SerialFormat:
-    """The line settings that fit the rows."""
+    """Return the line settings that fit the times of the rows; if none fit, the default."""
     width_ns = median_low([row.end_ns - row.start_ns for row in rows]) if rows else 0
     if not width_ns:
         return SerialFormat()
@@ -103,7 +106,8 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return SerialFormat()
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step >= width_ns), default=0)
-    # 10.5 bits stand between 10 and 11; no clock is off by half a bit in a character.
+    # A character of 10 bits is told from one of 11 by the middle between them: no clock is off by
+    # half a bit in one character.
     is_short = bits == 10 or 0 < shortest_ns * baud < 10.5e9
     return SerialFormat(baud, 8, "N" if is_short else "E", 1)
 
@@ -147,7 +151,10 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
 
 
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
-    """The cells of the next row (none at the end), and true if the row ends with a line feed."""
+    """Read a row; return its cells, and true if it ends with a line feed.
+
+    At the end of the file there are no cells. Raises InputError if the row is too long.
+    """
     line = stream.readline(MAX_ROW)
     if not line:
         return [], True

@@ -1,8 +1,8 @@
-"""Starts and ends the processes that take times beside the busy main process."""
+"""Starts and ends child processes, which time bytes undisturbed by the busy main process."""
 
-# A child runs a module of this package and writes to its standard output. Its standard input
-# carries nothing; it stays open as long as the child shall run. When the parent closes it, or ends
-# in any way, the child reads the end of file and ends.
+# A child runs a module of this package and writes to its standard output. Nothing is written to its
+# standard input. The parent keeps this open as long as the child shall run; when the parent closes
+# it, or ends in any way, the child reads the end of file and ends.
 #
 # A child has a process group of its own, so that Ctrl-C in the terminal reaches only the parent,
 # which then ends its children. -P keeps the current folder out of the child's search path for
@@ -17,11 +17,11 @@ import subprocess
 import sys
 
 GRACE_S = 5.0
-"""How long a child may take to end before it is killed."""
+"""How long a child may take to end before it is killed, in seconds."""
 
 
 def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    """Run a module of this package, with unbuffered pipes for its standard input and output."""
+    """Run a module of this package as a child, with pipes for its standard input and output."""
     command = [sys.executable, "-P", "-m", module, *arguments]
     if sys.platform == "win32":
         return subprocess.Popen(
@@ -37,13 +37,16 @@ def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def tell_to_end(child: subprocess.Popen[bytes]) -> None:
-    """Close the child's input. Its output may still hold what it wrote last."""
+    """Tell a child to end, by closing its standard input. Its output can still be read."""
     if child.stdin is not None:
         child.stdin.close()
 
 
 def end_child(child: subprocess.Popen[bytes]) -> int:
-    """Wait until the child has ended, or kill it after GRACE_S; gives its exit status."""
+    """Tell a child to end, and kill it if it has not ended after GRACE_S.
+
+    Returns its exit status.
+    """
     tell_to_end(child)
     try:
         return child.wait(GRACE_S)

@@ -67,11 +67,11 @@ class CaptureKind(StrEnum):
     PCAPNG = "pcapng"
     MCAP = "mcap"
     RAW = "raw"
-    """Bytes of a serial line, and nothing else."""
+    """The bytes of a serial line, and nothing else."""
     HEX = "hex"
-    """The same as hexadecimal text."""
+    """The bytes of a serial line, as hexadecimal text."""
     BYTE_TIMES = "byte-times"
-    """Each byte with its times, as CSV."""
+    """The bytes of a serial line as CSV, with the start and end time of each byte."""
 
 
 PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
@@ -85,18 +85,23 @@ class CaptureFile:
         self, name: str, kind: CaptureKind, stream: io.BufferedIOBase, file: io.BufferedIOBase
     ) -> None:
         self.name = name
-        """What messages call it."""
+        """What messages call the file: its path, or "standard input"."""
         self.kind = kind
         self.stream = cast("BinaryIO", stream)
         """The unpacked bytes, without a byte order mark.
 
-        Reading raises InputError, CutError, OSError.
+        Reading raises InputError for a damaged compressed stream, CutError for one that ends before
+        its end mark, and OSError if the system cannot read the file.
         """
         self._file = file
         self._size = _size(file)
 
     def packets(self) -> Iterator[Packet]:
-        """Give the packets of a pcap or pcapng file. Raises InputError, CutError."""
+        """Give the packets of a pcap or pcapng file.
+
+        Raises InputError for another kind of file and for one that is damaged or cannot be read,
+        CutError for one that was cut off.
+        """
         if self.kind not in PACKET_KINDS:
             what = "an MCAP log" if self.kind is CaptureKind.MCAP else "bytes of a serial line"
             raise InputError(f"{self.name}: {what}, where pcap or pcapng is wanted")
@@ -111,9 +116,11 @@ class CaptureFile:
         return "stdin" if self._file is sys.stdin.buffer else PurePath(self.name).stem
 
     def serial(self, line: LineSettings | None) -> SerialBytes:
-        """The bytes of a serial line, and its settings: those given, else those the file shows.
+        """Return the bytes of the serial line in the file, and the line's settings.
 
-        Only for kinds that are neither packets nor logs. Raises InputError; so do the pieces.
+        The settings are `line`, or if that is None, those found from the times of bytes. Raises
+        InputError for a file of packets, a log, or a file without times if `line` is None. The
+        pieces raise InputError and CutError.
         """
         try:
             line, pieces = self._serial(line)
@@ -136,7 +143,7 @@ class CaptureFile:
             raise _unreadable(self.name, error) from error
 
     def fraction(self) -> float | None:
-        """How much of the file has been read, 0 to 1; None if its size is unknown."""
+        """Return the share of the file that has been read, 0 to 1; None if its size is unknown."""
         if self._size is None or self._file.closed:
             return None
         return min(self._file.tell() / self._size, 1.0)
@@ -158,7 +165,7 @@ class CaptureFile:
 
 
 def place_of(path: str) -> tuple[object, bool]:
-    """What is equal for all names of one file, and true if the file is a pipe."""
+    """Return a value that is equal for all paths of one file, and true if the file is a pipe."""
     if path == STANDARD_INPUT:
         return path, True
     try:
@@ -169,10 +176,11 @@ def place_of(path: str) -> tuple[object, bool]:
 
 
 def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
-    """Open a capture file, or standard input for `-`. Raises InputError, CutError.
+    """Open a capture file, or standard input for `-`.
 
-    If a line is given, a file of no known kind holds the bytes of a serial line, also an empty
-    file. An empty name raises UsageError.
+    If `line` is given, a file of no known kind holds the bytes of a serial line; it may be empty.
+    Raises UsageError for an empty path, InputError for a file that cannot be read or is no capture,
+    CutError for one that ends inside its header.
     """
     if not str(path):
         raise UsageError("a file's name is empty; name a capture or a log, or - for standard input")
@@ -209,7 +217,7 @@ def _open(path: str | Path) -> io.BufferedIOBase:
 
 
 def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
-    """Read a stream's first bytes; give them, and a stream that begins with them again."""
+    """Read a stream's first bytes; return them, and a stream that begins with them again."""
     head = b""
     try:
         while len(head) < _HEAD and (more := stream.read1(_HEAD - len(head))):
@@ -217,7 +225,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
     except CutError:
         if not head:
             raise
-        # The next read raises it again, behind these bytes.
+        # The next read raises the error again, once the bytes before it have been given.
     if stream.seekable():
         stream.seek(0)
         return head, stream
@@ -253,7 +261,7 @@ class _Unpacker(Protocol):
 
 
 class _Unpacked(io.RawIOBase):
-    """The content of a compressed stream, or of several, one behind the other."""
+    """The unpacked content of one compressed stream, or of several behind each other in a file."""
 
     def __init__(
         self,
@@ -308,7 +316,7 @@ class _Unpacked(io.RawIOBase):
 
 
 def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> io.BufferedIOBase | None:
-    """The content of a compressed stream; None if it is not compressed."""
+    """Return the unpacked content of a stream; None if the stream is not compressed."""
     if head.startswith(_GZIP):
         gzip_window = 16 + zlib.MAX_WBITS
         raw = _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)

@@ -3,18 +3,18 @@
 # Any number of sources, each in a thread of its own, put what they hear into one Inbox, and one
 # consumer takes it out. The items of one source come out in the order in which it put them.
 #
-# The limit: each item counts as its bytes and a fixed cost, 64 MiB for all by default. A source
-# never waits for the consumer: a serial port and a relay go on, however slow the decoder is. So a
-# full inbox discards what comes, until the consumer has taken half of the limit: few large gaps are
-# easier to read than many small ones. At the gap a DISCARDED event for each link says how much was
-# lost, and a StreamGap for each direction of a connection that lost bytes keeps a decoder from
-# joining the bytes on both sides of it. If a connection ends meanwhile, its gaps come before its
-# end, so only the gaps of open connections are kept.
+# The limit: the items held may come to 64 MiB by default, where each counts as its bytes and a
+# fixed cost. A source never waits for the consumer: a serial port and a relay go on, however slow
+# the decoder is. So a full inbox discards what comes, until the consumer has taken out half of the
+# limit: few large gaps are easier to read than many small ones. At the gap a DISCARDED event for
+# each link says how much was lost, and a StreamGap for each direction of a connection that lost
+# bytes keeps a decoder from joining the bytes on both sides of it. If a connection ends meanwhile,
+# its gaps come before its end, so only the gaps of open connections are kept.
 #
 # In one interpreter a busy consumer would keep a capture from fetching its packets: each system
-# call releases the interpreter's lock and gets it back milliseconds later. So a source that fetches
-# from the kernel does it inside `first`: meanwhile the consumer waits, unless half of the limit is
-# held, and for at most STANDSTILL_S at a time.
+# call releases the interpreter's lock and gets it back only milliseconds later. So a source fetches
+# from the kernel inside `first`: meanwhile the consumer waits, unless half of the limit is held,
+# and for at most STANDSTILL_S at a time.
 #
 # StreamOpened and StreamClosed, with its gaps, are taken up to twice the limit, so that a consumer
 # knows which connections are open; Ended is always taken. A Quiet replaces the Quiet of the same
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 DEFAULT_LIMIT = 64 * 2**20
 STANDSTILL_S = 0.05
 ITEM_COST = 256
-"""What an item counts beside its bytes: about the memory that Python needs for it."""
+"""How many bytes an item counts beside its data: about the memory that Python needs for it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The last item of a source."""
+    """The last item that a source puts: it hears no more."""
 
     link: str
     error: LinkError | None = None
@@ -68,13 +68,13 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """How many sources are inside `first`."""
+        """How many sources are inside the context of `first`."""
         self._calm = Event()
         self._calm.set()
 
     @property
     def held(self) -> int:
-        """How much is held, as the limit counts it."""
+        """The bytes of the items held, with ITEM_COST for each, as the limit counts them."""
         return self._held
 
     def put(self, item: Item) -> None:
@@ -92,7 +92,10 @@ class Inbox:
 
     @contextmanager
     def first(self) -> Iterator[None]:
-        """While the context is open, the consumer waits for the items of this source."""
+        """Let the consumer wait while a source fetches and puts items inside this context.
+
+        The comment at the top of this file says when the consumer does not wait.
+        """
         with self._changed:
             self._first += 1
             self._calm.clear()
@@ -105,7 +108,10 @@ class Inbox:
                     self._calm.set()
 
     def get(self, timeout: float | None = None) -> Item | None:
-        """The next item, or None if none comes within the timeout in seconds."""
+        """Take out and return the next item; return None if none comes in `timeout` seconds.
+
+        Without a timeout this waits until an item comes.
+        """
         if not self._calm.is_set() and self._held <= self._limit // 2:
             self._calm.wait(STANDSTILL_S)
         with self._changed:
@@ -185,7 +191,7 @@ class _Loss:
     packets: int = 0
     """How many of the items were packets of an interface."""
     dropped: int = 0
-    """How many packets the kernel dropped meanwhile."""
+    """How many packets the kernel dropped in that time, by DISCARDED events that were lost too."""
     streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
 
     @property
@@ -193,7 +199,7 @@ class _Loss:
         return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
 
     def take_gaps(self, connection: Connection) -> list[StreamGap]:
-        """Take out what a connection has lost, as gaps."""
+        """Return what a connection has lost, a gap for each direction, and forget it."""
         lost = [
             (direction, self.streams.pop((connection, direction), 0))
             for direction in (Direction.REQUEST, Direction.RESPONSE)

@@ -49,29 +49,31 @@ from mbtool.sources.source import LiveSource
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-# LINKTYPE_ (tcpdump.org/linktypes.html) by the kernel's ARPHRD_ (linux/if_arp.h): Ethernet,
-# loopback; tunnels and PPP, whose packets begin with the IP header.
+# By hardware type, the kernel's ARPHRD_ (linux/if_arp.h): the link type, LINKTYPE_ of
+# tcpdump.org/linktypes.html. Ethernet and loopback have 1; tunnels and PPP, whose packets begin
+# with the IP header, have 101.
 _ARPHRD_LOOPBACK = 772
 _LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 101, 776: 101}
 
 _MAX_PACKET = 2**17
-"""In bytes: more than a segment that the kernel has not yet cut (65535 and headers)."""
+"""How many bytes of a packet are read: even a segment not yet cut to the MTU (64 KiB) has fewer."""
 _BUFFER = 32 * 2**20
 """The kernel's buffer for one interface, in bytes, if the process has the privilege."""
 _FETCH = 1000
-"""How many packets are fetched before the loop looks at the clock again."""
+"""How many packets of one interface are fetched before the loop looks at the clock again."""
 _LAST_FETCHES = 100
-"""How often the last packets are fetched when the capture ends."""
+"""When the capture ends: how many times up to _FETCH packets are still fetched."""
 _TICK_S = 0.1
 _SOON_S = 0.002
-"""How long the loop waits while packets are held back."""
+"""How long the loop waits for packets while others are held back, in seconds."""
 _SETTLE_NS = 1_000_000
-"""A packet's time may be this much earlier than it can be fetched."""
+"""How many ns may pass from the time of a packet until the packet can be fetched."""
 _AHEAD_NS = 1_000_000_000
-"""If a packet's time is this far ahead, the clock has been set back since."""
+"""If a packet's time is so many ns ahead of the clock, the clock has been set back since."""
 _STATISTICS_NS = 1_000_000_000
 
-# asm-generic/socket.h and linux/if_packet.h, linux/if_ether.h; Python's socket module lacks them.
+# Constants of linux/if_ether.h, asm-generic/socket.h and linux/if_packet.h that Python's socket
+# module lacks.
 _ETH_P_ALL = 3
 _SO_ATTACH_FILTER = 26
 _SO_RCVBUFFORCE = 33
@@ -87,14 +89,14 @@ class _Capture:
 
     name: str
     socket: Any
-    """scapy's."""
+    """scapy's listening socket."""
     link_type: int | None = None
-    """None if each packet has its own."""
+    """The link type of all packets (LINKTYPE_); None for net:any, where each packet has its own."""
     held: list[Packet] = field(default_factory=list)
     """Packets that wait for earlier ones of other interfaces, in the order of their times."""
 
     def release(self, horizon_ns: int | None = None) -> list[Packet]:
-        """Take the packets held up to a time; all of them without one."""
+        """Take out the held packets up to the time `horizon_ns`; all of them if it is None."""
         count = len(self.held)
         if horizon_ns is not None:
             count = bisect_right(self.held, horizon_ns, key=attrgetter("ts_ns"))
@@ -103,7 +105,10 @@ class _Capture:
 
 
 class InterfaceSource(LiveSource[InterfaceLink]):
-    """Listens to interfaces while its context is open. Entering raises LinkError."""
+    """Listens to interfaces while its context is open.
+
+    Entering the context raises LinkError if an interface cannot be listened to.
+    """
 
     _inbox: Inbox
 
@@ -145,7 +150,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             each.socket.close()
 
     def _prepare(self, name: str, listener: socket.socket) -> int | None:
-        """Set the filter. Gives the link type of the packets, None if each has its own."""
+        """Set the filter; return the link type of all packets, None if each has its own.
+
+        Raises LinkError if packets of this interface cannot be read.
+        """
         if name == ANY_INTERFACE:
             _prepare(listener, port_filter(self._ports, is_loopback=None))
             return None
@@ -184,7 +192,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
-        """Fetch waiting packets; true if there may be more."""
+        """Fetch waiting packets of all interfaces; return true if more may wait."""
         if len(self._captures) == 1:
             (capture,) = self._captures
             packets, more = self._receive(capture)
@@ -215,7 +223,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(packet)
 
     def _receive(self, capture: _Capture) -> tuple[list[Packet], bool]:
-        """At most _FETCH packets that wait in the kernel, and true if there may be more."""
+        """Fetch at most _FETCH packets of an interface; return them, and true if more may wait."""
         packets: list[Packet] = []
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
@@ -275,13 +283,14 @@ class InterfaceSource(LiveSource[InterfaceLink]):
 
 
 def capture_trouble() -> Trouble | None:
-    """What keeps this process from listening to any interface; None if nothing does."""
+    """Tell what keeps this process from listening to any interface; None if nothing does."""
     if sys.platform != "linux":
         return Trouble(
             "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
-    # A socket bound to no protocol hears nothing; the kernel says whether it is permitted.
+    # To open a packet socket shows whether the kernel permits it. Bound to no protocol, it hears
+    # nothing.
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
     except PermissionError:
@@ -294,7 +303,7 @@ def capture_trouble() -> Trouble | None:
 
 
 def _program() -> str:
-    """How to call this program with any search path: sudo has one of its own."""
+    """Return a command that starts this program under sudo, which has a search path of its own."""
     script = os.path.join(os.path.dirname(sys.executable), "mbtool")
     if not os.path.exists(script):
         return f"{sys.executable} -m mbtool"
@@ -303,7 +312,10 @@ def _program() -> str:
 
 
 def hardware_trouble(hardware: int) -> Trouble | None:
-    """Why the packets of a hardware type (ARPHRD_ of linux/if_arp.h) cannot be read, or None."""
+    """Tell why packets of a hardware type (ARPHRD_ of linux/if_arp.h) cannot be read.
+
+    Returns None if they can be read.
+    """
     if hardware in _LINK_TYPES:
         return None
     return Trouble(
@@ -318,7 +330,8 @@ def _open(link: InterfaceLink, name: str) -> Any:
     of = _called(link, name)
     if sys.platform == "linux" and not is_any and name not in interfaces:
         raise LinkError(f"{of}: no such interface; here are: {', '.join(interfaces)}")
-    # This comes before the import of scapy, which takes time and whose error says less.
+    # The check for permission comes before the import of scapy, which takes time, and whose own
+    # error would say less.
     trouble = capture_trouble()
     if trouble is not None:
         raise LinkError(f"{link}: {trouble}")
@@ -329,7 +342,8 @@ def _open(link: InterfaceLink, name: str) -> Any:
     try:
         if not is_any:
             return L2ListenSocket(iface=name)
-        # scapy binds its socket to one interface. A socket bound to none hears all of them.
+        # scapy binds its socket to one interface. It is replaced by a socket bound to none, which
+        # hears all interfaces.
         capture = L2ListenSocket(iface="lo" if "lo" in interfaces else interfaces[0], promisc=False)
         capture.ins.close()
         capture.ins = _hearing_all()
@@ -340,7 +354,7 @@ def _open(link: InterfaceLink, name: str) -> Any:
 
 
 def _called(link: InterfaceLink, name: str) -> str:
-    """What a message calls an interface of a link."""
+    """Return what a message calls an interface: the link, and the name if the link has several."""
     return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 
 
@@ -353,7 +367,7 @@ def _hearing_all() -> socket.socket:
 
 
 def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
-    """Set the filter, and drop what came before it."""
+    """Enlarge the kernel's buffer and set the filter; drop packets from before the filter."""
     _attach(listener, drop_everything())
     listener.setblocking(False)
     with suppress(BlockingIOError):

@@ -1,4 +1,4 @@
-"""Finds a line's settings by listening to it, and says how sure they are. Never writes."""
+"""Finds a serial line's settings by listening, and says how sure they are. Never writes."""
 
 # The settings are tried one after the other, likely ones first, until one explains nearly all that
 # is heard. With each the port is read until the setting is sure, or until what was heard fits no
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LISTEN_S = 10
-"""How long each setting is tried at most."""
+"""How long each setting is tried at most, in seconds."""
 SKIPPED = 300
 """How many bytes before the first silence are skipped at most."""
 
@@ -42,10 +42,10 @@ def guess_line(
     open_: Callable[[str, SerialFormat], ListeningPort] = open_listening,
     clock: Callable[[], int] = now_ns,
 ) -> tuple[SerialLink, str]:
-    """The line with its settings, and a sentence that says how sure they are.
+    """Return the link with the settings found, and a sentence that says how sure they are.
 
-    With two taps the master's side is read. Raises LinkError if nothing is heard, and if nothing
-    fits.
+    Of a link with two ports, the one at the master's side is read. Raises LinkError if the port
+    cannot be opened, if nothing is heard, and if no settings fit what is heard.
     """
     to_hear = settings_to_try()
     port = open_(link.ports[0], to_hear[0])
@@ -92,7 +92,10 @@ class _Listener:
         """How many bytes the driver has marked as damaged, in all."""
 
     def listen(self, heard_as: SerialFormat) -> SettingsTrial | None:
-        """What is heard with a setting; None if the driver does not support the setting."""
+        """Read the port with a setting, and return what was heard.
+
+        Returns None if the driver does not support the setting.
+        """
         try:
             self._port.tune(heard_as)
         except LinkError:
@@ -110,7 +113,8 @@ class _Listener:
                 skipped += len(data)
             else:
                 hearing.feed(data, self._port.damaged, at_ns)
-            # Too early in a pause inside a frame, which some adapters make.
+            # Right after data the trial must not end: the frame may go on, as some adapters make
+            # pauses inside a frame.
             if (not data or hearing.heard >= ENOUGH) and hearing.is_decided:
                 break
         self.marked += hearing.marked
@@ -118,7 +122,7 @@ class _Listener:
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
-    """Say if the parity is sure too: if the driver would have marked wrong parity."""
+    """Say whether the parity is sure too: only if the driver is known to mark wrong parity."""
     if heard_as.parity == "N" or listener.marked:
         return "sure"
     hearing = listener.listen(other_parity(heard_as))

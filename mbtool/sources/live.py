@@ -1,6 +1,7 @@
 """Opens the live source that a LINK names."""
 
-# Each kind of source is imported when one is asked for: scapy and pyserial take their time.
+# The module of a source is imported only when such a source is asked for, as the imports of scapy
+# and pyserial take long.
 
 from __future__ import annotations
 
@@ -24,10 +25,11 @@ def live_source(
     ports: Sequence[int] = (MODBUS_PORT,),
     allowed: AllowedPeers = THIS_MACHINE,
 ) -> LiveSource[Any]:
-    """The source for a link, not yet open.
+    """Return the source for a link, not yet open.
 
-    `ports` are the TCP ports that an interface captures, none for all; `allowed` are the machines
-    that may connect to a tap. Raises UsageError for a link that cannot be listened to.
+    `ports` are the TCP ports whose packets are captured from an interface; if it is empty, all are.
+    `allowed` are the machines that may connect to a tap. Raises UsageError for a link that cannot
+    be listened to.
     """
     match link:
         case SerialLink(slave_port=str(), is_relay=False):

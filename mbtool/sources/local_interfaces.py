@@ -1,7 +1,7 @@
-"""Lists the network interfaces of this machine, and what keeps a capture from them."""
+"""Lists the network interfaces of this machine, and what prevents capturing from each."""
 
-# On Linux all comes from /sys/class/net, and the kernel says what is permitted; other systems give
-# only the names.
+# On Linux all facts come from /sys/class/net, and the kernel says if capturing is permitted. Other
+# systems give only the names.
 #
 #     NAME/flags      bit 1H is IFF_UP
 #     NAME/carrier    1 if there is something at the other end of the cable; unreadable while down
@@ -31,9 +31,9 @@ _KINDS = {
     776: "tunnel",
     65534: "tunnel",
 }
-"""ARPHRD_ of linux/if_arp.h."""
+"""Words for hardware types (ARPHRD_ of linux/if_arp.h) other than Ethernet."""
 _DEVICE_TYPES = {"wlan": "Wi-Fi", "vlan": "VLAN", "gadget": "USB gadget", "wwan": "mobile"}
-"""What people call a DEVTYPE of the kernel."""
+"""Words for the kinds of interfaces that DEVTYPE= in the file uevent names."""
 
 
 def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
@@ -49,12 +49,15 @@ def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
         names = sorted(os.listdir(folder))
     except OSError:
         return []
-    # Drivers put files of their own there, such as bonding_masters; interfaces are folders.
+    # Only the folders are interfaces: drivers put files there too, such as bonding_masters.
     return [_interface(folder / name, trouble) for name in names if (folder / name).is_dir()]
 
 
 def interfaces_by_name(trouble: Trouble | None) -> list[LocalInterface]:
-    """The interfaces as every system lists them: only their names."""
+    """Return all interfaces with nothing but their names, as any system lists them.
+
+    `trouble` is what keeps this process from capturing at all.
+    """
     troubles = () if trouble is None else (trouble,)
     return [LocalInterface(name=name, troubles=troubles) for _, name in socket.if_nameindex()]
 

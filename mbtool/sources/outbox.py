@@ -1,10 +1,12 @@
 """Holds what a relay records for a few milliseconds, so that decoding delays no response."""
 
 # If a request woke the consumer at once, the consumer would decode it and write the log just when
-# the response comes, and in one interpreter the relay would have to wait. So items are handed over
-# together, HOLD_S after the first of them: a quick response has passed by then.
+# the response comes; as both run in one interpreter, the relay would have to wait. So the outbox
+# collects items and hands them to the inbox together, HOLD_S after the first of them: a quick
+# response has passed by then.
 #
-# Holds what comes in HOLD_S, at most MAX_HELD bytes and one item more. Belongs to one event loop.
+# Memory: the items of HOLD_S seconds, at most MAX_HELD bytes and one item more. An outbox is used
+# only inside its event loop.
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ MAX_HELD = 2**20
 
 
 class Outbox:
-    """A sink that passes on to another sink, a little later."""
+    """A sink that hands its items to another sink a few milliseconds later."""
 
     def __init__(self, inbox: Sink, loop: asyncio.AbstractEventLoop) -> None:
         self._inbox = inbox
@@ -34,7 +36,7 @@ class Outbox:
 
     @property
     def held(self) -> int:
-        """How much is held, counted as an `Inbox` does."""
+        """The bytes of the items held, with ITEM_COST for each."""
         return self._held
 
     def put(self, item: Item) -> None:
@@ -46,7 +48,7 @@ class Outbox:
             self._timer = self._loop.call_later(HOLD_S, self.flush)
 
     def flush(self) -> None:
-        """Hand over all that is held, at once."""
+        """Hand all held items to the other sink now."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -1,4 +1,4 @@
-"""The kernel filter that keeps other traffic out of a capture: classic BPF, assembled here."""
+"""The kernel filter that lets only Modbus traffic into a capture: classic BPF, assembled here."""
 
 # scapy compiles filters with libpcap, which may not be installed; this one program is all we need.
 # It reads the packet from the network header on (SKF_NET_OFF) and asks the kernel for the protocol,
@@ -11,12 +11,13 @@
 #   packets with a second VLAN tag (802.1ad), with a tag that the kernel does not remove (9100H), or
 #   with the tag of HSR
 #   ERSPAN over IPv4: what a switch mirrors to this machine over a network
-# Other tunnels, PPPoE and MPLS are read from files only: live, all that they carry would come.
+# Packets in other tunnels, PPPoE and MPLS are dropped, as the filter could not tell which of them
+# carry Modbus. They are read from capture files only.
 #
-# On the loopback every packet is seen twice, going out and coming in; the first is dropped. A
-# capture of all interfaces checks for each packet if it is the loopback's.
+# The loopback gives every packet twice, going out and coming in; the outgoing one is dropped. In a
+# capture of all interfaces the filter checks for each packet if it comes from the loopback.
 #
-# At most 100 ports can be named: a jump reaches 255 instructions.
+# The user can name at most 100 ports, as a conditional jump reaches only 255 instructions ahead.
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 MAX_PORTS = 100
 
-# linux/filter.h and linux/bpf_common.h
+# Instruction codes and special offsets of linux/bpf_common.h and linux/filter.h
 _LD_WORD, _LD_HALF, _LD_BYTE = 0x20, 0x28, 0x30
 _LD_HALF_X = 0x48
 _LDX_IMMEDIATE, _LDX_HEADER_LENGTH = 0x01, 0xB1
@@ -52,7 +53,10 @@ _WHOLE_PACKET = 0x40000
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One instruction. A jump names the label it goes to; without one it goes to the next line."""
+    """One instruction. A jump has two labels: where it goes if its test holds, and if it does not.
+
+    An empty label stands for the next instruction.
+    """
 
     code: int
     k: int = 0
@@ -61,9 +65,11 @@ class Instruction:
 
 
 def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes]:
-    """Assemble the filter, as the kernel's struct sock_filter. Raises UsageError.
+    """Assemble the filter for some TCP ports, or for all if none is named.
 
-    `is_loopback` is None for a capture of all interfaces.
+    Returns each instruction as the kernel's struct sock_filter. `is_loopback` says if the interface
+    is the loopback; None stands for a capture of all interfaces. Raises UsageError for more than
+    MAX_PORTS ports.
     """
     if len(ports) > MAX_PORTS:
         raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")
@@ -119,7 +125,7 @@ def _from_or_to(ports: Sequence[int]) -> Iterator[Instruction]:
 
 
 def drop_everything() -> list[bytes]:
-    """The filter that is in place while a capture is set up."""
+    """Return a filter that drops every packet; it is in place while a capture is set up."""
     return _assemble([Instruction(_RETURN, 0)])
 
 

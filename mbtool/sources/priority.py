@@ -7,7 +7,7 @@
 # slice made no measurable difference (tests/benchmarks/serial_times.py).
 #
 # Such a process sleeps in select, so on a machine with one core it takes no more time than its work
-# needs. The kernel leaves ordinary processes 5 % of the time in any case (sched(7)).
+# needs. In any case the kernel keeps 5 % of the time for ordinary processes (sched(7)).
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from contextlib import suppress
 
 
 def run_promptly() -> None:
-    """Run before ordinary processes from here on; change nothing if that is not permitted.
+    """Ask the system to run this thread before ordinary processes from now on.
 
-    Threads and processes that are started later have the ordinary priority again.
+    If that is not permitted, nothing changes. Threads and processes that it starts later have the
+    ordinary priority.
     """
     if sys.platform == "linux":
         policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK

@@ -8,8 +8,8 @@
 # Each side may have TLS (ports/tls.py); the bytes inside TLS are recorded. The relay connects to
 # the target once the master's handshake is complete. Bytes that come right behind that handshake,
 # at most two reads, are kept until the target is connected, and count as received then. asyncio's
-# TLS knows no half-close: the end of one direction ends both, once pending bytes are sent. It holds
-# at most 256 KiB and one read of bytes that are received and not yet decrypted.
+# TLS knows no half-close: the end of one direction ends both, once pending bytes are sent. asyncio
+# holds at most 256 KiB and one read of bytes that are received and not yet decrypted.
 #
 # Each read is one chunk. Its time is taken right after it was received, then it is passed on, then
 # recorded. The response can only come later, so the record keeps the order of cause and effect. If
@@ -38,9 +38,12 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Sink
 
 CONNECT_S = 10.0
-"""How long the target may take to accept, and the master to complete a TLS handshake."""
+"""How many seconds the target may take to accept, and the master to complete a TLS handshake."""
 MAX_WAITING = 2**16
-"""How many bytes may wait for a side before the other must stop. asyncio's TLS lets more wait."""
+"""How many bytes may wait to be sent to a side before the relay stops reading the other side.
+
+With TLS, asyncio lets more bytes wait.
+"""
 
 _ERRNO = re.compile(r"\[Errno (\d{1,5})\]")
 
@@ -60,7 +63,7 @@ class TcpRelay:
         listen_tls: ssl.SSLContext | None = None,
         target_tls: tuple[ssl.SSLContext, str] | None = None,
     ) -> None:
-        """`target_tls` holds also the name that the target's certificate must have.
+        """`target_tls` is the TLS context for the target, and the name its certificate must have.
 
         `on_accept` gets the relay, the master's transport and address; it returns true to keep the
         connection. `on_end` is called when both sides are closed.
@@ -78,19 +81,20 @@ class TcpRelay:
         self._reason: CloseReason | None = None
         self._is_open = False
         self.active_s = 0.0
-        """When a byte last passed, on the event loop's clock, in seconds."""
+        """When bytes last arrived from either side, in seconds on the event loop's clock."""
         self.master = _RelaySide(self, Direction.REQUEST)
         self.slave = _RelaySide(self, Direction.RESPONSE)
         self.master.peer, self.slave.peer = self.slave, self.master
 
     def abort(self, reason: CloseReason) -> None:
-        """Close both sides at once."""
+        """Close both sides at once, and discard bytes not yet sent. `reason` is recorded."""
         self._reason = self._reason or reason
         if self._connecting is not None:
             self._connecting.cancel()
         for side in (self.master, self.slave):
             if side.transport is not None:
-                # The first releases of Python 3.11 forget that a TLS transport may have ended.
+                # In the first releases of Python 3.11, abort() of a TLS transport that has already
+                # ended raises AttributeError.
                 with suppress(AttributeError):
                     side.transport.abort()
 
@@ -104,7 +108,7 @@ class TcpRelay:
         self._connection = Connection(Endpoint(host, port), self._target, self._number)
         if self._on_accept(self, transport, self._connection.master):
             # Up to Python 3.11.3 asyncio starts to read after connection_made even if that has
-            # paused reading, so the pause must come later.
+            # paused reading. So the pause comes in the event loop's next round.
             loop.call_soon(transport.pause_reading)
             self._connecting = loop.create_task(self._begin(transport, self._connection))
 
@@ -122,7 +126,10 @@ class TcpRelay:
         )
 
     def lost(self, side: _RelaySide, error: Exception | None) -> None:
-        """Close the other side, as the transport of this one is closed."""
+        """Close the other side too, as the transport of `side` has closed.
+
+        The other side is reset if `error` ended this one, else it is closed in order.
+        """
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
         why = failure(error, side.who) if isinstance(error, OSError) else None
@@ -144,7 +151,7 @@ class TcpRelay:
             await self._connect_target(connection)
 
     async def _greet(self, transport: asyncio.Transport, tls: ssl.SSLContext) -> bool:
-        """Do the TLS handshake with the master; true if it succeeded."""
+        """Do the TLS handshake with the master; return true if it succeeded."""
         inner = None
         try:
             inner = await asyncio.get_running_loop().start_tls(
@@ -153,7 +160,7 @@ class TcpRelay:
         except OSError as error:
             self._tell_refused(failure(error, self.master.who) or f"TLS: {_why(error)}")
         finally:
-            # asyncio may not tell the protocol that a connection ended in its handshake.
+            # If the connection ends during the handshake, asyncio may not call connection_lost.
             if inner is None and not self.master.is_lost:
                 self.master.connection_lost(None)
         if inner is None or self.master.is_lost:
@@ -232,7 +239,7 @@ class _RelaySide(asyncio.Protocol):
         self._has_ended = False
         self._is_told_to_close = False
         self._early = b""
-        """What came before the other side was connected."""
+        """Bytes that arrived before the other side was connected; they are still to be sent."""
 
     @property
     def tls(self) -> ssl.SSLObject | None:
@@ -244,7 +251,7 @@ class _RelaySide(asyncio.Protocol):
             self.transport.set_write_buffer_limits(MAX_WAITING)
 
     def close(self) -> None:
-        """Send pending bytes, then close; asyncio's TLS can be told so only once."""
+        """Send pending bytes, then close. A second call does nothing, as TLS permits only one."""
         if self.transport is not None and not self._is_told_to_close:
             self._is_told_to_close = True
             self.transport.close()
@@ -265,7 +272,7 @@ class _RelaySide(asyncio.Protocol):
         self._relay.received(self, ts_ns, data)
 
     def pass_on_early(self) -> None:
-        """Pass on what came before the other side was connected, as if it came now."""
+        """Pass on the bytes from before the other side was connected, as if they arrived now."""
         early, self._early = self._early, b""
         if early:
             self.data_received(early)
@@ -286,7 +293,8 @@ class _RelaySide(asyncio.Protocol):
         if self.is_lost:  # A handshake failed, and the relay has been told.
             return
         self.is_lost = True
-        # A peer may not answer the end of TLS: the connection is over all the same.
+        # If the peer does not answer our closing of TLS, asyncio reports an error. The connection
+        # has ended as it should all the same.
         is_over = self._is_told_to_close and isinstance(exc, ssl.SSLError | TimeoutError)
         self._relay.lost(self, None if is_over else exc)
 
@@ -295,13 +303,14 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        # A transport that has read the end of file would report it again when it resumes.
+        # A transport that has already read the end of file would report that a second time if it
+        # resumed reading.
         if self.peer.transport is not None and not self.peer._has_ended:
             self.peer.transport.resume_reading()
 
 
 def _why(error: Exception) -> str:
-    """Why the target cannot be reached, in words for the user."""
+    """Return in words for the user why the target cannot be reached."""
     if isinstance(error, UnicodeError):
         return "no such host"
     if isinstance(error, socket.gaierror):

@@ -22,16 +22,22 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Sink
 
 _START_S = 20.0
-"""How long the reading process may take to open its port."""
+"""How long the reading process may take to open its port, in seconds."""
 
 
 class SerialSource(LiveSource[SerialLink]):
-    """Listens to one serial port while its context is open. Entering raises LinkError."""
+    """Listens to one serial port, or to both of a serial tap, while its context is open.
+
+    Entering the context raises LinkError if a port cannot be opened.
+    """
 
     def __init__(
         self, link: SerialLink, inbox: Sink, speaker: Direction = Direction.UNKNOWN
     ) -> None:
-        """`speaker` chooses the port of a link with two taps; a serial tap reads both its ports."""
+        """`speaker` says whom the port hears: the master (REQUEST), the slaves (RESPONSE) or both.
+
+        It chooses the port of a link with two. A serial tap reads both ports and ignores it.
+        """
         super().__init__(link, inbox)
         self._speaker = Direction.REQUEST if link.is_relay else speaker
         self._port = link.ports[-1] if speaker is Direction.RESPONSE else link.port
@@ -50,7 +56,7 @@ class SerialSource(LiveSource[SerialLink]):
             raise self._error or LinkError(f"serial port {self._port}: opening takes too long")
 
     def tell_to_end(self) -> None:
-        """Tell the reading process to end; what it has read, and Ended, are still to come."""
+        """Tell the reading process to end. Then the last bytes that it read and Ended are put."""
         self._is_closing = True
         if self._child is not None:
             tell_to_end(self._child)
@@ -100,7 +106,8 @@ class SerialSource(LiveSource[SerialLink]):
                 self._tell(record, EventKind.LINE_ERROR, record.data.decode())
             case RecordKind.OVERRUN:
                 text = f"overrun: the port's driver lost at least {record.lost} bytes"
-                # No GAP, which ends the frame being decoded: this is told up to a second later.
+                # The driver's report comes up to a second after the loss. So the event is no GAP,
+                # which would end the frame that is being decoded now.
                 self._tell(record, EventKind.LINE_ERROR, text, record.lost)
             case RecordKind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))

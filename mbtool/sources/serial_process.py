@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
 
 def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
-    """Read until told to end, and hand over what is recorded, the error of a lost port last.
+    """Call `read`, which reads a port until it is told to end, in a process set up for that.
 
-    `read` gets where to put records, and the event that tells it to end. It may raise LinkError.
+    `read` gets the writer for its records, and the event that tells it to end. If it raises
+    LinkError, the text becomes the last record.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     run_promptly()
@@ -45,7 +46,7 @@ def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
 
 
 def put_troubles(records: RecordWriter, troubles: Iterable[LineTrouble], prefix: str = "") -> None:
-    """Record what a driver reports: lost bytes as a number, damage in words behind a prefix."""
+    """Write a driver's reports as records: lost bytes as a number, damage as `prefix` and text."""
     for trouble in troubles:
         if trouble.lost:
             records.put_count(RecordKind.OVERRUN, trouble.ts_ns, trouble.lost)

@@ -1,14 +1,14 @@
 """The process that reads one serial port: python -m mbtool.sources.serial_reader PORT FORMAT."""
 
-# One tight loop: wait, read, take the time, hand over. Nothing else runs in this interpreter:
-# beside a busy decoder the time would be that of the interpreter's next free moment. Each read is
-# one record; nothing is joined.
+# The loop waits, reads, takes the time and writes a record. Nothing else runs in this interpreter:
+# beside a busy decoder the time would be that of the interpreter's next free moment. Each read
+# becomes one record.
 #
 # A heartbeat (QUIET) comes twice t3.5 after the last byte, so that the end of a frame is known
 # without delay, and then every 50 ms. Its time is exact: it is taken before a read that found
 # nothing.
 #
-# What the driver reports of damaged and lost bytes follows the bytes (line_errors.py).
+# The driver's reports of damaged and lost bytes follow the record of the bytes (line_errors.py).
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def _read_port(port: str, format_: SerialFormat, records: RecordWriter, told_to_
 def read_until(
     told_to_end: Event, source: ListeningPort, records: RecordWriter, format_: SerialFormat
 ) -> None:
-    """Hand over what arrives until told to end, and what has arrived by then.
+    """Record all bytes that arrive at the port until `told_to_end` is set.
 
-    Raises LinkError when the port is lost and BrokenPipeError when the parent is.
+    Raises LinkError when the port is gone, and BrokenPipeError when the parent has ended.
     """
     settle_s = min(2 * format_.t3_5_ns / 1e9, IDLE_S)
     wait_s = IDLE_S

@@ -1,19 +1,20 @@
 """The process of a serial tap: python -m mbtool.sources.serial_relay MASTER SLAVES FORMAT."""
 
-# The line is cut, and each end has a port. What one port hears, the other sends: at once, as read,
-# in the order wait, read, take the time, pass on, record. So the record of a request always stands
-# before that of its response. The records are those of serial_reader.py, and ANSWER for what came
-# from the slaves' side.
+# The line is cut, and each end has a port. What one port hears, the other sends at once: the
+# process waits, reads, takes the time, passes the bytes on and records them. So the record of a
+# request always stands before that of its response. The records are those of serial_reader.py, and
+# ANSWER for bytes from the slaves' side.
 #
 # A port is not read while bytes of its last read still wait for the other port's driver. So at most
 # one read waits in each direction. If a side takes nothing, the system's own buffer fills and then
-# loses bytes, which the driver counts. No silence is reported meanwhile, as none is known.
+# loses bytes, which the driver counts. No silence is reported in that time, as the port that is not
+# read may be hearing something.
 #
-# What was recorded was passed on: when told to end, and when one side is lost, both ports are read
-# a last time, and what is still to be sent gets LAST_S to leave.
+# Recorded bytes are passed on also at the end: when the process is told to end, or one port is
+# gone, both ports are read a last time, and pending bytes have LAST_S to be sent.
 #
-# Only the byte is passed on: a damaged byte leaves with correct parity, and a break leaves as 00.
-# Both are reported as `line-error`.
+# A byte is passed on without its damage: one with wrong parity is sent with correct parity, and a
+# break is sent as 00. Both are reported as `line-error`.
 
 from __future__ import annotations
 
@@ -37,11 +38,11 @@ if TYPE_CHECKING:
     from threading import Event
 
 LAST_S = 0.5
-"""How long what is still to be sent may take at the end, in each direction."""
+"""How long sending the pending bytes of one direction may take at the end, in seconds."""
 
 
 class Port(Protocol):
-    """What the relay needs of a port. Reading and writing raise LinkError when it is gone."""
+    """What the relay needs of a port. `read` and `write` raise LinkError if the port is gone."""
 
     damaged: Sequence[int]
 
@@ -83,9 +84,9 @@ class SerialRelay:
         self._sides[0].onward, self._sides[1].onward = slaves, master
 
     def run_until(self, told_to_end: Event) -> None:
-        """Pass on until told to end, and what has arrived by then.
+        """Pass on and record all bytes that arrive until `told_to_end` is set.
 
-        Raises LinkError when a port is lost and BrokenPipeError when the parent is.
+        Raises LinkError when a port is gone, and BrokenPipeError when the parent has ended.
         """
         try:
             wait_s = IDLE_S
@@ -95,7 +96,10 @@ class SerialRelay:
             self._finish()
 
     def _wait_and_pass(self, wait_s: float) -> float:
-        """Wait once, then pass on and record; gives how long to wait next, in seconds."""
+        """Wait once for bytes, pass them on and record them.
+
+        Returns how long the next call is to wait, in seconds.
+        """
         asked_ns = now_ns()
         waiting = [side for side in self._sides if side.unsent]
         readable = [side for side in self._sides if not side.unsent]
@@ -140,7 +144,7 @@ class _SerialDirection:
         self._errors = LineErrors(port.counts, format_.character_ns, now_ns())
 
     def take(self, records: RecordWriter) -> bool:
-        """Read, pass on, record; True if anything was read."""
+        """Read the port, pass the bytes on and record them; return True if there were any."""
         data = self.port.read(0)
         read_ns = now_ns()
         if not data:
@@ -158,7 +162,7 @@ class _SerialDirection:
         self.unsent = self.unsent[self.onward.write(self.unsent) :]
 
     def finish(self, records: RecordWriter) -> None:
-        """Pass on pending bytes and what has arrived, for at most LAST_S each."""
+        """Send pending bytes, then read the port a last time and send that: LAST_S for each."""
         self._send_rest()
         if not self.unsent:
             self.take(records)
@@ -171,7 +175,7 @@ class _SerialDirection:
             self.send()
 
     def tell(self, records: RecordWriter, at_ns: int) -> None:
-        """Record what the driver reports of damage, if that is due."""
+        """Record the driver's reports of damaged and lost bytes, if they are due."""
         put_troubles(records, self._errors.tell(at_ns), self._prefix)
 
     def tell_all(self, records: RecordWriter) -> None:

@@ -17,9 +17,10 @@ HeardLink = TypeVar("HeardLink", bound=SerialLink | InterfaceLink | TapLink)
 
 
 class LiveSource(ABC, Generic[HeardLink]):
-    """Puts what it hears into an inbox while its context is open, and Ended when it has ended.
+    """Puts what it hears into an inbox while its context is open, and Ended as the last item.
 
-    Entering the context raises LinkError. When it is left, all that was heard is in the inbox.
+    Entering the context raises LinkError if the link cannot be opened. When the context has been
+    left, all that was heard is in the inbox.
     """
 
     def __init__(self, link: HeardLink, inbox: Sink) -> None:
@@ -29,12 +30,12 @@ class LiveSource(ABC, Generic[HeardLink]):
 
     @property
     def link(self) -> str:
-        """The name that its items carry."""
+        """The link's name, which each item of this source carries."""
         return self._link.name
 
     @property
     def place(self) -> str:
-        """The link as opened: with the port that the system chose where 0 was asked for."""
+        """The link as text. If TCP port 0 was asked for, it has the port that the system chose."""
         return str(self._link)
 
     def __enter__(self) -> Self:
@@ -46,14 +47,17 @@ class LiveSource(ABC, Generic[HeardLink]):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the link and begin to listen. Raises LinkError."""
+        """Open the link and begin to listen. Raises LinkError if the link cannot be opened."""
 
     def accept(self) -> None:
-        """Let masters in, if it is a source that masters connect to."""
+        """Let masters connect, if this is a tap; other sources do nothing."""
 
     @abstractmethod
     def close(self) -> None:
-        """End; all that was heard is then in the inbox, and Ended. A second call does nothing."""
+        """Stop listening. All that was heard is then in the inbox, and Ended behind it.
+
+        A second call does nothing.
+        """
 
     def _start_thread(self, run: Callable[[], None]) -> None:
         self._thread = Thread(target=run, name=f"source {self.link}", daemon=True)

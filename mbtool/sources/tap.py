@@ -9,12 +9,12 @@
 # has accepted one. If the target cannot be reached, the master's connection is reset, and a REFUSED
 # event gives the reason. A master whose address is not allowed is reset at once, likewise.
 #
-# With TLS on a side, the bytes inside TLS are recorded. The certificate files are read before the
-# tap listens.
+# If a side has TLS, the decrypted bytes are recorded. The certificate files are read before the tap
+# listens.
 #
-# A recording program opens its log before masters use up the files that a process may have open:
-# a tap with `waits` accepts nobody until `accept` is called. Masters that connect before that, and
-# while no more files can be opened, wait in the system's queue.
+# Connections of masters can use up the files that a process may have open. A recording program must
+# open its log before that, so a tap with `waits` accepts nobody until `accept` is called. Masters
+# that connect before that, and while no more files can be opened, wait in the system's queue.
 #
 # Limits: 64 connections at once; one more is reset, with an event. A connection without a byte for
 # an hour is closed: few masters poll so rarely, and peers that vanished without a word would
@@ -45,11 +45,15 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 64
 IDLE_S = 3600.0
 _TICK_S = 0.1
-"""How often the consumer learns that time passes, and idle connections are looked for."""
+"""After how many seconds each the tap puts a Quiet and looks for idle connections."""
 
 
 class TapSource(LiveSource[TapLink]):
-    """Relays and records while its context is open. Entering raises LinkError, UsageError."""
+    """Relays connections and records them while its context is open.
+
+    Entering the context raises LinkError if the tap cannot listen or a certificate file is wrong,
+    UsageError if other machines can reach its endpoint and none is allowed to connect.
+    """
 
     _loop: asyncio.AbstractEventLoop
     _outbox: Outbox
@@ -64,7 +68,7 @@ class TapSource(LiveSource[TapLink]):
         idle_s: float = IDLE_S,
         waits: bool = False,
     ) -> None:
-        """With `waits` nobody is let in before `accept`."""
+        """If `waits` is true, the tap accepts no connection before `accept` is called."""
         super().__init__(link, inbox)
         self._listener = TcpListener(link, link.listen, allowed)
         self._max_connections = max_connections
@@ -83,7 +87,7 @@ class TapSource(LiveSource[TapLink]):
 
     @property
     def endpoint(self) -> Endpoint:
-        """Where the tap listens, with the port that the system chose where 0 was asked for."""
+        """The endpoint the tap listens at. After `open`, port 0 is replaced by the chosen port."""
         return self._listener.endpoint
 
     def open(self) -> None:
@@ -152,7 +156,7 @@ class TapSource(LiveSource[TapLink]):
         )
 
     def _admit(self, relay: TcpRelay, transport: asyncio.Transport, master: Endpoint) -> bool:
-        """Keep a connection, or reset it; True if it is kept."""
+        """Keep a master's new connection, or reset it; return True if it is kept."""
         refusal = self._listener.refusal(master.host)
         if refusal is not None:
             self._tell(EventKind.REFUSED, refusal, str(master))

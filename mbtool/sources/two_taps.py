@@ -1,10 +1,10 @@
 """Two serial ports as one live source: one hears the master, the other the slaves."""
 
-# Each port has a reading process and a thread of its own; their chunks say who speaks. That one
-# port is silent says nothing about the other: the inbox gets a Quiet with the earlier of the two
-# times until which everything that a port heard has been put. When the clock is set back, that time
-# goes back too. The two end together: when one is lost, the other is told to end, and what it had
-# still heard comes before the single Ended.
+# Each port has a reading process and a thread of its own; each chunk says which side spoke. If one
+# port is silent, the other may still hear something. So for each port this source keeps the time
+# until which all that the port heard is in the inbox, and puts a Quiet with the earlier of the two
+# times. When the clock is set back, these times go back too. Both ports end together: when one is
+# gone, the other is told to end, and what it has heard comes before the single Ended.
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 
 class TwoTapsSource(LiveSource[SerialLink]):
-    """Listens to both ports of a link while its context is open. Entering raises LinkError."""
+    """Listens to both ports of a link while its context is open.
+
+    Entering the context raises LinkError if a port cannot be opened.
+    """
 
     def __init__(self, link: SerialLink, inbox: Sink) -> None:
         super().__init__(link, inbox)
@@ -33,9 +36,9 @@ class TwoTapsSource(LiveSource[SerialLink]):
             for speaker in (Direction.REQUEST, Direction.RESPONSE)
         }
         self._known_ns = dict.fromkeys(self._taps, 0)
-        """By port: the time until which all that it heard has been put."""
+        """For each port, by who speaks there: until when all it heard is in the inbox, in ns."""
         self._quiet_ns = 0
-        """The time of the last Quiet in the inbox, which holds for both ports."""
+        """The time of the last Quiet put: all that both ports heard before it is in the inbox."""
         self._listening = set(self._taps)
         self._error: LinkError | None = None
         self._opened = ExitStack()
@@ -60,7 +63,7 @@ class TwoTapsSource(LiveSource[SerialLink]):
         self._opened.close()
 
     def put(self, item: Item, speaker: Direction) -> None:
-        """Take an item of one of the ports."""
+        """Take an item from the port at which `speaker` is heard; any thread may call this."""
         with self._lock:
             if isinstance(item, Ended):
                 self._end(item, speaker)
@@ -91,7 +94,7 @@ class TwoTapsSource(LiveSource[SerialLink]):
 
 
 def _known(until_ns: int, ts_ns: int) -> int:
-    """The later of two times; the new one also where the clock was set back."""
+    """Return the later of two times, or `ts_ns` if it is so early that the clock was set back."""
     return ts_ns if ts_ns < until_ns - MAX_CLOCK_STEP_NS else max(until_ns, ts_ns)
 
 

@@ -27,12 +27,16 @@ _START_S = 20.0
 
 @dataclass(slots=True, kw_only=True)
 class VirtualLine:
-    """A line that exists while its context is open. Entering raises LinkError."""
+    """A serial line without hardware that exists while its context is open.
+
+    The constructor raises UsageError for a wrong number of ends or links. Entering the context
+    raises LinkError if the line cannot be made.
+    """
 
     ends: int = 2
     format: SerialFormat = field(default_factory=SerialFormat)
     link_names: Sequence[str] = ()
-    """Paths of symbolic links to make, for the first ends."""
+    """Paths of symbolic links to make: the first leads to the first end, and so on."""
     _ports: list[str] = field(default_factory=list, init=False)
     _child: subprocess.Popen[bytes] | None = field(default=None, init=False)
 

@@ -3,25 +3,27 @@
 # ENDS is the number of ends, CHARACTER_NS the character time in ns. Each LINK is the path of a
 # symbolic link to make: the first one leads to the first end, the second one to the second end.
 #
-# If a character is written while its end is idle, the others hear it one character time later, as
-# on a wire, where it is received when its stop bit has passed. The next one follows a character
-# time after that. The times are absolute, so a late wake-up delays its characters and does not
-# shift those that follow. No character is early. Two deliveries are at least GRAIN_NS apart: up to
-# 38400 baud every character is delivered alone, at 115200 baud three come at once.
+# If a program writes a character to an idle end, the other ends hear it one character time later,
+# as on a wire, where it is received when its stop bit has passed. The next character follows one
+# character time after that. Each character's time is counted from the first one, so if the process
+# wakes up late, this delays the characters due then and not those that follow. No character is
+# early. Two deliveries are at least GRAIN_NS apart: up to 38400 baud every character is delivered
+# alone, at 115200 baud three come at once.
 #
 # If two ends write at once, the others hear the characters of both, interleaved: nonsense, as on a
 # wire. No end hears itself.
 #
-# Limits: the line reads an end while fewer than MAX_PENDING characters of it are pending, so a
-# writer is slowed as by a port's buffer. An end that nobody reads keeps what the system holds for a
-# terminal (Linux: 4095 bytes) and loses what comes after, like an overrun port. A program that
-# opens the end later reads that, unless it flushes its input as pyserial and this package do.
+# Limits: the hub reads an end only while fewer than MAX_PENDING characters of it are pending, so a
+# writer is slowed as by a port's buffer. If nobody reads an end, the system keeps the first bytes
+# for it (Linux: 4095) and loses what comes after, like an overrun port. A program that opens the
+# end later reads the kept bytes, unless it flushes its input as pyserial and this package do.
 #
-# The hub keeps both sides of each pseudo-terminal open. Otherwise the near side reports EIO as soon
-# as a user closes the far side, and the terminal loses its raw mode.
+# A pseudo-terminal has a side for the hub and a side for the user's program; the hub keeps both
+# open. Otherwise its own side would report EIO as soon as the program closes the other, and the
+# terminal would lose its raw mode.
 #
 # The process ends when its standard input ends (child.py). It then removes the links that it made,
-# unless they lead elsewhere by then.
+# except those that somebody has meanwhile made to lead elsewhere.
 
 from __future__ import annotations
 
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 
 MAX_PENDING = 4096
 GRAIN_NS = 250_000
-"""The shortest time between two deliveries."""
+"""The shortest time between two deliveries, in ns."""
 
 
 class Sender:
@@ -59,7 +61,7 @@ class Sender:
 
     @property
     def next_ns(self) -> int | None:
-        """When the next character is due; None if none is pending."""
+        """When the next character is due, in ns of the monotonic clock; None if none is pending."""
         return self._next_ns if self._pending else None
 
     def put(self, data: bytes, now_ns: int) -> None:
@@ -68,7 +70,7 @@ class Sender:
         self._pending += data
 
     def take(self, now_ns: int) -> bytes:
-        """Take the characters that are due at this time."""
+        """Take out and return the characters that are due at `now_ns`."""
         if not self._pending or now_ns < self._next_ns:
             return b""
         count = min((now_ns - self._next_ns) // self._character_ns + 1, len(self._pending))
@@ -108,7 +110,10 @@ def main() -> None:
 
 
 def run(control: int, ends: Sequence[int], character_ns: int) -> None:
-    """Carry characters between the ends until the control descriptor is at its end of file."""
+    """Carry characters between the ends until reading the descriptor `control` gives end of file.
+
+    `ends` are the descriptors of the hub's sides of the pseudo-terminals.
+    """
     senders = {end: Sender(character_ns) for end in ends}
     delivered_ns = 0
     while True:

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
 
 MAX_VALUES = 16
-"""Registers that a cell lists. If there are more, it shows how many there are."""
+"""The most registers that a cell lists. For more, the cell also says how many there are."""
 
 MAX_BITS = 32
 
 MAX_RAW = 16
-"""Skipped bytes that a cell lists."""
+"""The most bytes of an event that a cell lists."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransactionRow:
-    """One line of the table."""
+    """One line of the transaction table: the texts of its cells."""
 
     number: str
     time: str
@@ -64,7 +64,7 @@ HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency"
 def transaction_row(
     number: int, transaction: NamedTransaction, profile: Profile | None = None
 ) -> TransactionRow:
-    """The row of a transaction. With a profile, findings have the profile's figures."""
+    """The row of a transaction. With a profile, its findings have the profile's figures."""
     return TransactionRow(
         number=str(number),
         time=clock_time(transaction.start_ns),
@@ -79,7 +79,7 @@ def transaction_row(
 
 
 def event_row(event: WireEvent) -> TransactionRow:
-    """The row of a wire event in the same table."""
+    """The row of a wire event in the transaction table."""
     return TransactionRow(
         number="",
         time=clock_time(event.ts_ns),
@@ -94,7 +94,7 @@ def event_row(event: WireEvent) -> TransactionRow:
 
 
 def function_text(transaction: NamedTransaction) -> str:
-    """The function code in hexadecimal, and the vendor's or the standard's name."""
+    """The cell "function": the code in hexadecimal, and the vendor's or the standard's name."""
     name = short_name(transaction.function, transaction.function_name)
     if transaction.function not in FUNCTIONS and name.startswith("function "):
         name = "unknown function"
@@ -102,7 +102,7 @@ def function_text(transaction: NamedTransaction) -> str:
 
 
 def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> str:
-    """The reference, the values of a write, and the findings."""
+    """The cell "what": the reference, the values that a request writes, and the findings."""
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
     text = transaction.reference or ""
@@ -129,7 +129,7 @@ _WITHOUT_REQUEST = {
 
 
 def result_text(transaction: NamedTransaction) -> str:
-    """The outcome, and the values of a read."""
+    """The cell "result": the outcome, and the values that a response contains."""
     if transaction.exception is not None:
         name = transaction.exception_name or ""
         text = f"exception {transaction.exception:02X}"
@@ -157,7 +157,10 @@ def result_text(transaction: NamedTransaction) -> str:
 
 
 def values_text(values: list[int], *, bits: bool = False) -> str:
-    """Registers with commas, or bits with spaces; of many, the first ones and their number."""
+    """List registers with commas, or bits with spaces.
+
+    If there are too many, only the first ones are listed, and how many there are.
+    """
     shown = MAX_BITS if bits else MAX_VALUES
     joint = " " if bits else ", "
     text = joint.join(map(str, values[:shown]))
@@ -165,7 +168,7 @@ def values_text(values: list[int], *, bits: bool = False) -> str:
 
 
 def latency_text(latency_ns: int | None) -> str:
-    """In milliseconds; in seconds from 10 s on."""
+    """Write a latency in milliseconds, and from 10 s on in seconds; empty for None."""
     if latency_ns is None:
         return ""
     if latency_ns >= 10_000_000_000:
@@ -174,14 +177,16 @@ def latency_text(latency_ns: int | None) -> str:
 
 
 def clock_time(ts_ns: int) -> str:
-    """Time of day in UTC, in milliseconds. Never fails: a capture may contain any integer."""
+    """Write the time of day in UTC, with milliseconds. Never raises: a capture may have any
+    integer.
+    """
     seconds, milliseconds = divmod(ts_ns // 1_000_000, 1000)
     minutes, second = divmod(seconds % _DAY_S, 60)
     return f"{minutes // 60:02d}:{minutes % 60:02d}:{second:02d}.{milliseconds:03d}"
 
 
 def day(ts_ns: int) -> str:
-    """The date in UTC, or the days since 1970 outside the years 1 to 9999."""
+    """Write the date in UTC; outside the years 1 to 9999, the number of days since 1970."""
     days = ts_ns // (_DAY_S * 1_000_000_000)
     try:
         return date.fromordinal(_EPOCH + days).isoformat()

@@ -38,9 +38,10 @@ def print_differences(
 
 
 def what_text(difference: Difference) -> str:
-    """The reference, its name in the manual, and how many other requests changed latency too.
+    """Describe where a difference is: the reference, and its name in the manual.
 
-    If a test was made, `p` follows: the probability of such a difference by chance.
+    Then follows how many other requests changed their latency, too; and, if it was computed, `p`,
+    the probability that chance alone causes such a difference.
     """
     parts = [difference.reference or ""]
     if difference.name is not None and difference.name != difference.reference:
@@ -53,7 +54,7 @@ def what_text(difference: Difference) -> str:
 
 
 def count_text(found: Sequence[Difference]) -> str:
-    """The number of differences in words."""
+    """Say how many differences there are: `12 differences`."""
     return counted(len(found), "difference", ",")
 
 

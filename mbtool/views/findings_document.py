@@ -28,7 +28,7 @@ SARIF_SCHEMA = (
 
 
 class Document(Protocol):
-    """Makes the pieces of a document."""
+    """Makes a document in pieces: its beginning, a piece for each finding, and its end."""
 
     def begin(self) -> str: ...
 
@@ -38,7 +38,7 @@ class Document(Protocol):
 
 
 class JsonDocument:
-    """`{"version", "findings": [...], "rules": {...}, "transactions"}`."""
+    """mbtool's own format: `{"version", "findings": [...], "rules": {...}, "transactions"}`."""
 
     def __init__(self, version: str) -> None:
         self._version = version
@@ -122,7 +122,10 @@ def _result(finding: Finding, file: str, index: int) -> dict[str, Any]:
 
 
 def _logical(finding: Finding) -> dict[str, str]:
-    """Link, unit and reference as far as there are; the name is the last one."""
+    """The logical location of a finding: link, unit and reference, without those that it lacks.
+
+    Its name is the last of these parts.
+    """
     parts = [finding.link]
     if finding.unit is not None:
         parts.append(f"unit {finding.unit}")
@@ -157,7 +160,7 @@ def _rule_texts(code: str) -> dict[str, str]:
 
 
 def _time(ts_ns: int) -> str | None:
-    """In UTC, in microseconds; None outside the years 1 to 9999."""
+    """Write a time in UTC, with microseconds; None outside the years 1 to 9999."""
     seconds, ns = divmod(ts_ns, 1_000_000_000)
     try:
         time = datetime.fromtimestamp(seconds, UTC).replace(microsecond=ns // 1000)

@@ -60,7 +60,7 @@ class Summaries:
         return bool(self._by_code)
 
     def __iter__(self) -> Iterator[CodeSummary]:
-        """Sorted by severity, errors first, then by code."""
+        """Give the summaries sorted by severity, errors first, then by code."""
         return iter(
             sorted(
                 self._by_code.values(),
@@ -92,7 +92,7 @@ def print_summaries(console: Console, summaries: Summaries) -> None:
 
 
 def _print_message(console: Console, message: str) -> None:
-    """Print a message below its line. It is only wrapped on a terminal."""
+    """Print a finding's message, indented. Only a terminal gets it wrapped into several lines."""
     text = printable(message)
     lines = [text]
     if console.is_terminal:
@@ -102,7 +102,7 @@ def _print_message(console: Console, message: str) -> None:
 
 
 def finding_line(finding: Finding) -> Text:
-    """One finding as one line."""
+    """Write a finding as one line: time, code, place, message and number of cases."""
     times = f" ({finding.count} times)" if finding.count > 1 else ""
     line = Text(f"{_time(finding)}  ")
     line.append(f"{finding.code:<9}", _STYLES[finding.severity])

@@ -34,13 +34,13 @@ def print_match_results(console: Console, results: Sequence[MatchResult]) -> Non
 
 
 def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
-    """The best profiles: all that are a tie, at least MIN_SHOWN, but none with score 0."""
+    """The profiles to show: all that tie for the best, at least MIN_SHOWN, none with score 0."""
     scored = [one for one in result.matches if one.score > 0]
     return scored[: max(MIN_SHOWN, len(result.best))]
 
 
 def match_record(result: MatchResult) -> dict[str, Any]:
-    """A result as JSON data, with all profiles."""
+    """A result as JSON data, with all profiles, also those that explain nothing."""
     slave = result.slave
     where: dict[str, Any] = {"link": slave.link, "destination": slave.destination}
     return {

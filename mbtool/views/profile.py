@@ -200,7 +200,7 @@ def _range(point: Point) -> list[str]:
 
 
 def _point_notes(profile: Profile) -> list[str]:
-    """Each different note once, after the references of all its points."""
+    """Each different note of points once, with the references of all its points before it."""
     about: dict[str, list[str]] = {}
     for point in profile.points:
         if point.note is not None:

@@ -1,4 +1,4 @@
-"""The look of all tables, and text without effects on the terminal."""
+"""Makes tables that look alike, and texts that have no effect on the terminal."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from rich.text import Text
 
 
 def printable(text: str) -> str:
-    """Replace control characters in a text from a wire or a file, which could steer a terminal."""
+    """Replace control characters, which could steer a terminal, with ? in a text."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def plain(text: str, style: str = "") -> Text:
-    """A text for rich without control characters, in which brackets are not markup."""
+    """A text for the library rich, without control characters; brackets in it are not markup."""
     return Text(printable(text), style)
 
 

@@ -35,14 +35,15 @@ SAMPLE = 100
 _GAP = "  "
 _FUNCTION, _WHAT, _RESULT = 4, 5, 6
 _LEFTOVER = (_WHAT, _RESULT)
-"""The columns that share the rest of the width."""
+"""The columns "what" and "result", which share the width that the other columns leave."""
 _MIN_FUNCTION = 6
-"""The narrowest column "function": the code and the beginning of the name."""
+"""The least width of the column "function": the code and the beginning of the name."""
 _CAPS = (7, 12, 24, 4, 22, 60, 60, 10)
 _MINIMA = (2, 12, 5, 4, 18, 12, 8, 8)
 _LIVE_MINIMA = (4, 12, 5, 4, 18, 40, 33, 9)
-"""For "what", HR400001..400004 := 4660, 22136, ...; for "result", exception 02 illegal data
-address; for "latency", 9999.9 ms."""
+"""The least width of each column of a live table, in characters. It fits, in "what",
+HR400001..400004 := 4660, 22136, ...; in "result", exception 02 illegal data address; in "latency",
+9999.9 ms."""
 
 
 class TransactionTable:
@@ -58,7 +59,9 @@ class TransactionTable:
         self._day = ""
 
     def add(self, row: TransactionRow, day: str) -> None:
-        """Show a row, after a line with the day if the day is a new one."""
+        """Add a row. If its day differs from that of the row before, a line with the day comes
+        first.
+        """
         if self._widths is not None:
             self._print(row, day)
             return
@@ -67,13 +70,15 @@ class TransactionTable:
             self.flush()
 
     def pause(self) -> None:
-        """Show the pending rows, although more may come: the table is live."""
+        """Show the rows that wait for the widths of columns, although further rows may come, as a
+        live table needs it.
+        """
         if self._widths is None and self._pending:
             self._is_live = True
         self.flush()
 
     def flush(self) -> None:
-        """Show the pending rows, which determine the widths."""
+        """Show the pending rows. If the columns have no widths yet, these rows determine them."""
         if self._widths is None and self._pending:
             self._set_widths([row for _, row in self._pending])
             self._print_line(HEADINGS, "bold")
@@ -123,7 +128,10 @@ class TransactionTable:
         self._console.file.write(f"{before}{line}{after}\n")
 
     def _codes(self, style: str) -> tuple[str, str]:
-        """The escape codes before and after a style; cached, because Console.print is slow."""
+        """The escape codes that a terminal gets before and after a text of this style.
+
+        They are cached, because Console.print is slow.
+        """
         codes = self._styles.get(style)
         if codes is None:
             with self._console.capture() as capture:
@@ -134,7 +142,7 @@ class TransactionTable:
 
     @property
     def _indent(self) -> int:
-        """The beginning of the second column."""
+        """The position at which the second column begins, in characters."""
         return (self._widths or (0,))[0] + len(_GAP)
 
 
@@ -146,7 +154,7 @@ def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:
 
 
 def _outgrows(row: TransactionRow, widths: Sequence[int], *, whole: bool) -> bool:
-    """True if a column must grow for a row. Columns whose cells are cut never grow."""
+    """True if a column must grow for a row. A column whose long cells are cut never grows."""
     fixed = () if whole else (_FUNCTION, *_LEFTOVER)
     return any(
         width < len(cell) and width < cap
@@ -156,7 +164,7 @@ def _outgrows(row: TransactionRow, widths: Sequence[int], *, whole: bool) -> boo
 
 
 def _widths(rows: Sequence[TransactionRow], minima: Sequence[int]) -> tuple[int, ...]:
-    """The width of each column: as wide as its cells, up to its cap."""
+    """The width of each column: as wide as its widest cell, within its least and greatest width."""
     columns = zip(HEADINGS, *(row.cells() for row in rows), strict=True)
     return tuple(
         max(min(max(map(len, column)), cap), minimum)
@@ -167,7 +175,7 @@ def _widths(rows: Sequence[TransactionRow], minima: Sequence[int]) -> tuple[int,
 def _widths_within(
     total: int, rows: Sequence[TransactionRow], minima: Sequence[int], *, live: bool
 ) -> tuple[int, ...]:
-    """The width of each column, such that the columns fill the total."""
+    """The width of each column, such that all columns together fill `total` characters."""
     widths = list(_widths(rows, minima))
     least = _MINIMA[_WHAT] + _MINIMA[_RESULT]
     taken = sum(width for index, width in enumerate(widths) if index not in _LEFTOVER)

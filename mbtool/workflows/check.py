@@ -45,7 +45,7 @@ class CodeFilter:
 
     @classmethod
     def parse(cls, select: Sequence[str], ignore: Sequence[str]) -> CodeFilter:
-        """Read texts such as `RTU-1,MB`, in upper or lower case."""
+        """Read the texts of the two options, such as `RTU-1,MB`, in upper or lower case."""
         return cls(_codes(select), _codes(ignore))
 
     def takes(self, code: str) -> bool:
@@ -53,11 +53,12 @@ class CodeFilter:
         return chosen is not None and chosen > (_longest(code, self.ignore) or -1)
 
     def demand_known(self, profiles: Sequence[Profile]) -> None:
-        """See that some code begins like each text. Raises UsageError."""
+        """Raise UsageError if a text of the filter is not the beginning of any code."""
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]
-        # The codes of devices are not listed: a prefix, a letter, and then what the device names.
+        # Codes of devices cannot be listed: after the prefix of the profile and the letter of the
+        # kind of rule comes, for example, a function code.
         of_devices = tuple(f"{prefix}{letter}" for prefix in prefixes for letter in letters)
         for text in (*self.select, *self.ignore):
             is_known = any(each.startswith(text) for each in (*codes, *prefixes))
@@ -79,7 +80,7 @@ class FileFinding:
 
 
 class CheckRun:
-    """One pass over some files."""
+    """One pass over some files: checks them and counts the findings."""
 
     def __init__(
         self, paths: Sequence[str], options: ReadingOptions, codes: CodeFilter | None = None
@@ -92,7 +93,7 @@ class CheckRun:
         self._checker: Checker | None = None
         """Checks the capture that is being read."""
         self._namer: Namer | None = None
-        """Names the transactions of a log again."""
+        """Names the transactions of a log again, by today's profiles; None where no log is read."""
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
@@ -102,10 +103,10 @@ class CheckRun:
         """How often each chosen code was found."""
 
     def demand_codes(self) -> None:
-        """See that the codes of the filter exist. Raises UsageError.
+        """Raise UsageError if no code begins with a text of the filter.
 
-        They may be codes of a built-in profile, of a profile that the user gives, or of a profile
-        in a log.
+        Codes are those of the standard's rules, of built-in profiles, of profiles that the user
+        gives, and of profiles in the logs.
         """
         known = [*map(load_profile, builtin_profiles()), *self.reading.assignments.profiles]
         try:
@@ -119,7 +120,11 @@ class CheckRun:
         return [*self.reading.remarks, *self._remarks, *self._hints.remarks]
 
     def findings(self) -> Iterator[FileFinding]:
-        """Give the chosen findings, capture by capture. Raises what Reading.records raises."""
+        """Give the chosen findings, capture by capture.
+
+        Raises InputError for a file that cannot be read; for one that is cut or damaged, after all
+        findings were given.
+        """
         try:
             for record in self.reading.records():
                 if self._checker is None or self.reading.captures != self._captures:

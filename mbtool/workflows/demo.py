@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 LINE = SerialFormat(19200, 8, "E", 1)
 TOUCH_UNIT = 1
 MODULE_UNIT = 0
-"""The unit that the manual of the module has a master send; the module ignores it."""
+"""The unit id that the module's manual tells a master to send; the module ignores it."""
 
 Exchange = tuple[int, bytes, bytes | None]
 """Unit, request PDU and response PDU; no response where the slave stayed silent."""
@@ -58,7 +58,8 @@ _QUIET_NS = 300_000_000
 """Time for the last bytes to reach the sniffer."""
 
 _TIMEOUT_NS = 5_000_000_000
-"""Slaves of the demo always respond; on a busy machine that may take seconds."""
+"""The longest wait for a response: slaves of the demo always respond, but a busy machine is
+slow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,7 @@ class Agreement:
 
 
 class Demo:
-    """One run. `assignments` has the profiles of its devices."""
+    """One run of the demo. `assignments` tells which of its devices has which profile."""
 
     def __init__(self, log_path: str) -> None:
         self._log_path = log_path
@@ -201,7 +202,11 @@ def _module(link: TcpLink) -> Responder:
 
 
 def _when_done(masters: threading.Thread) -> Callable[[int], bool]:
-    """A stop that waits for the masters to end and for the last bytes to arrive."""
+    """Return a function that tells the sniffer when to stop.
+
+    It gets the time in ns, and returns True once the masters have ended and the time for the last
+    bytes has passed.
+    """
     since: list[int] = []
 
     def stop(now_ns: int) -> bool:

@@ -37,17 +37,18 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """False if a limit of replay/traffic.py left something out."""
+    """False if there is more to compare than the limits of replay/traffic.py let it keep."""
     differences: list[Difference]
 
 
 def compare(
     a: str, b: str, options: DiffOptions, on_remark: Callable[[str], None] = lambda _: None
 ) -> Comparison:
-    """Read both files and compare them; one that is cut or damaged as far as it can be read.
+    """Read both files and compare them.
 
-    `on_remark` gets a line for each thing a user should know of the files. Raises InputError for a
-    file that cannot be read or has no transaction, UsageError for a range that no device has.
+    A file that is cut or damaged is compared as far as it can be read. `on_remark` gets a line for
+    each thing a user should know of the files. Raises InputError for a file that cannot be read or
+    has no transaction, UsageError for a range that no device has.
     """
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):

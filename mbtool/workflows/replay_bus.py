@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
-"""Pause between two rounds of --loop."""
+"""The pause between two rounds of --loop, in ns of recorded time."""
 _LOOK_NS = 30_000_000
-"""The longest time between two looks for keys and for the end."""
+"""The longest wait before keys, and the user's wish to end, are asked for again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,18 +36,19 @@ class BusOptions(PlayOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """The result of a run."""
+    """What a run has sent, and how late."""
 
     pieces: int
     bytes: int
     held: int
     """Pieces that were sent late because the line was still busy."""
     lateness_p99_ns: int | None
-    """How late pieces were sent, of those that the line did not delay."""
+    """How late pieces were sent that the line did not delay: the 99th percentile in ns. None if
+    there is none, or if recorded times were not to be kept."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:
-    """The link, if it is a serial line with one port. Raises UsageError."""
+    """Return the link. Raises UsageError unless it is a serial line with one port."""
     if not isinstance(link, SerialLink):
         raise UsageError(
             f"link {link}: a bus is a serial line: rtu:PORT@19200-8E1 or ascii:PORT@9600-7E1"
@@ -67,14 +68,18 @@ class BusRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording. Raises InputError if there is nothing to play, UsageError."""
+        """Read the recording, and frame it for the link.
+
+        Raises InputError if the file cannot be read or has nothing to play, UsageError if it has
+        several lines, or a line of another mode (RTU or ASCII) than the link.
+        """
         self._options = options
         self._link = link
         self.pieces = read_pieces(path, options, link, on_remark, watch)
 
     @property
     def length_ns(self) -> int:
-        """From the beginning of the window to its end, or to the last piece."""
+        """The ns from the beginning of the window to its end; without an end, to the last piece."""
         window = self._options.window
         if window.end_ns is not None:
             return window.end_ns - window.start_ns
@@ -83,9 +88,10 @@ class BusRun:
     def play(
         self, *, stops: Callable[[], bool] = lambda: False, controls: PlayerControls | None = None
     ) -> BusReport:
-        """Send every byte, until `stops` returns True; `controls` pauses, steps and so on.
+        """Send every byte; end early when `stops` returns True.
 
-        Raises LinkError.
+        `controls` brings the keys of the user: pause, step, faster, slower. Raises LinkError if the
+        port cannot be opened or is lost.
         """
         link, options = self._link, self._options
         clock = PlayClock(

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
-"""The longest time between two looks for the end."""
+"""The longest wait before the user's wish to end is asked for again."""
 _STEERED_NS = 30_000_000
-"""The same if there are keys, which a person expects to work at once."""
+"""The longest wait if there are keys, too: a person expects a key to work at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,14 +53,14 @@ class MasterOptions(PlayOptions):
     is_loop: bool = False
     timeout_ns: int = _NS
     ignore: Sequence[str] = ()
-    """Ranges of registers whose values may differ."""
+    """Ranges of registers and bits whose values may differ."""
     learns: bool = False
-    """Take registers that differ as ones that may differ, and report them as learned."""
+    """True to report registers that differ as `learned`, and not to count them as differences."""
     tolerance: Tolerance | None = None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The result of a run."""
+    """The result of a run, as it is written to a report."""
 
     recording: str
     link: str
@@ -71,7 +71,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     unsolicited: int
     """Responses that belong to no pending request."""
     lateness_p99_ns: int | None
-    """How late requests were sent, of those that did not have to wait for a response."""
+    """How late requests were sent that did not have to wait for a response: the 99th percentile in
+    ns. None if there is none, or if recorded times were not to be kept."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
@@ -88,9 +89,10 @@ class MasterRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording; one that is cut or damaged as far as it can be read.
+        """Read the recording; if it is cut or damaged, the part that can be read.
 
-        Raises InputError if there is no request in it, UsageError.
+        Raises InputError if the file cannot be read or has no request to send, UsageError if a unit
+        is on several links or a range of `ignore` is not understood.
         """
         self._path = path
         self._on_remark = on_remark
@@ -114,11 +116,12 @@ class MasterRun:
         on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
         controls: PlayerControls | None = None,
     ) -> Report:
-        """Send all recorded requests, and compare the responses.
+        """Send all recorded requests, and compare the responses with the recorded ones.
 
-        Ends early when `stops` returns True. `on_answer` gets each step, its response or None, and
-        True if that is as recorded. `controls` pauses, steps and so on. Raises LinkError,
-        UsageError.
+        Ends early when `stops` returns True. `on_answer` is called for each step with its response,
+        None if there was none, and True if that is as recorded. `controls` brings the keys of the
+        user: pause, step, faster, slower. Raises UsageError if a master cannot use the link,
+        LinkError if the link cannot be opened or its serial port is lost.
         """
         options = self._options
         judge = Judge(

@@ -49,7 +49,7 @@ MAX_LATENCY_NS = 1_000_000_000_000
 """The longest --latency, 1000 s: no master waits that long."""
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
-"""Each run draws the same latencies for --latency sampled."""
+"""The seed of random numbers for --latency sampled: each run draws the same latencies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +100,11 @@ class SlaveRun:
             )
 
     def on(self, link: LinkSpec, *, allowed: AllowedPeers = THIS_MACHINE) -> PlayedSlave:
-        """The recording's slaves on a link, not yet started. Raises InputError, UsageError."""
+        """Return the recording's slaves on a link, not yet started.
+
+        Raises UsageError if no slave can answer on the link, or for a wrong file of faults;
+        InputError if that file cannot be read.
+        """
         where = slave_link(link)
         options = self._options
         devices = {}
@@ -148,11 +152,11 @@ class PlayedSlave:
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:
-            # Requests and keys go by the same clock.
+            # The time of a request is taken from the clock that also times the keys.
             return self._responder.respond(unit, pdu, time.monotonic_ns())
 
     def control(self, control: Control) -> None:
-        """Do what a key asks for."""
+        """Do what the user asks for with a key: pause, step, play faster or slower."""
         with self._lock:
             self._slave.control(control, time.monotonic_ns())
 
@@ -162,9 +166,9 @@ class PlayedSlave:
 
 
 class RecordedDevice:
-    """A device by its profile. It answers requests that are not in the recording.
+    """A simulated device, made from its profile, for requests that are not in the recording.
 
-    It learns the values of the recording as they are played.
+    Before each request it is given the recorded values of the registers that the request names.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -195,7 +199,10 @@ def _transport(link: SerialLink | TcpLink) -> Transport:
 
 
 def _fixed_latency_ns(text: str) -> int | None:
-    """The time that --latency gives; None for `recorded` and `sampled`. Raises UsageError."""
+    """The latency that --latency gives for every response; None for `recorded` and `sampled`.
+
+    Raises UsageError for a text that is not understood, and for a time above MAX_LATENCY_NS.
+    """
     if text in (RECORDED, SAMPLED):
         return None
     if text == NONE:

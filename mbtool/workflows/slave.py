@@ -55,11 +55,13 @@ def device_slave(
     monitor: SlaveMonitor | None = None,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> Shell:
-    """A device on a link, and others by their units, not yet started.
+    """Return a shell with a device on a link, and others by their units, not yet started.
 
-    Connections follow the rules of the first device. `monitor` is told each request and response.
-    `on_trouble` gets a line for the user when a capture is not whole, and when the state cannot be
-    kept while the slave runs. Raises UsageError, InputError, OutputError.
+    The first device's rules decide which TCP connections are accepted and when they are closed.
+    `monitor` is told each request and response. `on_trouble` gets a line for the user when a
+    capture is not whole, and when the state cannot be kept while the slave runs. Raises UsageError
+    for a link, a unit or a file that does not fit the devices, InputError for a file that cannot be
+    read, and OutputError if the state cannot be kept.
     """
     stations = {unit: Station(profile, image_file), **(others or {})}
     where = _with_silences(slave_link(link), stations)
@@ -88,7 +90,7 @@ def device_slave(
 def _play(
     station: Station, where: SerialLink | TcpLink, on_trouble: Callable[[str], None]
 ) -> tuple[DeviceResponder, Responder]:
-    """The device of a station, and the responder to give its requests to."""
+    """Return the device of a station, and the responder that its requests go to."""
     profile = station.profile
     if isinstance(where, SerialLink) and where.ascii:
         profile = profile.in_mode(Transport.ASCII)
@@ -104,7 +106,7 @@ def _play(
 def _with_silences(
     where: SerialLink | TcpLink, stations: Mapping[int, Station]
 ) -> SerialLink | TcpLink:
-    """A serial line with the silences (t1.5, t3.5) that its devices need."""
+    """Give a serial line the silences (t1.5, t3.5) that its devices need."""
     if not isinstance(where, SerialLink):
         return where
     assigned = [Assignment(Who(unit=n), one.profile) for n, one in stations.items()]

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 POLL_S = 0.1
 """The longest wait for an item before the loop looks at the clock."""
 MAX_REASONS = 64
-"""Different reasons of refusals that are told for one link. A master can send any text as one."""
+"""At most so many different reasons for refusals are told for one link: a master can send any text
+as a reason."""
 
 
 class Log(Protocol):
@@ -49,7 +50,7 @@ class Log(Protocol):
     def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Take the time, so that buffered items are written after a while."""
+        """Take the time (ns); write items to the file that have been in memory for a while."""
 
     def close(self, final: Mapping[str, str]) -> None:
         """Complete the log; `final` holds values that are known at the end of a run only."""
@@ -85,11 +86,12 @@ class Sniffer:
         self._inbox = Inbox()
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
-        """One for each link, in their order, once the context is entered."""
+        """One for each link, in the order of the links, from when the context is entered."""
         self._open = 0
         self._discarded_packets = 0
         self._discarded_bytes = 0
-        """Lost by sources. The bytes of packets that the kernel dropped are not counted."""
+        """How many bytes the sources have lost. The bytes of packets that the kernel dropped are
+        not counted."""
 
     @property
     def places(self) -> list[str]:
@@ -156,7 +158,10 @@ class Sniffer:
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
-        """Close the sources, and give the records of what they had received. May be repeated."""
+        """Close the sources, and give the records of what they had received.
+
+        A second call gives nothing new.
+        """
         self._open_sources.close()
         while (item := self._inbox.get(0)) is not None:
             if not isinstance(item, Ended):
@@ -182,9 +187,10 @@ def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
 
 
 def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
-    """The links; for those without settings they are found by listening, for up to minutes.
+    """Return the links, with settings found by listening for those that have none.
 
-    `on_remark` gets a line before and after each search. Raises LinkError.
+    That takes up to minutes for each. `on_remark` gets a line before and after each search. Raises
+    LinkError if nothing is heard, or nothing that tells the settings.
     """
     return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
 
@@ -199,9 +205,10 @@ def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
 class Refusals:
     """Picks the refusals of a tap that are to be told: a reason once, until a master is served.
 
-    A master that is turned away usually tries again and again. It is served when a connection
-    that opened after the refusal brings a response. A connection that was open before shows
-    nothing; an opened one alone neither, as a slave with TLS 1.3 may refuse right after it.
+    A master that is turned away usually tries again and again. A master counts as served when a
+    connection that opened after the refusal brings a response. A response on an older connection
+    does not count, and an opened connection alone does not: with TLS 1.3 a slave may refuse it
+    right after.
 
     Holds, for each link that refused and has not served since, at most MAX_REASONS reasons, and the
     masters' ends of the connections that opened since.

@@ -15,10 +15,10 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """The options of the user and the settings of the lines that the rules need."""
+    """What the rules need besides the records: the user's options and the settings of the lines."""
 
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line
-    """The settings of a serial link; None if the times of its bytes are unknown."""
+    """Returns the settings of a serial link; None if the times of the link's bytes are unknown."""
     ports: frozenset[int] | None = None
     """TCP ports that should carry Modbus; None for all ports."""

@@ -1,11 +1,13 @@
 """Checks decoded records against all rules."""
 
-# Each rule gets the records that it is about in the order in which they are decoded, which is the
-# order of their ends. Rules do not read the clock, and their memory is bounded; each module says
-# how. Findings that summarise many transactions come at the end of the capture.
+# Each rule gets the records that it is about in the order in which they are decoded. That is the
+# order in which the transactions and events end. Rules do not read the clock, and their memory is
+# bounded; each module says how. Findings that summarise many transactions come at the end of the
+# capture.
 #
 # An ambiguous frame (Verdict.AMBIGUOUS) breaks no rule about content, because its bytes may mean
-# something else (naming.py gives it no codes). A remark tells how many there are.
+# something else (naming.py gives it no finding codes). A remark tells how many transactions are
+# ambiguous.
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class Checker:
-    """All rules, for one capture."""
+    """Checks the records of one capture against all rules."""
 
     def __init__(self, context: CaptureContext | None = None) -> None:
         self._context = context or CaptureContext()
@@ -43,10 +45,15 @@ class Checker:
         self._wago = WagoRules()
         self._ambiguous = 0
         self.remarks: list[str] = []
-        """Sentences that are no findings; complete after `close`."""
+        """Sentences for the user that are no findings, such as how many transactions are ambiguous.
+        Complete after `close`."""
 
     def feed(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
-        """Check the next record. A transaction must be named by the present edition of mbtool."""
+        """Check the next record, and give the findings that are certain now.
+
+        A transaction must have been named by this edition of mbtool, because its finding codes are
+        taken as they are.
+        """
         if isinstance(record, WireEvent):
             yield from self._event(record)
         else:
@@ -73,7 +80,8 @@ class Checker:
         yield from self._transactions.check(one, profile)
         is_serial = one.transport.is_serial
         format_ = self._context.line_of(one.link) if is_serial else None
-        # The response to a broadcast is an MB-301, and not an MB-403 in addition.
+        # A response to a broadcast breaks the rule MB-301, and is not reported as MB-403 in
+        # addition.
         if not self._lines.is_response_to_broadcast(one):
             yield from self._responses.transaction(one, profile)
         if is_serial:

@@ -37,30 +37,32 @@ MAX_PENDING = 256
 EDGE_NS = 1_000_000_000
 
 _LENGTH_END = 6
-"""Bytes of an MBAP header up to and including its length field."""
+"""How many bytes an MBAP header has up to and including its length field."""
 
 
 @dataclass(slots=True)
 class _Connection:
     recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """Transaction id, time of the request, time of the response."""
+    """The last transactions: transaction id, time of the request (ns), time of the response
+    (ns)."""
     is_cut: bool = False
-    """True if bytes are missing in the capture since the last request with a response."""
+    """True if the capture misses bytes of the connection since the last request with a response."""
 
 
 class ConnectionRules:
-    """Checks records of a network."""
+    """Finds TCP-101 to TCP-203 and RTU-201 in the records of a network."""
 
     def __init__(self, ports: frozenset[int] | None) -> None:
-        """`ports` should carry Modbus; None for all ports."""
+        """`ports` are the TCP ports that should carry Modbus; None for all ports."""
         self._ports = ports
         self._connections: LruDict[tuple[str, str | None], _Connection] = LruDict(_Connection)
         self._pending: deque[WireEvent] = deque()
-        """Events with bytes that are no ADU."""
+        """Events with bytes that are no ADU. They wait until it is certain that no bytes are
+        missing beside them, and that the capture goes on for EDGE_NS."""
         self._last_ns = 0
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Check the next transaction."""
+        """Check the next transaction, and give the findings that are certain now."""
         yield from self._advance(transaction.response_ns or transaction.start_ns)
         connection = self._connections[transaction.link, transaction.source]
         if transaction.request_raw is not None and transaction.response_raw is not None:
@@ -84,7 +86,7 @@ class ConnectionRules:
         connection.recent.append((id_, request_ns, response_ns))
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a network."""
+        """Check the next event of a network, and give the findings that are certain now."""
         yield from self._advance(event.ts_ns)
         match event.kind:
             case EventKind.FOREIGN:
@@ -117,13 +119,17 @@ class ConnectionRules:
             yield event_finding("TCP-202", self._pending.popleft())
 
     def _is_complete(self, event: WireEvent) -> bool:
-        """True if a connection is known and no bytes are missing, so that an ADU should follow."""
+        """True if the event's connection is known and misses no bytes, so that an ADU should
+        follow.
+        """
         return any(
             key in self._connections and not self._connections[key].is_cut for key in _keys(event)
         )
 
     def _note_loss(self, event: WireEvent) -> None:
-        """Note missing bytes. Unreadable bytes right before belong to the same, incomplete ADU."""
+        """Remember that a connection misses bytes, and drop its pending events of the last EDGE_NS:
+        their bytes belong to the incomplete ADU.
+        """
         for key in _keys(event):
             if key in self._connections:
                 self._connections[key].is_cut = True
@@ -139,7 +145,7 @@ class ConnectionRules:
 
 
 def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
-    """Both keys that a connection may have: the source of an event can be either end."""
+    """The two keys that the event's connection may have: its source can be either end."""
     return (event.link, event.source), (event.link, event.destination)
 
 
@@ -151,7 +157,7 @@ def is_foreign_message(raw: bytes) -> bool:
 
 
 def foreign_text(event: WireEvent) -> str:
-    """A message with another protocol id, in words."""
+    """Describe a message whose protocol id is not 0."""
     return f"protocol id {event.raw[2:4].hex().upper()}H in a message of {len(event.raw)} bytes"
 
 

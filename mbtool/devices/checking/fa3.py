@@ -12,8 +12,8 @@
 # there is no such handshake.
 #
 # Memory: for each module, its connections and the last MAX_RECENT requests and connection attempts
-# (see lru_dict.py). They are kept because the transaction of a reset, which has no response, can be
-# decoded after later ones.
+# (see lru_dict.py). The requests are kept because the transaction of a reset, which has no
+# response, can be decoded after later transactions.
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
 RESET_NS = 2_000_000_000
-"""How long a module accepts no connection after a remote reset."""
+"""How long a module accepts no connection after a remote reset, in ns."""
 
 _REMOTE_RESET = 0x41
 _REQUEST_FLAG = "Initial data setting request flag"
@@ -51,19 +51,21 @@ _COMPLETION_FLAG = "Initial data setting completion flag"
 @dataclass(slots=True)
 class _Module:
     connections: dict[str, int] = field(default_factory=dict)
-    """The master's end of each open connection, with the time of its last request; at most
-    MAX_CONNECTIONS."""
+    """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
+    most MAX_CONNECTIONS."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """Requests and connection attempts: time, and the finding to give if that is after a reset."""
+    """The time (ns) of each recent request and connection attempt, and the finding to give if it
+    turns out that a reset came less than RESET_NS before."""
     reset_by: str | None = None
-    """The master's end that asked for a reset, until its connection closes."""
+    """HOST:PORT of the master that requested a remote reset; None once its connection is closed."""
     reset_ns: int | None = None
     reported: set[str | None] = field(default_factory=set)
-    """The masters' ends with a finding after the last reset; each gets one."""
+    """HOST:PORT of each master that got a finding FA3-X4 after the last reset; each gets only
+    one."""
     is_requested: bool = False
-    """True from the write that sets Y9 to the write that clears it."""
+    """True from the write that sets the request flag, Y9, to the write that clears it."""
     is_completed: bool = False
-    """True if X9 was read as 1 since Y9 was set."""
+    """True if the completion flag, X9, was read as 1 since Y9 was set."""
 
 
 class Fa3Rules:
@@ -73,7 +75,7 @@ class Fa3Rules:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
-        """Check the next transaction of a module."""
+        """Check the next transaction of a module, and give the findings that are certain now."""
         module = self._modules[transaction.destination or transaction.link]
         source, at_ns = transaction.source or "", transaction.start_ns
         if source in module.connections:
@@ -89,7 +91,7 @@ class Fa3Rules:
         yield from _handshake(module, transaction)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a module."""
+        """Check the next event of an FA3 module, and give the findings that are certain now."""
         module = self._modules[event.destination or event.link]
         match event.kind:
             case EventKind.FOREIGN if is_foreign_message(event.raw):
@@ -126,7 +128,11 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Give the finding if the module was reset less than RESET_NS before; else remember it."""
+        """Give the finding, once for each master, if the module was reset less than RESET_NS
+        before.
+
+        Otherwise remember the finding, because the reset can be decoded later.
+        """
         since_ns = module.reset_ns
         if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:
             if finding.source not in module.reported and len(module.reported) < MAX_RECENT:
@@ -137,7 +143,7 @@ class Fa3Rules:
 
 
 def _is_reset(transaction: NamedTransaction, profile: Profile) -> bool:
-    """True for a remote reset with the data in the manual; with other data, nothing is reset."""
+    """True for a remote reset with the data in the manual; a module ignores other data."""
     rule = profile.rule(_REMOTE_RESET)
     if transaction.function != _REMOTE_RESET:
         return False
@@ -150,7 +156,7 @@ def _with_time(finding: Finding, after_ns: int) -> Finding:
 
 
 def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Finding]:
-    """Follow the initial data setting: FA3-X5 if Y9 is cleared before X9 was read as 1."""
+    """Follow the initial data setting. Gives FA3-X5 if Y9 is cleared before X9 was read as 1."""
     if transaction.outcome is not Outcome.OK:
         return
     known = FUNCTIONS.get(transaction.function)
@@ -172,5 +178,5 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
 
 
 def is_fa3(profile: Profile) -> bool:
-    """True if a profile belongs to the family, or extends one that does."""
+    """True if the profile is that of an FA3 module, or extends one."""
     return profile.behaviour is BehaviourName.FA3

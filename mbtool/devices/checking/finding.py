@@ -21,18 +21,18 @@ class Finding:
     message: str
     """What happened, with figures, in one line. Does not contain the code."""
     ts_ns: int
-    """The time of the (first) case."""
+    """When the first case happened, in ns since 1970."""
     link: str
     source: str | None = None
     destination: str | None = None
     unit: int | None = None
     function: int | None = None
     reference: str | None = None
-    """The addresses, in the vendor's notation."""
+    """The addresses of the request, in the vendor's notation; None if there are none."""
     device: str | None = None
-    """The profile's name."""
+    """The name of the slave's profile; None if the slave has none."""
     count: int = 1
-    """The number of cases."""
+    """How many cases the finding stands for."""
 
     @property
     def severity(self) -> Severity:
@@ -42,7 +42,7 @@ class Finding:
 def transaction_finding(
     code: str, transaction: NamedTransaction, message: str, *, ts_ns: int | None = None
 ) -> Finding:
-    """A finding about a transaction."""
+    """Make a finding about a transaction. Its time is `ts_ns`, or else the transaction's start."""
     return Finding(
         code=code,
         message=message,
@@ -58,7 +58,7 @@ def transaction_finding(
 
 
 def event_finding(code: str, event: WireEvent, message: str | None = None) -> Finding:
-    """A finding about a wire event. Without a message, it has the event's."""
+    """Make a finding about a wire event. Without `message`, it has the message of the event."""
     return Finding(
         code=code,
         message=event.message if message is None else message,

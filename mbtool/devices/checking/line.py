@@ -1,20 +1,19 @@
 """The rules for serial lines: silences, damage, the master's pace, and broadcasts."""
 
-# MB-301, MB-302    broadcasts: a slave responds to one; the master reads with one
+# MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
 # RTU-101..103      silences: one finding for each unit and kind, with a count
-# RTU-104           in place of these and of RTU-301 and RTU-302: one finding for a line
-# RTU-201..203      damage: one finding for each case
-# RTU-301, RTU-302  the master's pace: one finding for each unit or line, with figures
+# RTU-104           one finding for a line, in place of RTU-101..103, RTU-301 and RTU-302
 #
 # A serial adapter may collect bytes and deliver them in blocks. Then many transactions of a line
 # seem to have no silence between frames, or silences inside them, and the times say nothing about
-# the line. RTU-104 reports that once in place of all findings about silences. It takes at least
-# MIN_TRANSACTIONS transactions.
+# the line. RTU-104 reports that once, in place of all findings about silences. A line needs at
+# least MIN_TRANSACTIONS transactions for RTU-104.
 #
 # A busy computer sometimes reads late, which looks the same: on healthy lines, up to 16 % of the
 # transactions had such a silence (measured). A fault of the line affects many transactions of one
-# unit. So a finding takes MIN_SILENCES transactions with a silence, and MIN_SILENCES_SHARE of the
-# unit's transactions; fewer are only a remark.
+# unit. So RTU-101..103 are only reported for a unit if at least MIN_SILENCES of its transactions
+# have such a silence, and these are at least the share MIN_SILENCES_SHARE of all its transactions.
+# Otherwise a remark tells how many there are.
 #
 # A capture may begin and end inside a frame, so bytes before the first frame of a line and after
 # its last one are no finding.
@@ -45,15 +44,18 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 TURNAROUND_NS = 100_000_000
-"""The lower end of the turnaround delay that the standard calls usual: 100 to 200 ms."""
+"""The least silence after a broadcast: the standard calls a turnaround delay of 100 to 200 ms
+usual."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
-"""A response this soon after a broadcast is a response to the broadcast."""
+"""A response that begins at most this long after a broadcast is a response to the broadcast."""
 MIN_TRANSACTIONS = 8
 ADAPTER_SHARE = 0.25
-"""If this share of a line's transactions is glued or split, the adapter delivers in blocks."""
+"""The share of a line's transactions, 0 to 1, that must be glued or split before the adapter is
+said to deliver bytes in blocks. Glued: no silence between frames; split: a silence inside one."""
 MIN_SILENCES = 3
 MIN_SILENCES_SHARE = 0.2
-"""Share of a unit's transactions; above the 16 % that late reads were measured to cause."""
+"""The least share of a unit's transactions, 0 to 1, that must have a wrong silence for a finding.
+It is above the 16 % that late reads were measured to cause."""
 
 _SILENCES = {
     Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),
@@ -66,33 +68,35 @@ _DIAGNOSTICS = 0x08
 
 @dataclass(slots=True)
 class _Cases:
-    """The first and the number of cases of one kind."""
+    """All cases of one kind: the first case, and how many there are."""
 
     first: NamedTransaction
     number: int = 0
     least_ns: int = 0
-    """The shortest silence before a request."""
+    """The shortest silence before the request of a case, in ns."""
     required: str = ""
-    """The silence that should have been."""
+    """The silence that is required before the request, as text: `28bits`, `100 ms`."""
 
 
 @dataclass(slots=True)
 class _Line:
     transactions: int = 0
     in_blocks: int = 0
-    """Transactions that are glued or split."""
+    """How many transactions are glued (no silence between frames) or split (a silence inside
+    one)."""
     of_unit: Counter[int] = field(default_factory=Counter)
-    """Transactions, by unit."""
+    """How many transactions each unit has."""
     silences: dict[tuple[Verdict, int], _Cases] = field(default_factory=dict)
-    """By kind and unit: at most 256 units."""
+    """The transactions with a wrong silence, by the kind of silence and the unit; at most 256
+    units."""
     pace: dict[tuple[str, int], _Cases] = field(default_factory=dict)
-    """By code and unit: at most 256 units."""
+    """The requests that came too soon, by code (RTU-301, RTU-302) and unit; at most 256 units."""
     stray: WireEvent | None = None
-    """Bytes that are a finding if a frame follows."""
+    """The unreadable bytes after the last frame. They are a finding if another frame follows."""
     end_ns: int | None = None
-    """The end of the last frame."""
+    """When the last frame ended, in ns."""
     broadcast: NamedTransaction | None = None
-    """The last frame, if it was a broadcast."""
+    """The last transaction, if it was a broadcast; otherwise None."""
 
 
 class LineRules:
@@ -101,12 +105,16 @@ class LineRules:
     def __init__(self) -> None:
         self._lines: LruDict[str, _Line] = LruDict(_Line)
         self.remarks: list[str] = []
-        """Silences that are too few for a finding; complete after `close`."""
+        """Sentences about wrong silences that are too few for a finding; complete after `close`."""
 
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None, format_: SerialFormat | None
     ) -> Iterator[Finding]:
-        """Check the next transaction. Without a format, the times of its bytes are unknown."""
+        """Check the next transaction, and give the findings that are certain now.
+
+        Without `format_`, the times of the line's bytes are unknown, so the master's pace is not
+        checked.
+        """
         line = self._lines[transaction.link]
         line.transactions += 1
         line.of_unit[transaction.unit] += 1
@@ -133,7 +141,7 @@ class LineRules:
         line.broadcast = transaction if is_broadcast else None
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a line."""
+        """Check the next event of a line, and give the findings that are certain now."""
         line = self._lines[event.link]
         match event.kind:
             case EventKind.BAD_CHECK:
@@ -214,7 +222,7 @@ class LineRules:
         required = profile.timing.request_interval if profile is not None else None
         if required is not None:
             required_ns = Silence.parse(required).ns(format_.baud, format_.character_bits)
-            # Time stamps are only exact to one character.
+            # A time stamp is only exact to the duration of one character.
             if silence_ns < required_ns - format_.character_ns:
                 _add_pace(line, "RTU-301", transaction, silence_ns, required)
 
@@ -243,10 +251,10 @@ def _summary(code: str, cases: _Cases, text: str) -> Finding:
 
 
 def _responds_to(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool:
-    """True if a frame is the response to the broadcast right before it.
+    """True if `transaction` is the response to `broadcast`, the frame right before it.
 
-    The response to a write of one value repeats the request, so it may be decoded as a request
-    without a response.
+    A response to a write of one value equals its request. So it may be decoded as a request without
+    a response.
     """
     if broadcast.request_ns is None or transaction.function != broadcast.function:
         return False

@@ -15,7 +15,9 @@ MAX_ENTRIES = 4096
 
 
 class LruDict(Generic[K, V]):
-    """Makes missing entries, and removes the least recently used one when it is full."""
+    """A dictionary that makes the entry of a missing key, and removes the least recently used entry
+    when it is full.
+    """
 
     def __init__(self, make: Callable[[], V], limit: int = MAX_ENTRIES) -> None:
         self._make = make
@@ -33,7 +35,9 @@ class LruDict(Generic[K, V]):
         return value
 
     def get(self, key: K) -> V | None:
-        """The entry, if there is one. Makes none, and does not count as a use."""
+        """Return the entry of a key; None if there is none. Unlike `[]`, it makes no entry, and
+        does not count as a use.
+        """
         return self._entries.get(key)
 
     def __contains__(self, key: K) -> bool:

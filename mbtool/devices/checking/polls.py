@@ -1,9 +1,10 @@
 """The rule about polls that are usually regular, but sometimes early or late (MB-404)."""
 
-# A poll is a series of equal requests to one unit. Its periods are regular if their interquartile
-# range is at most MAX_SPREAD of their median. A period of a regular poll is irregular if it differs
-# from the median by more than half. There is one finding for each poll, with figures. Polls with a
-# median below MIN_PERIOD_NS have none: such a master waits for responses, not for a clock.
+# A poll is a series of equal requests to one unit; a period is the time from one of them to the
+# next. The periods of a poll are regular if their interquartile range is at most MAX_SPREAD of
+# their median. A period of a regular poll is irregular if it differs from the median by more than
+# half. There is one finding for each regular poll with irregular periods, with figures. A poll with
+# a median below MIN_PERIOD_NS has none: its master waits for responses, not for a clock.
 #
 # Memory: MAX_POLLS polls with fewer than MAX_PERIODS periods each, plus the shortest and the
 # longest. If there are more periods, a pseudo-random sample is kept that is spread over the whole
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
 MAX_POLLS = 4096
 MAX_PERIODS = 256
 MIN_PERIODS = 20
-"""With fewer periods, their median says too little."""
+"""The least number of periods for a finding: the median of fewer periods says too little."""
 MIN_IRREGULAR = 5
 MIN_IRREGULAR_SHARE = 0.03
-"""Fewer irregular periods are occasional pauses, which every capture has."""
+"""The least share of irregular periods, 0 to 1, for a finding. Fewer of them are occasional pauses,
+which every capture has."""
 MAX_SPREAD = 0.2
 MIN_PERIOD_NS = 20_000_000
 
@@ -47,10 +49,10 @@ class _Poll:
     first: NamedTransaction | None = None
     last_ns: int = 0
     sample: list[tuple[int, int]] = field(default_factory=list)
-    """Hashes and periods (ns)."""
+    """The sampled periods: the hash of the period's number, and the period in ns."""
     count: int = 0
     hash_limit: int = _HASHES
-    """The sample has the periods with hashes below this."""
+    """The periods whose hashes are below this limit are in the sample."""
     shortest: int = 0
     longest: int = 0
 
@@ -71,13 +73,13 @@ class _Poll:
 
 
 class PollRules:
-    """Finds MB-404. All findings come at the end of the capture."""
+    """Finds polls with irregular periods, MB-404. All findings come at the end of the capture."""
 
     def __init__(self) -> None:
         self._polls: LruDict[tuple[object, ...], _Poll] = LruDict(_Poll, MAX_POLLS)
 
     def transaction(self, transaction: NamedTransaction) -> None:
-        """Note the next transaction whose times are known."""
+        """Add the next transaction to its poll. Its times must be known exactly."""
         at_ns = transaction.request_ns
         if at_ns is None:
             return

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 MAX_PENDING = 4096
 MAX_RETRIES = 16
 PATIENCE_NS = 5_000_000_000
-"""How long a request is pending; also how long after the beginning of a capture a response may
-belong to a request before it."""
+"""How long a request waits for its response or for the response to a retry. A response that comes
+this soon after the beginning of a capture may belong to a request before the capture."""
 EDGE_NS = 1_000_000_000
 """A request this close to the end of the capture may have a response after the end."""
 
@@ -53,19 +53,20 @@ _UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
 
 _Connection = tuple[str, str | None]
-"""A link and the master's end of the connection; None on a serial line."""
+"""The link of a connection, and the master's HOST:PORT; the latter is None on a serial line."""
 _Request = tuple[_Connection, int, bytes]
-"""Connection, unit and PDU: a retry is equal to the request that it repeats."""
+"""The connection, unit and PDU of a request: a retry has the same as the request that it
+repeats."""
 
 
 @dataclass(slots=True)
 class _ConnectionState:
     since_ns: int | None = None
-    """The time of the first record."""
+    """The time of the connection's first record, in ns."""
     is_complete: bool = False
     """True if the connection was opened during the capture, and no bytes were lost since."""
     has_request: bool = False
-    """True if a request came since the beginning, or since bytes were lost."""
+    """True if a request came since the beginning of the capture, and since bytes were last lost."""
     is_damaged: bool = False
     """True if unreadable bytes came since the last request."""
     last_request_ns: int = 0
@@ -84,17 +85,17 @@ class ResponseRules:
     def __init__(self) -> None:
         self._states: LruDict[_Connection, _ConnectionState] = LruDict(_ConnectionState)
         self._has_responded: LruDict[tuple[str, int], list[bool]] = LruDict(lambda: [False])
-        """By link and unit."""
+        """For each link and unit, a list of one flag: True if the unit has responded."""
         self._pending: OrderedDict[_Request, deque[NamedTransaction]] = OrderedDict()
         self._pending_count = 0
         self._retries: LruDict[_Request, deque[_Retry]] = LruDict(lambda: deque(maxlen=MAX_RETRIES))
-        """Retries that have a response."""
+        """The retries of each request that had a response."""
         self._last_ns = 0
 
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None
     ) -> Iterator[Finding]:
-        """Check the next transaction."""
+        """Check the next transaction, and give the findings that are certain now."""
         connection = (transaction.link, transaction.source)
         state = self._states[connection]
         at_ns = transaction.start_ns
@@ -130,7 +131,7 @@ class ResponseRules:
                 self._retries[request].append(_Retry(transaction))
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Note the next event."""
+        """Take the next event into account, and give the findings that are certain now."""
         yield from self._advance(event.ts_ns)
         if event.kind in _LOST and not event.link:  # Part of a log is missing.
             self._pending.clear()
@@ -154,7 +155,11 @@ class ResponseRules:
                 self._states[connection].is_damaged = True
 
     def close(self) -> Iterator[Finding]:
-        """Report the pending requests at the end of the capture."""
+        """Report the requests that are still pending at the end of the capture.
+
+        A request in its last EDGE_NS is left out, because the response may come after the end; not
+        so on a serial line whose master has sent another request since.
+        """
         pending, self._pending = self._pending, OrderedDict()
         for (connection, _, _), transactions in pending.items():
             state = self._states[connection]
@@ -165,7 +170,9 @@ class ResponseRules:
                     yield self._no_response_finding(one)
 
     def _advance(self, now_ns: int) -> Iterator[Finding]:
-        """Report the requests that were pending for longer than PATIENCE_NS."""
+        """Give a finding for each request that has been pending for more than PATIENCE_NS at
+        `now_ns`.
+        """
         self._last_ns = max(self._last_ns, now_ns)
         while self._pending:
             transactions = next(iter(self._pending.values()))
@@ -176,7 +183,8 @@ class ResponseRules:
     def _add_unanswered(
         self, request: _Request, transaction: NamedTransaction
     ) -> Iterator[Finding]:
-        # The timeout of a TCP request can come after the response to its retry.
+        # A TCP request without a response is decoded when its timeout ends. The response to its
+        # retry may be decoded before that.
         for retry in self._retries.get(request) or ():
             if 0 < retry.transaction.start_ns - transaction.start_ns <= PATIENCE_NS:
                 if not retry.is_reported:
@@ -217,7 +225,7 @@ def _retry_finding(first: NamedTransaction, answered: NamedTransaction, times: i
 
 
 def _is_surely_unsolicited(state: _ConnectionState, at_ns: int) -> bool:
-    """True if the request of a response would be in the capture."""
+    """True if the capture would contain the request of a response at `at_ns`, if there was one."""
     if state.is_damaged:
         return False
     if state.has_request or state.is_complete:
@@ -233,7 +241,7 @@ def _unsolicited_text(transaction: NamedTransaction) -> str:
 
 
 def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -> bool:
-    """True if the slave carries out a request in silence."""
+    """True if the slave carries out the request, but must not respond to it."""
     if transaction.transport is Transport.RTU_TCP and transaction.unit == 0:
         return True
     if transaction.function == _DIAGNOSTICS and transaction.sub_function == _FORCE_LISTEN_ONLY:

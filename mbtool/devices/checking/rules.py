@@ -4,9 +4,9 @@
 #
 # A rule of the standard has a code like MB-101: a family and a number. A rule of a device's manual
 # has a code like FT1A-Q16: the profile's prefix, a letter for the kind of rule, and the function
-# code in decimal (for E, the exception code). The letter does not depend on the limit in the
-# manual, and the number lets users select a rule for one function. A code never changes its
-# meaning.
+# code in decimal (for the letter E, the exception code). The code does not contain the limit in the
+# manual, so it stays when the limit is corrected. The number lets users select the rule for one
+# function. A code never changes its meaning.
 #
 # Sources, each with its section: MODBUS Application Protocol Specification V1.1b3, MODBUS over
 # Serial Line V1.02, MODBUS Messaging on TCP/IP Implementation Guide V1.0b; the devices' manuals.
@@ -19,14 +19,14 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """How serious a finding is; the words of SARIF."""
+    """How serious a finding is. The values are levels of SARIF."""
 
     ERROR = "error"
     """A request that cannot have a correct response, or an incorrect response."""
     WARNING = "warning"
-    """It may work, and it may fail."""
+    """Something that may work in one case and fail in another."""
     NOTE = "note"
-    """Worth knowing; not necessarily wrong."""
+    """Something that is worth knowing, and not necessarily wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Rule:
     """A rule of the standard, or one kind of rule in all devices' manuals."""
 
     code: str
-    """The code, or the letter of the kind."""
+    """The code of a rule of the standard, like MB-101; or the letter of a kind of rule, like Q."""
     severity: Severity
     meaning: str
     """A sentence about a record that breaks the rule."""
@@ -42,7 +42,7 @@ class Rule:
 
     @property
     def is_of_devices(self) -> bool:
-        """True for a kind of rule: its codes have a profile's prefix and a number."""
+        """True for a kind of rule of devices' manuals, whose `code` is only a letter."""
         return len(self.code) == 1
 
 
@@ -51,7 +51,7 @@ _MANUAL = "manual of the device, as its profile has it"
 _FA3 = "manual of the FA3 modules"
 
 _ROWS = (
-    # Manuals of devices.
+    # Rules of devices' manuals.
     ("F", _E, "The device's manual does not list the function.", _MANUAL),
     ("Q", _E, "The quantity is 0 or more than the device's manual allows for the function.",
      _MANUAL),
@@ -61,7 +61,7 @@ _ROWS = (
      _MANUAL),
     ("V", _W, "A value is written that is outside the range in the device's manual.", _MANUAL),
     ("E", _W, "The device gave an exception code that its manual does not list.", _MANUAL),
-    # Requests.
+    # Rules about requests.
     ("MB-101", _E, "A request's byte count does not agree with its quantity, or with its bytes.",
      "Application Protocol 6.11, 6.12, 6.17"),
     ("MB-102", _E, "A request does not have the form of its function.", "Application Protocol 6"),
@@ -75,7 +75,7 @@ _ROWS = (
      "Application Protocol 4.4, 7"),
     ("MB-107", _E, "A request has function code 00H, or one from 80H on, which mark exceptions.",
      "Application Protocol 4.1"),
-    # Responses.
+    # Rules about responses.
     ("MB-201", _E, "A write's answer does not repeat its request.",
      "Application Protocol 6.5, 6.6, 6.11, 6.12, 6.16"),
     ("MB-202", _E, "An answer's byte count does not agree with the request, or with its bytes.",
@@ -83,17 +83,17 @@ _ROWS = (
     ("MB-203", _E, "An answer does not have the form of its function.", "Application Protocol 6"),
     ("MB-204", _W, "In an answer the bits behind the last one asked for are not 0.",
      "Application Protocol 6.1, 6.2"),
-    # Broadcasts.
+    # Rules about broadcasts.
     ("MB-301", _E, "A broadcast is answered.", "Serial Line 2.1"),
     ("MB-302", _W, "A broadcast reads, where it can only write.", "Serial Line 2.1"),
-    # Requests without responses, and responses without requests.
+    # Rules about requests without responses, and responses without requests.
     ("MB-401", _W, "A request has no answer.", "Serial Line 2.4.1; TCP/IP guide 4.4.1"),
     ("MB-402", _W, "A request had to be repeated before it was answered.", "Serial Line 2.4.1"),
     ("MB-403", _W, "A slave says what no request asked for.",
      "Serial Line 2.1; TCP/IP guide 4.4.2"),
     ("MB-404", _N, "A request that comes at regular times comes early or late.",
      "measured; no document asks for it"),
-    # Silences and bytes of a serial line.
+    # Rules about the silences and bytes of a serial line.
     ("RTU-101", _W, "Inside a frame the line is silent for longer than t1.5.",
      "Serial Line 2.5.1.1"),
     ("RTU-102", _W, "Inside a frame the line is silent for t3.5 or longer, which ends it.",
@@ -109,7 +109,7 @@ _ROWS = (
      _MANUAL),
     ("RTU-302", _N, "After a broadcast the master waits less than 100 ms.",
      "Serial Line 2.4.1, turnaround delay"),
-    # Modbus/TCP connections.
+    # Rules about Modbus/TCP connections.
     ("TCP-101", _W, "Two requests of a connection are open at once with one transaction id.",
      "TCP/IP guide 3.1.3, 4.4.1"),
     ("TCP-102", _W, "An answer does not repeat its request's transaction id.",
@@ -119,7 +119,7 @@ _ROWS = (
     ("TCP-201", _W, "A connection to a Modbus port carries another protocol.", "TCP/IP guide 4.2"),
     ("TCP-202", _W, "Bytes in a Modbus/TCP connection are no ADU.", "TCP/IP guide 3.1.3"),
     ("TCP-203", _W, "A TCP retransmission has other bytes than the first copy.", "RFC 9293, 3.8.1"),
-    # Single families of devices.
+    # Rules for single families of devices.
     ("FA3-X1", _E, "The protocol id is not 0, and an FA3 module gives no answer at all.",
      f"{_FA3}, 10.4, message format"),
     ("FA3-X2", _W, "A third connection makes the module drop the one that was silent longest.",
@@ -135,7 +135,7 @@ _ROWS = (
 )  # fmt: skip
 
 RULES = {row[0]: Rule(*row) for row in _ROWS}
-"""Rules of the standard by code, rules of manuals by letter."""
+"""The rules of the standard by their code, and those of manuals by their letter."""
 
 _OF_A_DEVICE = re.compile(r"(?P<prefix>.+)-(?P<letter>[A-Z])(?P<number>\d{1,3})", re.ASCII)
 

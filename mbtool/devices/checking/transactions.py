@@ -1,8 +1,8 @@
-"""Findings about single transactions, with figures."""
+"""Makes findings about single transactions, with figures in their messages."""
 
-# The codes are those that naming.py puts into a transaction. `mbtool check` names every transaction
-# again, so that today's rules also apply to the log of an older edition, or to a log without the
-# slave's profile.
+# Each finding has a code that naming.py put into the transaction. `mbtool check` names every
+# transaction again, so that today's rules also apply to the log of an older edition, or to a log
+# without the slave's profile.
 
 from __future__ import annotations
 
@@ -31,13 +31,15 @@ _READS_OR_WRITES = TABLE_FUNCTIONS - {0x16, 0x17}
 
 
 class TransactionRules:
-    """Turns the codes of a transaction into findings. Caches the value ranges of each profile."""
+    """Turns the finding codes of transactions into findings. Caches the value ranges of each
+    profile.
+    """
 
     def __init__(self) -> None:
         self._ranges: dict[str, Ranges] = {}
 
     def check(self, transaction: NamedTransaction, profile: Profile | None) -> Iterator[Finding]:
-        """`profile` is the one that the transaction was named by."""
+        """Give a finding for each code in the transaction, which was named with `profile`."""
         for code in transaction.findings:
             yield transaction_finding(code, transaction, self._message(code, transaction, profile))
 

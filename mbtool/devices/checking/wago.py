@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @dataclass(slots=True)
 class _Coupler:
     first: NamedTransaction | None = None
-    """The first exception 04 since any other response."""
+    """The first of the transactions with exception 04 since any other response; None if none."""
     is_reported: bool = False
 
 
@@ -39,7 +39,7 @@ class WagoRules:
         self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Check the next transaction of a coupler."""
+        """Check the next transaction of a coupler. Gives WAGO-X1 if its watchdog has expired."""
         coupler = self._couplers[transaction.destination or transaction.link]
         if transaction.exception == ExceptionCode.SERVER_DEVICE_FAILURE:
             if coupler.first is None:
@@ -56,5 +56,5 @@ class WagoRules:
 
 
 def is_wago(profile: Profile) -> bool:
-    """True if a profile belongs to the family, or extends one that does."""
+    """True if the profile is that of a WAGO 750 coupler, or extends one."""
     return profile.behaviour is BehaviourName.WAGO

@@ -53,22 +53,22 @@ _PREFIXES = {
     Table.HOLDING_REGISTERS: "HR",
     Table.INPUT_REGISTERS: "IR",
 }
-"""Prefixes in the names of areas and points; the number is the address on the wire."""
+"""The letters that begin the names of areas and points; the address on the wire follows them."""
 
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
-"""Flags of an address: a request read or wrote it; no request for it had a response."""
+"""Flags of an address: a request read it; a request wrote it; no request for it had a response."""
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A profile and its text."""
+    """A drafted profile, and its text as a TOML file with comments."""
 
     profile: Profile
     text: str
 
 
 def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
-    """Draft a profile of the slave. Never fails. `file` is the capture, for comments."""
+    """Draft a profile of the slave. Never raises. `file` is the capture, for comments."""
     file = PurePath(file).name
     flags = _address_flags(seen)
     comments: dict[str, list[str]] = {}
@@ -121,7 +121,9 @@ def _head(seen: ObservedSlave, file: str, left_out: int) -> list[str]:
 
 
 def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
-    """The flags of each address; 0 for addresses without requests, or only with refused ones."""
+    """Return the flags of each address by table. An address has 0 if nobody requested it, or the
+    slave refused every request for it.
+    """
     flags = {table: bytearray(1 << 16) for table in Table}
     for request, replies in seen.requests.items():
         if request.table is None or request.address is None:
@@ -138,7 +140,9 @@ def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
 
 
 def _combined(known: int, flag: int) -> int:
-    """Combine the flags of two requests: one response clears _NO_RESPONSE."""
+    """Combine the flags of one address from two requests. _NO_RESPONSE stays only if neither had a
+    response.
+    """
     if not known or known & flag & _NO_RESPONSE:
         return known | flag
     return (known | flag) & ~_NO_RESPONSE
@@ -169,7 +173,10 @@ def _areas(
 
 
 def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
-    """First and last address of each range with flags; with and without response are separate."""
+    """Give the first and last address of each range of addresses with flags.
+
+    A range does not mix addresses that responded with addresses that never did.
+    """
     kinds = ((0 if not flag else 2 if flag & _NO_RESPONSE else 1) for flag in flags)
     for kind, group in groupby(enumerate(kinds), key=itemgetter(1)):
         if kind:
@@ -180,7 +187,9 @@ def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
 def _about_area(
     area: Area, flags: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
 ) -> Iterator[str]:
-    """The comments before an area."""
+    """The comments on an area: what was never written or read there, and what was refused beside
+    it.
+    """
     if flags[0] & _NO_RESPONSE:
         yield "Asked for, but never answered: perhaps there is nothing here."
     if area.access is Access.READ and area.table.is_writable:
@@ -201,7 +210,7 @@ def _about_area(
 
 
 def _ranges_text(addresses: Sequence[int]) -> str:
-    """Addresses as ranges, the last one inclusive: 1, 3..5, 8."""
+    """Write addresses as ranges, which include their last address: `1, 3..5, 8`."""
     runs: list[list[int]] = []
     for address in addresses:
         if runs and address == runs[-1][1] + 1:
@@ -214,20 +223,23 @@ def _ranges_text(addresses: Sequence[int]) -> str:
 
 @dataclass(slots=True)
 class _Function:
-    """The requests with one function."""
+    """How the slave responded to the requests with one function."""
 
     ok: int = 0
     silent: int = 0
     most: int = 0
-    """The largest quantity that was accepted."""
+    """The largest quantity that the slave accepted."""
     refused: Counter[int] = field(default_factory=Counter)
-    """By exception code."""
+    """How many requests the slave refused, by exception code."""
     least_refused: int = 1 << 16
-    """The smallest quantity that was refused as a wrong value, although its addresses exist."""
+    """The smallest quantity that the slave refused with exception 03 although it has the
+    addresses."""
 
 
 def _functions(seen: ObservedSlave) -> tuple[dict[str, FunctionRule], list[str]]:
-    """Rules for the functions that the slave may have, and comments on all requested functions."""
+    """Return rules for the functions that the slave may have, and comments on all requested
+    functions.
+    """
     rules: dict[str, FunctionRule] = {}
     comments: list[str] = []
     for code, one in sorted(_observed_functions(seen).items()):
@@ -288,12 +300,15 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 def _points(
     profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> tuple[list[Point], int]:
-    """Points for the registers with sampled values, and the number of registers left out."""
+    """Return points for the registers with sampled values, and how many registers got no point
+    because there are MAX_POINTS.
+    """
     points: list[Point] = []
     left_out = 0
     for table in (Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS):
         taken: set[int] = set()
-        # Reads before writes and long ranges first: they show best which registers form a value.
+        # Requests that read come before those that write, and long ranges before short ones: they
+        # show best which registers form a value.
         requests = sorted(
             (request for request in seen.samples if request.table is table),
             key=lambda request: (request.writes, -request.quantity, request.address or 0),

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mbtool.devices.observed_slave import Samples
 
 MAGNITUDES = (1e-4, 1e8)
-"""From the first to below the second: usual absolute values of measurements."""
+"""The usual absolute values of measurements: from the first number to below the second."""
 _FEW_DIGITS = 5
 _MIN_TEXT_WORDS = 4
 _NEAR_ZERO = 0x1000
@@ -41,14 +41,14 @@ _UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """The guessed type of the registers from an address on."""
+    """A guess of the type of the value that begins at `address`."""
 
     address: int
     type: PointType
     reason: str
     word_order: WordOrder = WordOrder.HIGH_FIRST
     length: int | None = None
-    """Registers of a string."""
+    """How many registers a string has; None for other types."""
 
     @property
     def words(self) -> int:
@@ -63,8 +63,8 @@ def guess_registers(
 ) -> list[Guess]:
     """Guess the types of all registers of a range that begins at address `first`.
 
-    `pairs` are addresses from which exactly two registers were requested. `plural` is the word for
-    the samples in reasons.
+    `pairs` are the addresses from which a request asked for exactly two registers. `plural` is the
+    word for the samples in the texts of reasons, such as "writes".
     """
     columns = list(zip(*samples.rows, strict=False))
     guesses: list[Guess] = []
@@ -132,7 +132,7 @@ def _pair(
 def _float_reason(
     pairs: Sequence[tuple[int, int]], *, is_alone: bool, is_beside: bool
 ) -> str | None:
-    """The reason to take pairs of high and low word for floats; None if there is none."""
+    """The reason to guess that pairs of high and low word are floats; None if there is none."""
     values = [_float(*pair) for pair in pairs]
     low, high = MAGNITUDES
     nonzero = [value for value in values if value != 0]
@@ -219,7 +219,9 @@ def _single(
 
 
 def _crosses_zero(values: Collection[int]) -> bool:
-    """True for small numbers of both signs. FFFFH alone is none: it may mean "no value"."""
+    """True if the values are small positive and small negative numbers. FFFFH does not count as
+    negative, because it may mean "no value".
+    """
     near, far = _NEAR_ZERO, 0x10000 - _NEAR_ZERO
     return (
         any(value < near for value in values)

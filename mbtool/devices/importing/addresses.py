@@ -30,7 +30,7 @@ _PREFIX_TABLES = {
 
 @dataclass(frozen=True, slots=True)
 class AddressCell:
-    """An address as a cell of the list has it."""
+    """An address as a cell of a register list writes it."""
 
     number: int
     prefix: str = ""
@@ -39,20 +39,22 @@ class AddressCell:
     digits: int = 0
     """How many digits the number has, zeros in front included."""
     bit: int | None = None
-    """The bit of the register, of 40001.3."""
+    """The bit of the register that the cell names, 3 in `40001.3`; None if it names none."""
     last: int | None = None
-    """The last number of a range, of 40001-40004."""
+    """The last number of a range, 40004 in `40001-40004`; None if the cell has no range."""
     text: str = field(default="", compare=False)
-    """All of the cell."""
+    """The whole text of the cell."""
 
     @property
     def registers(self) -> int | None:
-        """How many registers a range has."""
+        """How many registers the range has; None if the cell has no range."""
         return None if self.last is None else self.last - self.number + 1
 
     @property
     def table(self) -> Table | None:
-        """The table that the letters in front name."""
+        """The table that the letters before the number stand for, as HR does; None if they name
+        none.
+        """
         return _PREFIX_TABLES.get(self.prefix.lower()) if self.is_decimal else None
 
     @property
@@ -65,7 +67,9 @@ class AddressCell:
 
     @property
     def counts_from_1_always(self) -> bool:
-        """True of 4x0001, whatever other numbers of the list do."""
+        """True if the digit of a table and x stand before the number, as in 4x0001: such numbers
+        count from 1, whatever the other addresses of the list do.
+        """
         return self.is_decimal and self.prefix[:1].isdigit()
 
 
@@ -84,9 +88,10 @@ _DECIMAL = re.compile(
 def read_addresses(
     cells: Sequence[str], heading: str, style: AddressStyle | None, report: ImportReport
 ) -> list[AddressCell | None]:
-    """Read a column; None for cells that hold no address. `heading` is that of the column, folded.
+    """Read the cells of the address column; the result has None for a cell without an address.
 
-    `style` is what the user says of it.
+    `heading` is the column's heading after columns.fold(). `style` is what the user says that the
+    numbers are; None if the user does not say it.
     """
     is_hex = style is AddressStyle.HEXADECIMAL or (style is None and _is_bare_hex(cells, heading))
     in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)
@@ -106,11 +111,12 @@ def read_addresses(
 
 
 def _is_bare_hex(cells: Sequence[str], heading: str) -> bool:
-    """True if a list writes 0BB7 without a sign that it is hexadecimal."""
+    """True if the addresses are hexadecimal, but without a sign of it such as 0x or H: `0BB7`."""
     there = [cell.strip() for cell in cells if not is_nothing(cell)]
     if not there or not all(re.fullmatch(r"[0-9A-Fa-f]{1,6}", one) for one in there):
         return False
-    # One letter alone in front of digits is more likely a name: D100.
+    # A single letter before digits is more likely a part of a name, as in D100, than a hexadecimal
+    # digit.
     letters = any(re.search(r"\d[A-Fa-f]|[A-Fa-f]{2}", one) for one in there)
     return letters or bool(re.search(r"\bhex", heading))
 
@@ -118,10 +124,10 @@ def _is_bare_hex(cells: Sequence[str], heading: str) -> bool:
 def parse_address(
     text: str, *, bare_hex: bool = False, tables_in_front: bool = False
 ) -> AddressCell | None:
-    """Read a cell; None if it holds no address.
+    """Read the address in a cell; None if the cell holds none.
 
-    `bare_hex` is True if digits alone are hexadecimal, `tables_in_front` if the column also has
-    4x0001, so that 0x0001 is a coil.
+    `bare_hex` is True if digits without a sign such as 0x or H are hexadecimal. `tables_in_front`
+    is True if the column also has addresses like 4x0001, so that 0x0001 is a coil.
     """
     text = " ".join(text.replace("\u00a0", " ").split()).removesuffix(".")
     if len(text) > 40:
@@ -145,7 +151,7 @@ def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> Ad
     last = (match["last"] or "").upper().removeprefix("0X")
     try:
         number = int(first, 16) if radix is Radix.HEX else int(first)
-        # 40001-2: the end has only the digits that differ.
+        # In `40001-2`, the last number has only the digits that differ from the first one: 40002.
         whole = first[: max(len(first) - len(last), 0)] + last
         ends = [int(one, 16) if radix is Radix.HEX else int(one) for one in (last, whole) if last]
     except ValueError:
@@ -160,9 +166,10 @@ def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> Ad
 def decide_style(
     addresses: Sequence[tuple[AddressCell, Table | None]], heading: str
 ) -> tuple[AddressStyle, str]:
-    """What decimal numbers are, and why; the tables are those that the rows name.
+    """Decide what the decimal numbers of a list are. Returns the decision and its reason as text.
 
-    `heading` is the folded heading of the column.
+    Each address comes with the table that its row names, or None. `heading` is the heading of the
+    address column after columns.fold().
     """
     numbers = [address.number for address, _ in addresses]
     least, most = min(numbers), max(numbers)
@@ -188,7 +195,10 @@ def _can_be_reference(address: AddressCell, table: Table | None) -> bool:
 
 
 def reference_table(number: int, digits: int) -> Table | None:
-    """The table of a reference of five or six digits: 40001, 300012, 00001."""
+    """The table that the first of five or six digits stands for, as in 40001, 300012 and 00001.
+
+    None if the number is no such reference.
+    """
     if digits not in (5, 6):
         return None
     leading, rest = divmod(number, 10 ** (digits - 1))
@@ -196,10 +206,10 @@ def reference_table(number: int, digits: int) -> Table | None:
 
 
 def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | None, int]:
-    """The table that an address names, if any, and the number that stands for address 0.
+    """The table that an address names, or None; and the number that stands for address 0.
 
-    `style` is that of decimal numbers. Raises ValueError for a number that must be a reference and
-    is none.
+    `style` says what decimal numbers are. Raises ValueError if it says that they are references,
+    and this number is none.
     """
     if not address.is_decimal:
         return None, 0
@@ -207,7 +217,7 @@ def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | N
         return address.table, 1
     if style is not AddressStyle.REFERENCES:
         return address.table, int(style is AddressStyle.ONE_BASED)
-    # A spreadsheet takes the zeros in front away: 1 is 00001.
+    # A spreadsheet removes leading zeros: the reference 00001 becomes 1.
     digits = max(address.digits, 5)
     table = reference_table(address.number, digits)
     if table is None:

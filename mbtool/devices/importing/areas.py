@@ -1,7 +1,7 @@
 """Makes areas of the points of a register list."""
 
-# Areas are the ranges that the list names. If fewer than MAX_HOLE addresses between two rows are
-# not listed the area goes on, since masters read over such holes and most devices let them.
+# An area is a range of addresses that the list names. It goes on over a hole of fewer than MAX_HOLE
+# addresses that the list leaves out, since masters read over such holes and most devices let them.
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0
 
 
 def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
-    """The areas, the points with the rights that differ from their area's, and the functions.
+    """Return the areas, the points, and the functions by code.
 
-    Functions are those that the list names, and those by which its tables are read and written.
+    A point only has an access if it differs from that of its area. The functions are those that the
+    list names, and those by which its tables are read and written.
     """
     runs: list[list[RowPoint]] = []
     for one in made:
@@ -59,7 +60,10 @@ def _goes_on(last: RowPoint, one: RowPoint) -> bool:
 
 
 def _area(run: Sequence[RowPoint], taken: Collection[str]) -> Area:
-    """The area of a run; a name that is taken, since numbers repeat, has the address behind it."""
+    """Make the area of rows that follow one another.
+
+    If its name is in `taken`, because numbers of the list repeat, the address is added to the name.
+    """
     rights = {one.area.access for one in run}
     access = rights.pop() if len(rights) == 1 else Access.READ_WRITE
     area = replace(run[0].area, last=run[-1].end - 1, access=access)

@@ -5,7 +5,7 @@
 # - a heading that names a table ("Input registers", "Eingangsregister (FC 04)") holds for the rows
 #   below it that have no table of their own,
 # - `Bit 3: Alarm` and `1 = Auto` belong to the row above,
-# - the rest is text and left out.
+# - any other row is text, and is left out.
 
 from __future__ import annotations
 
@@ -27,14 +27,16 @@ if TYPE_CHECKING:
     from mbtool.devices.importing.report import ImportReport
 
 _MAX_SECTION = 80
-"""How many characters a heading between the rows has at most; what is longer is text."""
+"""The most characters that a heading between the rows has. A longer text is no heading."""
 
 _TOO_LONG = "stands behind the last heading; a delimiter within a cell needs quotes around it"
 _ADDRESS_WANTED = "is no address, as 40001, 4x0001, 12, 0x0102, 0102H and HR12 are"
 
 
 def tell_columns(sheet: Sheet, report: ImportReport) -> None:
-    """Tell what each column is taken for that the user does not name, and what is not used."""
+    """Add remarks to the report: what each column that the user did not name is taken for, and
+    which columns are not used.
+    """
     if any(cell.strip() for row in sheet.rows[: sheet.heading_row] for cell in row):
         row = sheet.heading_row + 1
         report.tell(f"row {row} is taken for the headings, and the rows above it are left out")
@@ -63,10 +65,12 @@ class BodyReader:
         self._section: TableCell | None = None
         self._rows: list[ListRow] = []
         self._follows_row = False
-        """True if the row above is the last of `_rows`, or belongs to it."""
+        """True if the row above is the last one in `_rows`, or adds bits or texts to it."""
 
     def read(self) -> list[ListRow]:
-        """The rows that have an address; what cannot be read is a problem in the report."""
+        """Return the rows that have an address. A row that cannot be read is a problem in the
+        report.
+        """
         column = self._sheet.addresses
         cells = [column.of(row) for row in self._sheet.body]
         addresses = read_addresses(cells, column.hint, self._style, self._report)
@@ -75,12 +79,12 @@ class BodyReader:
         ):
             if any(not is_nothing(cell) for cell in row):
                 self._follows_row = self._read(number, row, address)
-        # What has a problem already is not looked at again, so that no mistake is told twice.
+        # Rows that already have a problem are left out, so that no mistake is reported twice.
         good = [row for row in self._rows if row.row not in self._report.bad_rows]
         return merge_bits(good, self._report)
 
     def _read(self, number: int, row: Sequence[str], address: AddressCell | None) -> bool:
-        """Read a row; True if a value or a part of one stands in it."""
+        """Read a row. Returns True if it has a value, or adds to the value in the row above."""
         column, report = self._sheet.addresses, self._report
         cell = column.of(row)
         texts = [each.strip() for each in row if not is_nothing(each)]
@@ -129,9 +133,10 @@ class BodyReader:
 
 
 def _section(texts: Sequence[str], cell: str, *, is_address: bool) -> TableCell | None:
-    """The table that a heading between the rows names; None if the row is something else.
+    """The table that a row names as a heading for the rows below it; None if it is no such heading.
 
-    `cell` is that of the column of addresses. Function codes may stand in a second cell.
+    `texts` are all cells of the row with text; `cell` is the cell in the address column. Function
+    codes may stand in a second cell.
     """
     distinct = list(dict.fromkeys(texts))
     text = " ".join(distinct)

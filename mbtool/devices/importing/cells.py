@@ -1,7 +1,7 @@
 """Reads the cells of a register list: numbers, factors, rights, tables, texts and ranges."""
 
-# Each function reads one cell, or returns None if it holds nothing of that kind. They know the
-# usual ways of writing, in English, mostly in German and French, also with a decimal comma.
+# Each function reads one cell, or returns None if it holds nothing of that kind. The functions
+# know the usual spellings in English, most of those in German and French, and decimal commas.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbtool.modbus.tables import Table
 NOTHING = frozenset(
     ("", "-", "--", "---", "\u2013", "\u2014", "n/a", "n.a.", "na", "none", "/", "null", "nil", "*")
 )
-"""Cells that say that there is nothing, in lower case."""
+"""The texts, in lower case, of cells that hold no value."""
 
 MAX_DIGITS = 8
 REGISTER_BITS = range(16)
@@ -30,7 +30,10 @@ def is_nothing(text: str) -> bool:
 
 
 def parse_number(text: str) -> float | None:
-    """`0.1`, `0,1`, `1e-3`, `-5`, `0x0F`; an int if it is whole. Commas are decimal commas."""
+    """Read a number: `0.1`, `0,1`, `1e-3`, `-5`, `0x0F`. A comma is a decimal comma.
+
+    Returns an int for a whole number, and None if the text is no number.
+    """
     text = text.strip().replace("\u2212", "-").replace("\u00a0", "")
     if re.fullmatch(r"0[xX][0-9A-Fa-f]{1,8}", text):
         return int(text, 16)
@@ -44,18 +47,22 @@ def parse_number(text: str) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A factor as a cell of the list has it."""
+    """A scale factor as a cell of a register list writes it."""
 
     number: float
     divides: bool | None = None
-    """True to divide by it, False to multiply by it, None if the cell does not say."""
+    """True if the factor divides the register's number, False if it multiplies it, None if the cell
+    does not say which."""
 
 
 _TEN_TO = re.compile(r"10\s*(?:\^|\*\*|[eE])\s*(?P<power>[+-]?\d{1,2})")
 
 
 def parse_factor(text: str) -> Factor | None:
-    """`0.1`, `/10`, `1/10`, `x0.1`, `*10`, `10^-1`, `10`; None for 0 and what is no number."""
+    """Read a scale factor: `0.1`, `/10`, `1/10`, `x0.1`, `*10`, `10^-1`, `10`.
+
+    Returns None for 0, and for a text that is no number.
+    """
     text = text.strip().replace("\u2212", "-").replace("\u00d7", "x").replace("\u00f7", "/")
     match = re.fullmatch(r"(?P<sign>1\s*/|[/:]|[xX*])?\s*(?P<number>.+?)", text)
     if match is None:
@@ -69,7 +76,7 @@ def parse_factor(text: str) -> Factor | None:
 
 
 def parse_unit(text: str) -> tuple[float | None, str | None]:
-    """A unit, and the factor that stands before it in `0.1 V`."""
+    """Read a unit. Returns the factor before it, 0.1 in `0.1 V`, and the unit; None if missing."""
     text = " ".join(text.split())
     if is_nothing(text):
         return None, None
@@ -82,14 +89,17 @@ _ACCESS = {
     **dict.fromkeys(("r", "ro", "read", "readonly", "input", "lesen", "nurlesen", "lecture", "rd"),
                     Access.READ),
     **dict.fromkeys(("w", "wo", "write", "writeonly", "schreiben", "ecriture"), Access.WRITE),
-    # R/WC, Schneider: written by a command.
+    # "rwc" is R/WC in lists of Schneider: a register that is written by a command.
     **dict.fromkeys(("rw", "wr", "rwc", "readwritable", "lesenschreiben", "readwriteonly", "output",
                      "readwrite", "readandwrite", "randw", "rundw"), Access.READ_WRITE),
 }  # fmt: skip
 
 
 def parse_access(text: str) -> Access | None:
-    """`R`, `RO`, `R/W`, `read/write`, `W`, `read only`, `lesen`."""
+    """Read what a master may do: `R`, `RO`, `R/W`, `read/write`, `W`, `read only`, `lesen`.
+
+    Returns None if the text says nothing of that.
+    """
     return _ACCESS.get(re.sub(r"[^a-z]+", "", fold(text)))
 
 
@@ -123,18 +133,18 @@ _ONLY_CODES = re.compile(rf"\(?(?P<codes>{_CODES})\)?")
 
 @dataclass(frozen=True, slots=True)
 class TableCell:
-    """The table that a cell names, and the function codes, if it names it by them."""
+    """The table that a cell names, and its function codes if the cell names the table by codes."""
 
     table: Table | None
-    """None if the function codes belong to several tables, or to none of the four."""
+    """The table; None if the function codes belong to several tables, or to none of the four."""
     functions: tuple[int, ...] = ()
-    """Empty if the cell names none, or one that belongs to no table."""
+    """Empty if the cell names no function code, or a code that belongs to no table."""
 
 
 def parse_table(text: str) -> TableCell | None:
-    """`Holding register`, `4x`, `HR`, `03`, `FC03/06/16`, `0x04`, `Eingangsregister (FC 04)`.
+    """Read a table's name: `Holding register`, `4x`, `HR`, `FC03/06`, `Eingangsregister (FC 04)`.
 
-    Function codes count before words.
+    Returns None if the text names no table. If it has function codes and words, the codes decide.
     """
     lowered = " ".join(re.sub(r"[_\-]", " ", text.lower()).split())
     if digit := re.fullmatch(r"([0134])\s?x+", lowered):
@@ -152,7 +162,7 @@ def _table_of(codes: list[str]) -> TableCell:
         else int(code)
         for code in codes
     ]
-    # 10 beside 03 and 06 is 10H: no function 10 reaches a register.
+    # A code 10 is taken for 10H, which writes registers: the function 10 in decimal has no table.
     numbers = [16 if number == 10 else number for number in numbers]
     known = {FUNCTIONS[number].table if number in FUNCTIONS else None for number in numbers}
     functions = () if None in known else tuple(dict.fromkeys(numbers))
@@ -165,25 +175,32 @@ _IS = r"\s*(?:[=:]|->|\u2192|\s-\s|-(?=\s*[^\d\s]))\s*(?P<text>.+?)"
 
 
 def parse_texts(text: str) -> dict[int, str] | None:
-    """`0=stopped, 1=running`, `0: off 1: on`, one to a line; None if it is prose."""
+    """Read numbers with their texts: `0=stopped, 1=running`, `0: off 1: on`, or one in each line.
+
+    Returns None if the text is prose.
+    """
     return _parse_pairs(text, _VALUE, r"-?\d+\s*[=:]")
 
 
 def parse_bits(text: str) -> dict[int, str] | None:
-    """`Bit0: too hot, Bit1: low oil`, `Bit 3 = Alarm`; None if it is something else.
+    """Read bits with their names: `Bit0: too hot, Bit1: low oil`, `Bit 3 = Alarm`.
 
-    Bits are those of one register, 0 to 15.
+    Returns None if the text is something else, or a bit is not 0 to 15.
     """
     bits = _parse_pairs(text, _BIT, r"[Bb](?:it)?[ .]?\d+\s*[=:]")
     return bits if bits is not None and max(bits) in REGISTER_BITS else None
 
 
 def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None:
-    """Numbers with their texts, separated by a sign or where the `next_one` begins."""
+    """Read pairs of a number and a text; None if the text is something else.
+
+    A separator stands between two pairs, or the second one begins where the pattern `next_one`
+    fits.
+    """
     pair = re.compile(rf"\s*{number}{_IS}\s*", re.IGNORECASE)
     splits = [text.split(sign) for sign in ("\n", ";", "|", ",")]
     splits.append(re.split(rf"\s+(?={next_one})", text))
-    # A text may have a comma in it, so the sign that gives the most pairs is the one between them.
+    # A text may have a comma in it. So the separator that gives the most parts is tried first.
     for parts in sorted(splits, key=len, reverse=True):
         pairs = [pair.fullmatch(part.rstrip(" ,;|")) for part in parts if part.strip()]
         found = {_whole(one["number"]): one["text"] for one in pairs if one is not None}
@@ -202,7 +219,10 @@ _SPAN = re.compile(
 
 
 def parse_range(text: str) -> tuple[float, float] | None:
-    """`0..100`, `0 - 100`, `-50 to 150`, `0~65535`."""
+    """Read a range: `0..100`, `0 - 100`, `-50 to 150`, `0~65535`.
+
+    Returns its least and its greatest number; None if the text is no range.
+    """
     match = _SPAN.fullmatch(text.strip())
     if match is None:
         return None

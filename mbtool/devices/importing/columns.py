@@ -1,8 +1,9 @@
 """Finds the columns of a register list: its delimiter, its row of headings, what each means."""
 
-# The row of headings is that of the first MAX_PREAMBLE rows that has most of the headings that the
-# user names, then most of those that are known. A heading is known as a whole, else by its last
-# known words: a "register description" is a description. Headings are English, German or French.
+# The row of headings is one of the first MAX_PREAMBLE rows: the one with the most headings that the
+# user names, and among equal ones the one with the most headings that are known. A heading is known
+# as a whole, or else by its last known words: a "register description" is a description. Headings
+# are English, German or French.
 #
 # Several columns may hold names or descriptions. Of any other meaning the first column counts, and
 # the others are not used. A column that the user names for a meaning is the only one of it.
@@ -53,7 +54,7 @@ SYNONYMS = {
     "function": Meaning.TABLE, "max": Meaning.MAXIMUM, "min": Meaning.MINIMUM,
     "order": Meaning.WORD_ORDER, "quantity": Meaning.LENGTH, "values": Meaning.TEXTS,
 }  # fmt: skip
-"""Other words that name a meaning in --column."""
+"""Other words for meanings that the user may write in --column."""
 
 _HEADINGS = {
     Meaning.ADDRESS: "address, addr, adr, adresse, register, registers, reg, registre, reference, "
@@ -113,7 +114,7 @@ class Column:
     heading: str
     meaning: Meaning
     is_named: bool = False
-    """True if the user says what it holds, so that nothing is guessed."""
+    """True if the user says what the column holds, so that it is not guessed."""
 
     @property
     def hint(self) -> str:
@@ -121,13 +122,13 @@ class Column:
         return fold(self.heading)
 
     def of(self, row: Sequence[str]) -> str:
-        """The cell of a row; a row may be too short to have it."""
+        """The text of this column's cell in a row; empty if the row is too short."""
         return row[self.index].strip() if self.index < len(row) else ""
 
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """The list, cut into cells."""
+    """A register list, cut into rows of cells."""
 
     rows: Sequence[Sequence[str]]
     heading_row: int
@@ -158,7 +159,8 @@ class Sheet:
 def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None) -> Sheet:
     """Cut a text into cells and find its columns; `named` are the headings that the user names.
 
-    Raises UsageError for what is no CSV, or has no column of addresses or not those that are named.
+    Raises UsageError if the text is no CSV, or has no column of addresses or several, or lacks a
+    column that the user names.
     """
     named = named or {}
     problems: list[str] = []
@@ -172,7 +174,8 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
             continue
         first = rows[:MAX_PREAMBLE]
         sheets += [Sheet(rows, at, _columns(row, named)) for at, row in enumerate(first) if row]
-    # The first of equals: a semicolon is less often part of a text than a comma.
+    # If several delimiters are equally likely, max() takes the first of them. A semicolon comes
+    # before a comma, because it is less often part of a text.
     best = max(sheets, key=_likeness, default=None)
     if problems and (best is None or best.column(Meaning.ADDRESS) is None):
         raise UsageError(f"{problems[0]}; a quote that opens a cell must close it")
@@ -183,7 +186,7 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
 
 
 def _likeness(sheet: Sheet) -> tuple[int, int, bool, int]:
-    """How much a row looks like the headings."""
+    """How much the sheet's row of headings looks like one. Greater is more."""
     named = sum(column.is_named for column in sheet.columns)
     has_address = sheet.column(Meaning.ADDRESS) is not None
     return named, len(sheet.columns), has_address, len(sheet.headings)
@@ -229,7 +232,7 @@ def _columns(row: Sequence[str], named: Mapping[Meaning, str]) -> tuple[Column, 
 
 
 def meaning_of(heading: str) -> Meaning | None:
-    """What a heading stands for; None if it is not known."""
+    """What a column with this heading holds; None if the heading is not known."""
     plain = fold(heading)
     if not plain or len(plain) > 60 or _OF_THE_SLAVE.search(plain):
         return None

@@ -35,13 +35,16 @@ class LocatedRow(NamedTuple):
 
     row: ListRow
     area: Area
-    """An area of this one address, which says how the list writes it."""
+    """An area that contains only the address of this row, and says how the list writes it."""
 
 
 def locate_rows(
     rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
 ) -> list[LocatedRow]:
-    """Locate the rows; one that has no place is a problem. `column` has the addresses."""
+    """Find the table and the address on the wire of each row. `column` is the column of addresses.
+
+    A row for which there is no table or address becomes a problem in the report.
+    """
     style = _style(rows, column, options, report)
     digits: dict[object, set[int]] = {}
     for row in rows:
@@ -73,7 +76,7 @@ def locate_rows(
 def _style(
     rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
 ) -> AddressStyle:
-    """What the decimal addresses of the list are."""
+    """What the decimal addresses of the list are: references, or counted from 0 or from 1."""
     decimal = [
         (row.address, _said_table(row, options.table))
         for row in rows
@@ -96,7 +99,11 @@ def _said_table(row: ListRow, table: Table | None) -> Table | None:
 
 
 def _place(row: ListRow, style: AddressStyle, table: Table | None) -> tuple[Table | None, int]:
-    """The table, if anything tells, and the number of address 0. Raises ValueError if none fits."""
+    """The row's table, or None if nothing names one; and the number that stands for address 0.
+
+    Raises ValueError if the address is not 0 to 65535, two different tables are named, or the row
+    says that it is written and the table cannot be.
+    """
     by_number, base = table_and_base(row.address, style)
     address = row.address.number - base
     if not 0 <= address <= 0xFFFF:
@@ -121,7 +128,10 @@ def _functions(row: ListRow) -> tuple[int, ...]:
 
 
 def _usual_access(row: ListRow, table: Table) -> Access:
-    """What a master may do with a row that does not say it: by its functions, else its table."""
+    """What a master may do with a row that does not say so.
+
+    The functions that the row names decide; without them, the table does.
+    """
     functions = _functions(row)
     if not table.is_writable:
         return Access.READ

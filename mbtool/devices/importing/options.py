@@ -20,13 +20,14 @@ class AddressStyle(StrEnum):
     ONE_BASED = "one-based"
     """Numbers counted from 1, one more than the address on the wire."""
     REFERENCES = "references"
-    """40001 or 300012: the first digit stands for the table, the others count from 1."""
+    """Numbers like 40001 or 300012: the first digit stands for the table, the others count from
+    1."""
     HEXADECIMAL = "hexadecimal"
     """Addresses on the wire, written in hexadecimal digits without a sign that they are."""
 
 
 class Scaling(StrEnum):
-    """What the numbers in a column of factors are for."""
+    """What is done with the number in a register and the factor in the list."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
@@ -34,22 +35,26 @@ class Scaling(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """What the user says of the list; None where it is left to the list."""
+    """What the user says of a register list. A field that is None is left to the list."""
 
     columns: Mapping[Meaning, str] = field(default_factory=dict)
-    """The heading of the column that holds a meaning."""
+    """The heading of the column for each meaning for which the user names a column."""
     addresses: AddressStyle | None = None
     table: Table | None = None
-    """The table of rows that name none."""
+    """The table of the rows for which the list names none."""
     scaling: Scaling | None = None
     word_order: WordOrder | None = None
-    """The word order of values that name none."""
+    """The word order of the values for which the list names none."""
     skip_bad: bool = False
-    """True to leave out rows that cannot be read, False to make no profile then."""
+    """True to leave out rows that cannot be read, False to make no profile if there are any."""
 
 
 def parse_columns(said: Sequence[str]) -> dict[Meaning, str]:
-    """Read `address=Modbus-Adresse` and its like. Raises UsageError."""
+    """Read texts MEANING=HEADING, such as `address=Modbus-Adresse`.
+
+    Raises UsageError if a text has another form, a meaning is unknown, or a meaning or a heading is
+    named twice.
+    """
     columns: dict[Meaning, str] = {}
     for one in said:
         word, equals, heading = (part.strip() for part in one.partition("="))

@@ -1,7 +1,7 @@
 """Makes points of the located rows of a register list."""
 
-# A row with more registers than its type takes is a series of values. Two rows at one address are a
-# problem.
+# A row that has more registers than one value of its type takes is a series of values. Two rows at
+# one address are a problem.
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class RowPoint:
     point: Point
     row: ListRow
     area: Area
-    """An area of the first address of the point, which says how the list writes it."""
+    """An area that contains only the first address of the point, and says how the list writes
+    it."""
 
     @property
     def reference(self) -> str:
@@ -40,16 +41,17 @@ class RowPoint:
 
     @property
     def end(self) -> int:
-        """The first address behind it."""
+        """The first address after the point."""
         return self.point.address + self.point.words * self.point.count
 
 
 def make_points(
     rows: Sequence[LocatedRow], word_order: WordOrder | None, report: ImportReport
 ) -> list[RowPoint]:
-    """Make the points, in the order of their tables and addresses.
+    """Make the points of the rows, in the order of their tables and addresses.
 
-    `word_order` is that of values that name none. What cannot be a point is a problem of its row.
+    `word_order` is that of the values for which the list names none. A row that cannot be a point
+    becomes a problem in the report.
     """
     made: list[RowPoint] = []
     is_named = False
@@ -73,7 +75,9 @@ def make_points(
 
 
 def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: ImportReport) -> Point:
-    """The point of a row. Raises ValueError for what cannot be one."""
+    """The point of a row. Raises ValueError if its type, number of registers, factor and table do
+    not fit one another.
+    """
     type_ = _type(row, area.table, report)
     kind = type_.type
     words = kind.words or _string_words(row, type_, report)
@@ -111,7 +115,10 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
 
 
 def _size(row: ListRow, area: Area, words: int) -> int:
-    """How many addresses a row takes; `words` is what one value takes. Raises ValueError."""
+    """How many addresses a row takes; `words` is how many one value takes.
+
+    Raises ValueError if the number is no multiple of `words`, or goes beyond address 65535.
+    """
     size = row.address.registers or (None if area.table.is_bits else row.registers) or words
     if size % words:
         raise ValueError(f"has {size} registers, but its type takes {words}")
@@ -121,7 +128,7 @@ def _size(row: ListRow, area: Area, words: int) -> int:
 
 
 def _type(row: ListRow, table: Table, report: ImportReport) -> TypeSpelling:
-    """The type as it stands in its table. Raises ValueError if it cannot stand there."""
+    """The row's type in `table`. Raises ValueError if the table cannot hold such values."""
     type_ = row.type
     if table.is_bits:
         if type_ is not None and not type_.is_switch:
@@ -155,7 +162,7 @@ def _string_words(row: ListRow, type_: TypeSpelling, report: ImportReport) -> in
 
 
 def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]]:
-    """The texts that fit the type, and as notes those that do not."""
+    """Return the texts that fit the type, and notes with the texts that do not."""
     kind, texts = type_.type, dict(row.texts)
     if type_.is_switch:
         texts = texts or {0: "off", 1: "on"}
@@ -171,9 +178,10 @@ def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]
 
 
 def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float], list[str]]:
-    """The range and the default, and as notes those that could be misunderstood.
+    """Return the range and the default by key, and notes with those that could be misunderstood.
 
-    A list does not say whether they are before or after scaling.
+    A list does not say whether the range and the default of a scaled value are before or after
+    scaling.
     """
     is_plain = kind.is_number and (row.scale, row.offset) == (1, 0)
     said = {"minimum": row.minimum, "maximum": row.maximum, "default": row.default}
@@ -189,7 +197,7 @@ def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float]
 
 
 def _is_default(row: ListRow) -> bool:
-    """True for a whole number from 0 to 7FFFH within the range of the row."""
+    """True if the row's default is a whole number from 0 to 7FFFH, and within the row's range."""
     default, low, high = row.default, row.minimum, row.maximum
     if default is None or default != int(default) or not 0 <= default <= 0x7FFF:
         return False
@@ -214,7 +222,9 @@ def _without_overlaps(made: Sequence[RowPoint], report: ImportReport) -> list[Ro
 
 
 def _with_unique_names(made: Sequence[RowPoint]) -> list[RowPoint]:
-    """Every name once: a second one has its reference behind it."""
+    """Give every point a name of its own: a name that is taken gets the point's reference behind
+    it.
+    """
     taken: set[str] = set()
     named = []
     for one in made:

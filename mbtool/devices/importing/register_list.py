@@ -1,8 +1,8 @@
-"""Makes a profile of a register list: the CSV that a vendor's table of registers becomes."""
+"""Makes a profile of a register list: a vendor's table of registers, saved as CSV."""
 
-# What the user says is not guessed. What is guessed is told in a remark; the remarks also stand in
-# the profile's head. Rows that cannot be read are problems, told all at once; then no profile is
-# made, unless the user lets them be left out.
+# Nothing is guessed that the user says. A remark tells each guess; the remarks also stand in a
+# comment at the top of the profile. All rows that cannot be read are reported at once; then no
+# profile is made, unless the user lets such rows be left out.
 #
 # Limits: a file of at most MAX_BYTES and MAX_ROWS rows.
 
@@ -36,7 +36,7 @@ MAX_ROWS = 20_000
 
 
 class BadRowsError(UsageError):
-    """Rows of a list that cannot be read; `lines` tells what is wrong in each."""
+    """Rows of a register list cannot be read; `lines` tells what is wrong in each of them."""
 
     def __init__(self, file: str, report: ImportReport) -> None:
         count = len(report.bad_rows)
@@ -53,17 +53,18 @@ class ImportedList:
 
     profile: Profile
     text: str
-    """The profile as TOML."""
+    """The profile as the text of a TOML file."""
     remarks: tuple[str, ...]
-    """What was guessed, and what was left out."""
+    """Sentences on what was guessed, and what was left out."""
 
 
 def import_register_list(
     data: bytes, file: str, options: ImportOptions | None = None, name: str | None = None
 ) -> ImportedList:
-    """Make a profile of a register list; `file` names it in errors.
+    """Make a profile of a register list, whose file is `data`; `file` is its name for messages.
 
-    Raises BadRowsError for rows that cannot be read, UsageError for what is no list.
+    Raises BadRowsError if rows cannot be read and the options do not skip them, and UsageError if
+    the file is no register list.
     """
     options, report = options or ImportOptions(), ImportReport()
     sheet = find_sheet(_decode(data, file, report), file, options.columns)
@@ -118,13 +119,15 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 def _plain_text(text: str) -> str:
-    """Lines as Python ends them, without control characters, which no profile can have."""
+    """Return a text with Python's line ends, and without control characters, which no profile may
+    have.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     return text if text.isprintable() else _CONTROL.sub("", text)
 
 
 def _text(profile: Profile, remarks: Sequence[str]) -> str:
-    """The profile as TOML, with what was guessed in its head."""
+    """The profile as the text of a TOML file, with a comment at its top on what was guessed."""
     return dump_profile(
         profile,
         {

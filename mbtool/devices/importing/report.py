@@ -8,10 +8,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 MAX_PROBLEMS = 100
-"""How many different problems have a line of their own; one more line names all other rows."""
+"""The most problems that get a line of their own. One more line names the rows of all others."""
 
 _SHOWN = 40
-"""How many characters of a cell are shown."""
+"""The most characters of a cell that a problem shows."""
 
 
 class ImportReport:
@@ -23,11 +23,15 @@ class ImportReport:
         self.bad_rows: set[int] = set()
 
     def tell(self, remark: str, row: int | None = None) -> None:
-        """Note a remark on the list or on a row; the rows of equal remarks are told together."""
+        """Add a remark on the list, or on the row with a number. Equal remarks become one, with all
+        rows.
+        """
         self._remarks.setdefault(remark, []).extend(() if row is None else (row,))
 
     def add_problem(self, row: int, heading: str | None, text: str, problem: str) -> None:
-        """Note what is wrong with a cell, so that no profile is made of its row."""
+        """Add a problem: what is wrong with the cell `text` of a row. The profile will lack that
+        row.
+        """
         self.bad_rows.add(row)
         shown = " ".join(text.split())
         shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
@@ -40,7 +44,7 @@ class ImportReport:
 
     @property
     def problem_lines(self) -> list[str]:
-        """The problems in the order of their rows; every bad row is named."""
+        """A line for each problem, in the order of the rows. Every row with a problem is named."""
         known = sorted(self._problems.items(), key=lambda one: min(one[1]))
         lines = [f"{_rows(rows)}{problem}" for problem, rows in known[:MAX_PROBLEMS]]
         others = set[int]().union(*(rows for _, rows in known[MAX_PROBLEMS:]))
@@ -48,7 +52,7 @@ class ImportReport:
 
 
 def _rows(numbers: Iterable[int]) -> str:
-    """`row 2`, or `rows 2, 5-8`."""
+    """Write the numbers of rows: `row 2`, or `rows 2, 5-8`."""
     runs: list[list[int]] = []
     for number in sorted(set(numbers)):
         if runs and number == runs[-1][1] + 1:

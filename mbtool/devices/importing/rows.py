@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MAX_NAME = 120
-"""How many characters of a name are kept."""
+"""The most characters of a name; longer names are cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +48,12 @@ class ListRow:
     """One row of the list."""
 
     row: int
-    """Its number in the file; the first row is 1."""
+    """The number of the row in the file; the first row is 1."""
     name: str
     address: AddressCell
     table: TableCell | None
-    """The table that the row's own column names, or the heading above the row."""
+    """The table that the row's own cell names, or else the heading above the row; None if neither
+    does."""
     type: TypeSpelling | None
     registers: int | None
     order: Order | None
@@ -83,7 +84,9 @@ class RowReader:
     def read(
         self, number: int, row: Sequence[str], address: AddressCell, section: TableCell | None
     ) -> ListRow:
-        """Read a row; `section` is the table that the heading above it names."""
+        """Read a row with the number `number` in the file; `section` is the table that the heading
+        above the row names.
+        """
         self._number, self._row = number, row
         bit = self._number_of(Meaning.BIT)
         if bit is not None and address.bit is None:
@@ -123,22 +126,23 @@ class RowReader:
         )
 
     def is_reserved(self, row: Sequence[str]) -> bool:
-        """True if the row only says that there is nothing."""
+        """True if the row only says that its address is reserved or not used."""
         return self.name(row).lower().strip("().- ") in _RESERVED
 
     def name(self, row: Sequence[str]) -> str:
-        # Braces stand for numbers in a profile.
+        # In a point's name, braces stand for a number that mbtool fills in, so parentheses replace
+        # them.
         name = next(iter(self._words(row)), "").replace("{", "(").replace("}", ")")
         return name[:MAX_NAME].strip()
 
     def _words(self, row: Sequence[str]) -> list[str]:
-        """The texts of the columns of names, then those of descriptions."""
+        """The row's texts in columns of names, then those in columns of descriptions."""
         columns = [*self._sheet.all(Meaning.NAME), *self._sheet.all(Meaning.DESCRIPTION)]
         texts = (" ".join(column.of(row).split()) for column in columns)
         return [text for text in texts if not is_nothing(text)]
 
     def _text(self, meaning: Meaning) -> str:
-        """The cell of a meaning, empty if there is none."""
+        """The row's text in the column of a meaning; empty if there is none."""
         column = self._sheet.column(meaning)
         text = column.of(self._row) if column is not None else ""
         return "" if is_nothing(text) else text
@@ -149,7 +153,10 @@ class RowReader:
         self._report.add_problem(self._number, heading, text, problem)
 
     def _read(self, meaning: Meaning, parse: Callable[[str], T | None], problem: str) -> T | None:
-        """Read a cell that may be empty; what `parse` does not know is a problem."""
+        """Read the row's cell of a meaning with `parse`; None if the cell is empty.
+
+        A text for which `parse` returns None becomes a problem in the report.
+        """
         text = self._text(meaning)
         value = parse(text) if text else None
         if text and value is None:
@@ -184,7 +191,11 @@ class RowReader:
         return self._read(Meaning.ACCESS, parse_access, _ACCESS_WANTED)
 
     def _scaled(self, type_: TypeSpelling | None) -> tuple[float, int | None, str | None]:
-        """The scale (by the factors, else the unit's factor, else the decimals), decimals, unit."""
+        """Return the scale, the number of decimals, and the unit.
+
+        The scale is the product of the row's factors; without factors the factor in the unit's
+        cell; without that it follows from the decimals.
+        """
         unit_factor, unit = parse_unit(self._text(Meaning.UNIT))
         places = self._number_of(Meaning.DECIMALS)
         decimals = int(places) if places is not None and 0 <= places <= 15 else None
@@ -213,9 +224,10 @@ class RowReader:
         return 1 / factor.number if divides else float(factor.number)
 
     def _values(self) -> tuple[dict[int, str], dict[int, str], str | None]:
-        """What numbers mean, what bits mean, and the cell that says so.
+        """Return the texts of numbers, the names of bits, and the cell that lists them.
 
-        A range or a description may list them too, but not one number alone: that may be prose.
+        A range or a description may list them, too, but one number alone does not count there: it
+        may be prose.
         """
         for meaning in (Meaning.TEXTS, Meaning.RANGE, Meaning.DESCRIPTION):
             for text in (column.of(self._row) for column in self._sheet.all(meaning)):
@@ -229,7 +241,9 @@ class RowReader:
         return {}, {}, None
 
     def _notes(self, used: str | None) -> list[str]:
-        """The texts that are neither the name nor the cell `used` for values."""
+        """The row's texts that are kept as notes: neither its name nor the cell `used`, which lists
+        values.
+        """
         notes = [
             text for text in self._words(self._row) if text not in (self.name(self._row), used)
         ]
@@ -247,7 +261,7 @@ class RowReader:
         return [*notes, *prose]
 
     def _factors_divide(self, scaling: Scaling | None) -> bool:
-        """True if factors that do not say what they are for divide."""
+        """True if a factor without a sign such as x or / divides the register's number."""
         column = self._sheet.column(Meaning.SCALE)
         if scaling is not None or column is None:
             return scaling is Scaling.DIVIDE
@@ -269,7 +283,10 @@ class RowReader:
 
 
 def merge_bits(rows: Sequence[ListRow], report: ImportReport) -> list[ListRow]:
-    """Make one row of the rows that name bits of one register, called as that of the whole one."""
+    """Merge all rows that name bits of one register into one row.
+
+    That is the row of the whole register if the list has one, and else a new row without a name.
+    """
     merged = [row for row in rows if row.address.bit is None]
     places = {_register(row): at for at, row in enumerate(merged)}
     for row in rows:
@@ -307,10 +324,10 @@ def _known_table(text: str) -> TableCell | None:
 
 
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
-"""A decimal comma, or one between thousands."""
+"""Matches a number whose comma may be a decimal comma, or one between thousands: 1,000."""
 
 _UNITS_OF_LENGTH = {Meaning.LENGTH: 1, Meaning.LENGTH_IN_BYTES: 2, Meaning.LENGTH_IN_BITS: 16}
-"""How many of each make a register."""
+"""How many registers, bytes or bits make one register."""
 
 _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.TEXTS, lambda _: None, ""),
@@ -319,7 +336,8 @@ _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.MAXIMUM, parse_number, "maximum: "),
     (Meaning.DEFAULT, parse_number, "default: "),
 )
-"""Cells that may hold words, which become a note."""
+"""Cells that may hold words instead of a value: the meaning of their column, how to read a value,
+and what to write before the words in a note."""
 
 _MULTIPLIERS = ("multipl", "factor", "faktor", "facteur", "resolution", "coefficient", "lsb",
                 "accuracy", "precision", "step", "auflosung", "conversion")  # fmt: skip

@@ -1,8 +1,9 @@
 """Reads the spellings that register lists have for types, and for the order of words and bytes."""
 
-# A type may bring its order along (`FLOAT32 CDAB`, `32BIT_UINT_3412`, `UINT32 (low word first)`),
-# its length (`STRING[16]`) or nothing but its family (`INT`, `float`); then the number of registers
-# decides. What is not known as a whole is no type: `FLOTE` is an error, not a float.
+# A type may be followed by its word and byte order (`FLOAT32 CDAB`, `32BIT_UINT_3412`, `UINT32 (low
+# word first)`) or its length (`STRING[16]`). If only its family is named (`INT`, `float`), the
+# number of registers decides. What is not known as a whole is no type: `FLOTE` is an error, not a
+# float.
 
 from __future__ import annotations
 
@@ -21,17 +22,17 @@ Order = tuple[WordOrder, ByteOrder]
 
 @dataclass(frozen=True, slots=True)
 class TypeSpelling:
-    """The type that a cell names."""
+    """The type of a value as a cell of a register list names it."""
 
     type: PointType
     order: Order | None = None
-    """None if the cell names no order."""
+    """The word and byte order; None if the cell names none."""
     length: int | None = None
-    """Of a string: the number in the cell."""
+    """The length of a string, as the cell has it; None if the cell has none."""
     length_is_registers: bool = False
     """True if `length` counts registers, False if it counts characters, two in a register."""
     is_switch: bool = False
-    """True for off or on, in a table of bits or in a register."""
+    """True if the value is only off or on, in a table of bits or in a register of its own."""
     is_bits: bool = False
     """True if each bit has a meaning of its own."""
 
@@ -44,8 +45,9 @@ _LETTERS = {
     "ab": HIGH_LOW, "ba": HIGH_SWAPPED,
 }  # fmt: skip
 
-# "Little endian byte swap" is CDAB and "big endian byte swap" BADC in the masters that most people
-# check a list with. A swap without an endianness is one of big endian.
+# "Little endian byte swap" is CDAB and "big endian byte swap" BADC in the masters with which most
+# people check a register list. A swap of words or bytes that names no endianness starts from big
+# endian.
 _PHRASES = (
     (r"little ?endian byte ?swap(?:ped)?|mid(?:dle)? ?little ?endian", LOW_HIGH),
     (r"little ?endian word ?swap(?:ped)?|(?:big ?endian )?byte ?swap(?:ped)?", HIGH_SWAPPED),
@@ -111,7 +113,10 @@ def parse_order(text: str) -> Order | None:
 
 
 def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
-    """The type of a spelling; `registers` is how many the list gives the value, if it does."""
+    """Read a type; None if it is not known.
+
+    `registers` is how many registers the list gives to the value, or None.
+    """
     words = re.findall(r"[a-z0-9]+", text.lower())
     orders = (parse_order(" ".join(words[at:])) for at in range(1, len(words)))
     at, order = next(((at, one) for at, one in enumerate(orders, 1) if one), (len(words), None))
@@ -129,7 +134,10 @@ def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
 
 
 def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
-    """A type of a number of bits, which the name may say: `uint32`, `32bitfloat`, `dword`."""
+    """Read the name of a number, which may say its bits: `uint32`, `32bitfloat`, `dword`.
+
+    Returns None if the name is not known. `bits` follows from the number of registers.
+    """
     numbers = set(re.findall(r"\d+", name))
     letters = re.sub(r"\d+(?:bits?)?", "", name)
     if len(numbers) > 1 or not (letters or "bit" in name):
@@ -144,7 +152,10 @@ def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | 
 
 
 def _family(letters: str, *, has_bits: bool) -> tuple[dict[int, PointType], int | None]:
-    """The types by their bits, and how many bits are usual; no types if the name is not known."""
+    """The types of a family by their number of bits, and the usual number of bits, or None.
+
+    There are no types if the name is not known.
+    """
     if letters in _NAMES:
         return _NAMES[letters]
     if match := _FLOAT.fullmatch(letters):

@@ -3,19 +3,19 @@
 # A profile says which registers, functions and exceptions a device has. A Behaviour adds what no
 # table can say. This class adds nothing; a family's own class overrides what differs:
 #
-#     own          functions that neither read nor write registers or bits
+#     own          by function code, the functions that neither read nor write registers or bits
 #     watches      True if `barred` and `answered` are to be called for each request
 #     barred       the exception for any request, checked first (check 0 of responder.py)
 #     allows       True if a range may be read, or written (check 3)
 #     refusal      the exception for a request that has passed every other check (check 4)
-#     is_live      True if a read of a range gives other values than the image holds
+#     is_live      True if a read of a range may give other values than the image holds
 #     shown        the values that such a read gives
 #     standing     the values that a write replaces; a mask write (16H) keeps some of their bits
 #     store        stores what a master writes
 #     written      called after a write
 #     answered     called with each request and its response
 #     units        the unit numbers that the device can have on a serial line
-#     rules        its rules for TCP connections, if it has any
+#     rules        the device's rules for TCP connections, if it has any
 #     kept         the registers that survive a restart
 #     inputs_set   called when values at the device's inputs may have changed
 #     outputs      the state of the device's outputs; shown to people, no master reads it
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 MAX_ALLOWED = 4096
 
 OwnFunction = Callable[[bytes, int], bytes | None]
-"""Takes a request PDU and the time in ns; returns the response PDU, or None for silence."""
+"""Takes a request PDU and the time in ns; returns the response PDU, or None for no response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class DeviceOutput:
     name: str
     value: int
     text: str
-    """The value as the device puts it out, with its unit."""
+    """The value in the unit of the output, as people read it, such as "1.900 V" or "on"."""
 
 
 class Behaviour:
@@ -65,7 +65,7 @@ class Behaviour:
     """The addresses whose values survive a restart."""
     watches = False
     units = range(1, 248)
-    """The unit numbers that it can be given on a serial line."""
+    """The unit numbers that the device can have on a serial line."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         self.profile = profile
@@ -73,13 +73,16 @@ class Behaviour:
         self.own: Mapping[int, OwnFunction] = {}
         self.rules: ConnectionPolicy | None = None
         self.keep: Callable[[], None] | None = None
-        """Saves the registers of `kept`; the device calls it when one of them has changed."""
+        """Saves the registers of `kept`; called when one has changed. None if nothing is saved."""
         self._allowed: dict[tuple[Table, int, int, bool], bool] = {}
         """The answers of `allows`, at most MAX_ALLOWED."""
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
-        """The exception code that any request gets now, or None. Called only if `watches`."""
+        """Return the exception code that this request gets before any other check, or None.
+
+        Called only if `watches`.
+        """
         return None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
@@ -100,32 +103,35 @@ class Behaviour:
     def refusal(
         self, function: int, access: RegisterAccess, values: Sequence[int], now_ns: int
     ) -> int | None:
-        """The exception code for a request that has passed all other checks, or None.
+        """Return the exception code for a request that has passed all other checks, or None.
 
-        `values` are the values that the request would leave at the addresses it writes.
+        `values` are the values that the addresses written by the request would have after it.
         """
         return None
 
     def is_live(self, table: Table, span: range) -> bool:
-        """True if each read of this range must call `refusal` and `shown`.
+        """True if a read of this range may give other values than the image holds.
 
-        The answer for a range never changes.
+        Then each read of it calls `refusal` and `shown`. The answer for a range never changes.
         """
         return False
 
     def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
-        """The values that a master reads from a live range; `values` are those of the image."""
+        """Return the values that a master reads from a range for which `is_live` is True.
+
+        `values` are those of the image.
+        """
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """The values that a write would replace; a mask write (16H) keeps some of their bits."""
+        """Return the values that a write would replace; a mask write (16H) keeps some bits."""
         return self.image.get(table, span.start, len(span))
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Store what a master writes. The range has passed `allows`.
+        """Store the values that a master writes to a range that `allows` permits.
 
-        Some addresses hold one thing for reading and another for writing. The image holds what is
-        read there, so what is written there is not stored.
+        Some addresses mean one thing when read and another when written. The image holds the value
+        that is read there, so a value written there is not stored.
         """
         if not self._has_write_areas:
             self.image.set(table, span.start, values)
@@ -142,7 +148,7 @@ class Behaviour:
         """Called with each request PDU and its response PDU, if `watches`."""
 
     def inputs_set(self, now_ns: int) -> None:
-        """Called when inputs in the image may have changed. A device that averages uses it."""
+        """Called when inputs in the image may have changed; a device that averages needs this."""
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
         """The state of all outputs."""

@@ -39,7 +39,10 @@ class Blocks:
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
-        """The registers that a read gives if it begins at a block's first address, else None."""
+        """Return the registers that a read of `span` gets from a block.
+
+        Returns None if the read does not begin at the first address of a block.
+        """
         block = self._blocks.get((table, span.start)) if self._blocks else None
         return None if block is None else block[: len(span)]
 
@@ -54,7 +57,7 @@ class Blocks:
         block[offset : offset + len(values)] = values
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Make the blocks of `with_table` those of `table` too."""
+        """Give `table` the blocks of `with_table`: from now on both tables share them."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block

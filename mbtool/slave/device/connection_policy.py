@@ -1,6 +1,6 @@
 """Which TCP connections a device accepts, and how it supervises and ends them."""
 
-# A TCP shell owns the sockets and the clock, and asks the device's policy:
+# The TCP shell (shells/tcp_shell.py) owns the sockets and the clock, and asks the device's policy:
 #
 #     admit             a master has connected: may it stay, and must another one leave for it?
 #     lost              a connection has ended, and why
@@ -39,7 +39,7 @@ class Peer:
 
     host: str
     heard_ns: int
-    """When it last sent something, or connected. The shell updates this."""
+    """When the master last sent something, or connected, in ns. The shell updates this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Admission:
     leaves: Peer | None = None
     """The master whose connection is closed to make room."""
     is_full: bool = False
-    """True if it is refused because all places are taken. `notes` tell any other reason."""
+    """True if the connection is refused because all places are taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,10 @@ class ConnectionPolicy:
         self.idle_s = idle_s
         """A connection is closed after so many seconds without a complete request."""
         self.changed = False
-        """True if `keep_alive`, `split_s` or `closed_until_ns` may have changed."""
+        """True if `keep_alive`, `split_s` or `closed_until_ns` may have changed.
+
+        The shell sets it to False when it has read them again.
+        """
         self.peers: list[Peer] = []
         self.notes: deque[str] = deque(maxlen=MAX_NOTES)
         """What the policy has done, as messages for the user."""
@@ -86,16 +89,16 @@ class ConnectionPolicy:
 
     @property
     def split_s(self) -> float:
-        """Longest time in seconds from a request's first part to its last."""
+        """The longest time in seconds that a request in parts may take to arrive."""
         return math.inf
 
     @property
     def closed_until_ns(self) -> int | None:
-        """If not None: close all connections, and accept none before this time."""
+        """Until when, in ns, all connections are closed and none is accepted; None for neither."""
         return None
 
     def admit(self, host: str, now_ns: int) -> Admission:
-        """Decide about a master that has connected."""
+        """Decide whether a master that has connected from the address `host` may stay."""
         if len(self.peers) >= self.places:
             return Admission(None, is_full=True)
         peer = Peer(host, now_ns)
@@ -103,6 +106,6 @@ class ConnectionPolicy:
         return Admission(peer)
 
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
-        """Remove a connection that has ended. Calling it twice does no harm."""
+        """Learn that a connection has ended, and free its place. A second call does nothing."""
         if peer in self.peers:
             self.peers.remove(peer)

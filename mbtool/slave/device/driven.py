@@ -1,8 +1,8 @@
 """A device some of whose values change over time."""
 
 # The values are computed when a request arrives, so nothing runs between two requests. Time counts
-# from the first request. If a master writes such a value, its own value stays until the next
-# request that comes at least RESOLUTION_NS later.
+# from the first request. If a master writes to such an address, the written value stays until a
+# request comes at least RESOLUTION_NS after the values were last computed.
 #
 # A device that averages its inputs (Behaviour.inputs_set) is also given the values that they had
 # since the previous request, at MAX_BETWEEN moments at most.
@@ -45,7 +45,10 @@ class DrivenDevice:
         return self._device.respond(unit, pdu, now_ns)
 
     def _between(self, now_ns: int) -> Sequence[int]:
-        """Moments since the last request, at equal distances."""
+        """Return moments between the last computation and `now_ns`, at equal distances.
+
+        They are at least RESOLUTION_NS apart, and fewer than MAX_BETWEEN.
+        """
         passed_ns = now_ns - self._last_ns
         count = min(passed_ns // RESOLUTION_NS, MAX_BETWEEN)
         return [self._last_ns + passed_ns * place // count for place in range(1, count)]

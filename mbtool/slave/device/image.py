@@ -44,7 +44,10 @@ class RegisterImage:
         return image
 
     def get(self, table: Table, address: int, quantity: int = 1) -> list[int]:
-        """The values of a range. Raises ValueError beyond 0..65535."""
+        """Return the values of `quantity` addresses, from `address` on.
+
+        Raises ValueError if one of the addresses is not 0..65535.
+        """
         _check_range(address, quantity)
         if table.is_bits:
             return list(self._cells[table][address : address + quantity])
@@ -52,7 +55,11 @@ class RegisterImage:
         return list(struct.unpack(f">{quantity}H", data))
 
     def set(self, table: Table, address: int, values: Sequence[int]) -> None:
-        """Write a range, or nothing and ValueError for a wrong address or value."""
+        """Write the values of consecutive addresses, from `address` on.
+
+        Raises ValueError, and writes nothing, if one of the addresses is not 0..65535, or a value
+        is not 0..65535 for a register or 0..1 for a bit.
+        """
         _check_range(address, len(values))
         highest = 1 if table.is_bits else 0xFFFF
         if not all(0 <= value <= highest for value in values):
@@ -62,9 +69,10 @@ class RegisterImage:
         self._cells[table][width * address : width * (address + len(values))] = data
 
     def put(self, point: Point, address: int, values: Sequence[int]) -> None:
-        """Write one instance of a point: into its block, if it has one, else into the table.
+        """Write the registers or the bit of a point at `address`, one of its addresses.
 
-        Raises ValueError for a wrong address or value.
+        They go into the point's block, if it has one, else into the table. Raises ValueError, as
+        `set` does, also beyond the end of the block.
         """
         if point.block is None:
             self.set(point.table, address, values)
@@ -87,16 +95,17 @@ class RegisterImage:
         self.blocks.share(table, with_table)
 
     def cells(self, table: Table, span: range) -> tuple[bytearray, slice]:
-        """The table's own bytes (two a register, one a bit), and the slice of a range in them.
+        """Return the bytes that hold a table, and the slice of them that holds a range.
 
-        A caller that reads one range again and again keeps both.
+        A register has two bytes, a bit has one. These are the bytes themselves, no copy: a caller
+        that keeps both results can read the range's present values again and again.
         """
         width = _width(table)
         return self._cells[table], slice(width * span.start, width * span.stop)
 
 
 def packed_bits(cells: bytearray) -> bytes:
-    """Bits as a response carries them: eight to a byte, the lowest address lowest (V1.1b3, 6.1)."""
+    """Return bits as a response has them: eight to a byte, the first one lowest (V1.1b3, 6.1)."""
     digits = cells.translate(_DIGITS)[::-1]  # The highest digit comes first.
     return int(digits, 2).to_bytes((len(cells) + 7) // 8, "little")
 

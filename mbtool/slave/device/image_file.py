@@ -12,8 +12,8 @@
 #     HR400021 = { walk = [0, 100], step = 2, seconds = 0.5, seed = 7 }
 #     HR400022 = { from = "site.mcap", what = "HR400001", unit = 3, speed = 2, loop = false }
 #
-# Lines are applied in their order: where ranges overlap, the later line counts, and a value that
-# changes counts more than all constant ones. Access rights are ignored, so inputs can have values.
+# Lines are applied in their order: where ranges overlap, the later line counts. A changing value
+# overrides all constant ones. Access rights are ignored, so inputs can have values.
 #
 # Limits: a file of at most 4 MiB. There is room for every address of all tables.
 
@@ -48,12 +48,12 @@ _FORMS = {
 }
 """The kinds of change, each with the further keys that it takes."""
 _GREATEST = 1e300
-"""Limit of numbers in the file; twice the difference of two is still a float."""
+"""The greatest number in the file: twice the difference of two numbers is then still finite."""
 _STEPS = 20
-"""The default step of a walk is its range divided by this."""
+"""The default step of a walk is the difference of its two ends, divided by this."""
 
 Course = Callable[[int], list[int]]
-"""Gives the registers or the bit at a moment in ns since the beginning."""
+"""Takes a moment, in ns since the first request; returns the registers or the bit at that time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,22 +66,25 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class FromCapture:
-    """A value that is repeated from a capture."""
+    """Which recorded value a register, bit or point repeats, and how fast."""
 
     path: Path
     table: Table
     address: int
     words: int
     unit: int | None
-    """None if the capture has only one unit."""
+    """The unit whose value it is; None for the only unit in the capture."""
     link: str | None
-    """None if the unit is on one link only."""
+    """The link that the unit is on; None if the unit is on only one link in the capture."""
     speed: float
     loop: bool
 
 
 Recall = Callable[[FromCapture], Course]
-"""Reads the course of a value from a capture. Raises UsageError, InputError."""
+"""Reads the course of a value from a capture.
+
+Raises UsageError if the capture does not have the value, InputError if it cannot be read.
+"""
 
 
 def load_image(
@@ -92,11 +95,12 @@ def load_image(
     *,
     recall: Recall | None = None,
 ) -> list[Driven]:
-    """Write the constant values of a file into an image, and return the changing ones.
+    """Write the constant values of a file into an image, and return the values that change.
 
-    `only` restricts a file of a device's saved state to these addresses; such a file holds whole
-    registers and no changing values. Raises InputError for a file that is no TOML, UsageError for
-    a wrong key or value; the image then holds the lines before that one.
+    `only` is given for a file of a device's saved state: it has values for these addresses only,
+    each the content of a register, and none that changes. `recall` reads values of captures; if it
+    is None, the file may not have any. Raises InputError for a file that is no TOML, UsageError for
+    a wrong key or value; the image then holds the values of the lines before that one.
     """
     hint = "write lines such as HR400001 = 4660"
     targets = ValueTargets(profile)
@@ -155,7 +159,7 @@ def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -
 
 
 class _Movement:
-    """One table of the file: how a value changes."""
+    """A table in braces in the file, which says how a value changes."""
 
     def __init__(
         self,

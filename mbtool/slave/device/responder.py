@@ -18,7 +18,7 @@
 #
 # Masters poll the same few ranges. A read that has passed its checks passes them again, as profiles
 # do not change, so the responder remembers the ranges of at most MAX_KNOWN request PDUs, then
-# forgets all. Reads of live ranges (Behaviour.is_live) are not remembered.
+# forgets all. Reads whose values may differ from the image (Behaviour.is_live) are not remembered.
 #
 # A responder is one device; units.py decides which unit numbers it answers to.
 
@@ -45,25 +45,25 @@ if TYPE_CHECKING:
 MAX_KNOWN = 4096
 
 _PLAIN_READS = READS - {0x17}
-"""Functions whose response is a byte count and what they read."""
+"""The functions whose response has a byte count and the values read, and which write nothing."""
 
 
 _Known = tuple[bytes, bytearray, slice, bool]
-"""Of a read: the first bytes of the response, the cells of the rest, and True for bits."""
+"""Of a read: its function code and byte count, the table's bytes, their slice, True for bits."""
 
 
 class DeviceResponder:
-    """One device. Its image may be read and written by others between two requests."""
+    """One device. Between two requests other code may read and write its image."""
 
     def __init__(self, behaviour: Behaviour) -> None:
         self._profile = behaviour.profile
         self.behaviour = behaviour
         self.image = behaviour.image
         self._known: dict[bytes, _Known] = {}
-        """Remembered reads, by their request PDU."""
+        """By request PDU, the reads that have passed all checks: how to make their responses."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        """The response to a request PDU, or None if the device stays silent. `unit` is ignored."""
+        """Return the response to a request PDU, or None if there is none. `unit` is ignored."""
         known = self._known.get(pdu)
         if known is not None and not self.behaviour.watches:
             return Response(_response(known))
@@ -150,7 +150,11 @@ def _response(known: _Known) -> bytes:
 
 
 def _is_beyond(rule: FunctionRule, access: RegisterAccess) -> bool:
-    """True if a quantity exceeds the profile's limit; `limit` is for reads if there are any."""
+    """True if a request reads or writes more values than the profile's limits permit.
+
+    `rule.limit` is for the values read, or written if none are read. `rule.write_limit` is for the
+    values written by a request that also reads.
+    """
     if rule.limit is not None and len(access.reads or access.writes) > rule.limit:
         return True
     if rule.write_limit is None or not access.reads:

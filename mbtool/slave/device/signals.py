@@ -9,8 +9,8 @@
 #             normally distributed, and the walk turns back at the lowest and the highest value
 #
 # Ramp, sine and steps depend on the time alone. A walk is made step by step from its seed, so the
-# same seed gives the same walk. If more than MAX_STEPS steps passed since it was last asked, it
-# makes only the last MAX_STEPS of them: that bounds the time one request can take to about 50 ms.
+# same seed gives the same walk. If more than MAX_STEPS steps are due since the last request, only
+# MAX_STEPS of them are made: that bounds the time one request can take to about 50 ms.
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ class Signal(Protocol):
     def highest(self) -> float: ...
 
     def at(self, moment_ns: int) -> float:
-        """The value at `moment_ns`, counted from the beginning. Moments never go back."""
+        """Return the value at `moment_ns`, in ns since the first request.
+
+        No call may have an earlier moment than the call before it.
+        """
         ...
 
 
@@ -118,7 +121,7 @@ class Walk:
         return self._value
 
     def _turned_back(self, value: float) -> float:
-        """A value beyond one end, reflected there."""
+        """Return a value that is beyond the lowest or the highest value, mirrored at that end."""
         width = self.highest - self.lowest
         if not width:
             return self.lowest

@@ -35,7 +35,10 @@ class Units:
         any_unit: Responder | None = None,
         broadcast: bool = False,
     ) -> None:
-        """`any_unit` gets requests for units without a slave; `broadcast`: unit 0 means all."""
+        """`any_unit` answers the requests for units that `slaves` does not have.
+
+        If `broadcast` is true, all slaves execute a request for unit 0, and none answers.
+        """
         self._slaves = dict(slaves)
         self._any_unit = any_unit
         self._broadcast = broadcast
@@ -56,9 +59,10 @@ def units_on(
     device: Responder,
     others: Mapping[int, Responder] | None = None,
 ) -> Units:
-    """A device on a link under its unit, with other slaves beside it, by the link's rules.
+    """Put a device on a link under the number `unit`, with other slaves beside it.
 
-    A device that answers any unit gets the requests for units that no other slave has.
+    The rules are those of the link, as the comment above says. A device that answers any unit gets
+    the requests for units that no other slave has.
     """
     serial = is_line(link)
     any_unit = device if profile.any_unit and not serial else None
@@ -66,5 +70,5 @@ def units_on(
 
 
 def is_line(link: SerialLink | TcpLink) -> bool:
-    """True if the rules of a serial line hold on a link."""
+    """True for a link that follows the rules of a serial line: serial, or RTU over TCP."""
     return isinstance(link, SerialLink) or link.rtu

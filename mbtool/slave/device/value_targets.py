@@ -7,11 +7,11 @@
 #     a reference            HR400001, X1F, T5. Its value is the register's content. A number with
 #                            a fraction, a text, and any number for a point of several registers
 #                            are in the unit of the point there.
-#     a table and address    "holding 9005". As a reference.
+#     a table and address    "holding 9005". Its value is read as that of a reference.
 #
-# A reference may stand for several points, as T5 of FT1A SmartAXIS does: a contact, a current value
-# and a preset value. It does not say which one is meant, so it is refused, and the error lists the
-# points' names.
+# A reference may stand for several points: T5 of FT1A SmartAXIS is a contact, a current value and a
+# preset value. Such a reference does not say which point is meant, so it is refused, and the error
+# lists the points' names.
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 
 @dataclass(frozen=True, slots=True)
 class ValueTarget:
-    """The register, bit or point that a value is for, and its conversion to registers."""
+    """The register, bit or point that a value is for; converts the value to registers."""
 
     table: Table
     address: int
@@ -62,9 +62,10 @@ class ValueTarget:
         return self.point.words if self.point is not None else 1
 
     def registers(self, value: object, *, stored: bool = False) -> list[int]:
-        """A value as registers or as a bit. Raises UsageError.
+        """Return the registers, or the bit, that hold a value of the file.
 
-        If `stored`, a whole number is the register's content, even where a point stands.
+        If `stored`, a whole number is a register's content, even if a point begins there. Raises
+        UsageError for a value that the registers or the bit cannot hold.
         """
         if isinstance(value, bool):
             if not self.table.is_bits:
@@ -77,7 +78,10 @@ class ValueTarget:
         return registers_of(self.point, value)
 
     def nearest(self, value: float) -> list[int]:
-        """The registers nearest to a value in the point's unit. Raises UsageError."""
+        """Return the registers that come nearest to a value in the point's unit.
+
+        Raises UsageError for a value beyond what they can hold.
+        """
         if self.point is None:
             return [self._stored(round(value))]
         if self.point.type in _FLOATS or self.point.scale != 1 or self.point.offset:
@@ -85,7 +89,7 @@ class ValueTarget:
         return registers_of(self.point, round(value))
 
     def put(self, image: RegisterImage, values: list[int]) -> None:
-        """Write registers or bits into an image."""
+        """Write the registers or bits of this target into an image."""
         if self.point is not None and self.point.block is not None:
             image.put(self.point, self.address, values)
         else:
@@ -93,7 +97,7 @@ class ValueTarget:
 
     @property
     def _is_measured(self) -> bool:
-        """True if a whole number is in the unit of the point."""
+        """True if a whole number is a value in the point's unit, and no register's content."""
         return self.point is not None and (
             self.is_named or (self.point.words > 1 and self.point.type is not PointType.STRING)
         )
@@ -129,7 +133,10 @@ class ValueTargets:
                     self._points.setdefault((point.table, address), point)
 
     def find(self, key: str) -> ValueTarget:
-        """The target that a key names. Raises UsageError."""
+        """Return the target that a key names.
+
+        Raises UsageError for a key that names nothing, or that may mean several points.
+        """
         named = self._by_name.get(key.strip().casefold())
         if named is not None:
             return named
@@ -162,7 +169,7 @@ class ValueTargets:
         return table, address
 
     def _meanings(self, key: str) -> Iterator[str]:
-        """The names of the points that a reference may mean, one for each area that has it."""
+        """Give the names of the points that a reference may mean, in different areas."""
         for area in self._profile.areas:
             try:
                 place = parse_reference(replace(self._profile, areas=[area]), key)

@@ -29,7 +29,7 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
     "lt830": Lt830,
     "wago": Wago,
 }
-"""Keys: the profile's `behaviour`; with a slash and the model code if models differ."""
+"""The class for each `behaviour` of a profile, or for one of its models ("fa3/0014")."""
 
 
 def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:

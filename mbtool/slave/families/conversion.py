@@ -21,20 +21,20 @@ from typing import Protocol
 
 FULL_SCALE = 16000
 CONVERSION_NS = 1_000_000
-"""Time between two conversions of a channel. Assumed: the manual does not state it."""
+"""Time in ns between two conversions of a channel. Assumed: the manual does not state it."""
 MAX_STEPS = 1024
 
 _LOWEST, _HIGHEST = -0x8000, 0x7FFF
 
 
 class Processing(Protocol):
-    """Makes an output value from an input. Times never go back."""
+    """Makes an output value from an input. No call may have an earlier time than the last one."""
 
     def feed(self, value: int, now_ns: int) -> None:
-        """The input has this value from now on."""
+        """Learn that the input has this value from `now_ns` on."""
 
     def result(self, now_ns: int) -> int | None:
-        """The present output, or None before the first one is complete."""
+        """Return the output at `now_ns`, or None while the first one is not complete."""
 
 
 class Sampling:
@@ -58,7 +58,7 @@ class PeriodMean:
         self._value = value
         self._begun_ns = self._known_ns = now_ns
         self._sum = 0
-        """Sum of value times ns since the period began, up to `_known_ns`."""
+        """The sum of value times duration in ns, from the begin of the period to `_known_ns`."""
         self._mean: int | None = None
 
     def feed(self, value: int, now_ns: int) -> None:
@@ -111,9 +111,9 @@ class MovingMean:
 
 
 def scaled(value: int, lower: int, upper: int) -> int:
-    """A digital value 0..FULL_SCALE on the scale from `lower` to `upper`.
+    """Return a digital value on a scale: `lower` stands for 0 and `upper` for FULL_SCALE.
 
-    Equal limits mean no scaling.
+    If the two are equal, the value is returned as it is.
     """
     if lower == upper:
         return value
@@ -127,5 +127,5 @@ def cut(dividend: int, divisor: int) -> int:
 
 
 def limited(value: int) -> int:
-    """The nearest number that a signed register can hold."""
+    """Return the number nearest to `value` that a signed register can hold."""
     return min(max(value, _LOWEST), _HIGHEST)

@@ -71,7 +71,7 @@ class Fa3(Behaviour):
         self.image.set(Table.INPUT_REGISTERS, LATEST_ALARM, [code])
 
     def linked(self, is_linked: bool) -> None:
-        """Called when the first master has connected, and when the last one has gone."""
+        """Called with True when the first master has connected, False when the last has gone."""
         self.is_linked = is_linked
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
@@ -125,7 +125,7 @@ def overlap(one: range, other: range) -> bool:
 
 
 class Fa3DigitalOutput(Fa3):
-    """FA3-TH1M16Y and FA3-TH1M16YE."""
+    """The modules with 16 digital outputs: FA3-TH1M16Y and FA3-TH1M16YE."""
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
         bits = self.image.get(Table.COILS, 0, len(DIGITAL_OUTPUTS))

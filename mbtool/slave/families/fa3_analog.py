@@ -13,7 +13,8 @@
 # FA3-AT1M8Y. A channel puts out its digital value if D/A conversion (0102H) and its output (Y10 to
 # Y17) are enabled, else 0. Without a connection HOLD keeps the last output and CLEAR gives 0.
 # 0 to 16000 is 1 to 5 V (chapter 10.5: 3600 is 1.9 V). The manual does not say what the module does
-# with a value beyond the warning limits: here the output follows the value, and the text says so.
+# with a value beyond the warning limits: here the output follows the value, and the text shown to
+# people says that it is beyond them.
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ _MS = 1_000_000
 
 
 class _Fa3Analog(Fa3):
-    """The initial data setting, which both models have."""
+    """What both analog models have in common: the initial data setting."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
@@ -76,7 +77,7 @@ class _Fa3Analog(Fa3):
         self.image.set(Table.DISCRETE_INPUTS, _INITIAL_SETTING, [0])
 
     def take_settings(self, now_ns: int) -> None:
-        """Take over the settings from the registers."""
+        """Read the settings from the holding registers, and work with them from now on."""
 
     def _words(self, span: range) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, span.start, len(span))
@@ -85,7 +86,7 @@ class _Fa3Analog(Fa3):
         return [_signed(word) for word in self._words(span)]
 
     def _enabled(self, address: int) -> list[bool]:
-        """A setting with a bit for each channel; 0 is enabled."""
+        """Return for each channel if its bit in the register at `address` is 0: enabled."""
         (word,) = self.image.get(Table.HOLDING_REGISTERS, address)
         return [not word >> channel & 1 for channel in CHANNELS]
 
@@ -116,13 +117,13 @@ class _InputChannel:
 
 
 class Fa3AnalogInput(_Fa3Analog):
-    """FA3-AT1M8X."""
+    """The module with eight analog inputs: FA3-AT1M8X."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
         self._settings = self._read_settings()
         self._channels: list[_InputChannel | None] | None = None
-        """None in the list is a disabled channel. None until the first request or setting."""
+        """The channels, with None for a disabled one. No list until the inputs are first read."""
 
     def restarted(self) -> None:
         super().restarted()
@@ -147,7 +148,10 @@ class Fa3AnalogInput(_Fa3Analog):
         self.convert(now_ns)
 
     def convert(self, now_ns: int) -> list[_InputChannel | None]:
-        """Read the inputs; returns what masters see. A mean counts changes from this call on."""
+        """Convert the inputs that the image holds, and return the channels with their new values.
+
+        For a mean, an input that has changed has its new value from this call on.
+        """
         if self._channels is None:
             self._channels = self._begin([None] * len(CHANNELS), now_ns)
         for one, value in zip(self._channels, self._inputs(), strict=True):
@@ -183,7 +187,10 @@ class Fa3AnalogInput(_Fa3Analog):
         ]
 
     def _begin(self, before: list[_InputChannel | None], now_ns: int) -> list[_InputChannel | None]:
-        """Start converting; a channel keeps its value until a new one is complete."""
+        """Start conversion with the present settings.
+
+        Each channel keeps its value of `before`, or 0, until the first new one is complete.
+        """
         channels: list[_InputChannel | None] = []
         for setting, value, last in zip(self._settings, self._inputs(), before, strict=True):
             if setting is None:
@@ -195,12 +202,12 @@ class Fa3AnalogInput(_Fa3Analog):
 
 
 class Fa3AnalogOutput(_Fa3Analog):
-    """FA3-AT1M8Y."""
+    """The module with eight analog outputs: FA3-AT1M8Y."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
         self._standing = [0] * len(CHANNELS)
-        """The outputs while no master is connected."""
+        """What the channels put out while no master is connected, as digital values."""
         self._take()
 
     def take_settings(self, now_ns: int) -> None:
@@ -243,7 +250,7 @@ class Fa3AnalogOutput(_Fa3Analog):
 
     def _text(self, channel: int, value: int) -> str:
         lower, upper = self._warning_limits[channel]
-        # Equal limits, as before anyone sets them, would warn of every value.
+        # Until a master sets the limits, both are equal, and nearly every value is beyond them.
         warns = self._warns[channel] and lower < upper and not lower <= value <= upper
         volts = f"{1 + 4 * value / FULL_SCALE:.3f} V"
         return f"{volts}, beyond its warning limits {lower}..{upper}" if warns else volts

@@ -5,7 +5,7 @@
 # Alive check: TCP keep-alive, with its timers in holding registers 00F2H to 00F4H. A value outside
 # its range acts as the nearest limit and reads back as written (assumed). A master that does not
 # answer is disconnected with alarm 0E30H. The manual allows the module up to ten seconds for that,
-# during which it rejects this master's IP address; here it always takes ten seconds.
+# in which it rejects connections from this master's IP address; here it is always ten seconds.
 #
 # Split reception: 00F5H is the longest time from the first part of a request to its last. A slower
 # master is disconnected with alarm 0E40H.
@@ -40,11 +40,11 @@ TIMERS = range(START_INTERVAL, SPLIT_RECEPTION + 1)
 
 ALARMS = {Loss.NOT_ALIVE: 0x0E30, Loss.SPLIT: 0x0E40}
 LATEST_ALARM = 0x0001
-"""RWr1."""
+"""The address of the input register RWr1, which holds the code of the latest alarm."""
 
 
 class Fa3Connections(ConnectionPolicy):
-    """The connections of one module."""
+    """Decides which TCP connections one module accepts, and when it closes them."""
 
     def __init__(
         self,
@@ -54,7 +54,11 @@ class Fa3Connections(ConnectionPolicy):
         alarm: Callable[[int], None],
         linked: Callable[[bool], None],
     ) -> None:
-        """`alarm` gets an alarm's code; `linked` gets True if a master is connected, else False."""
+        """`alarm` is called with the code of each alarm.
+
+        `linked` is called with True when the first master has connected, and with False when the
+        last one has gone.
+        """
         super().__init__(PLACES, math.inf)
         self._image = image
         self._alarm = alarm
@@ -72,7 +76,7 @@ class Fa3Connections(ConnectionPolicy):
         }
         self._closed_until_ns: int | None = None
         self._rejected: dict[str, int] = {}
-        """IP addresses, and the time until which each is rejected."""
+        """By IP address, until when connections from it are rejected, in ns."""
 
     @property
     def keep_alive(self) -> KeepAlive:
@@ -122,7 +126,7 @@ class Fa3Connections(ConnectionPolicy):
             self._linked(False)
 
     def set_timers(self) -> None:
-        """Called when a timer may have been written."""
+        """Learn that a master may have written to one of the registers of the timers."""
         self.changed = True
 
     def reset(self, now_ns: int) -> None:

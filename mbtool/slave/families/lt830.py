@@ -1,4 +1,4 @@
-"""What CHINO's LT830 does beyond its profile: several items, value ranges, access, diagnosis."""
+"""What CHINO's LT830 does beyond its profile: which requests it refuses, and its diagnosis."""
 
 # Source: INST. No. INE-350, 6.3.1, 6.4 and 6.5.7, and the error codes of a sister model, as
 # mbtool/devices/profiles/chino-lt830.toml quotes them.
@@ -78,7 +78,7 @@ class Lt830(Behaviour):
     def _after(
         self, place: PointInstance, table: Table, writes: range, values: Sequence[int]
     ) -> PointValue:
-        """The value of a point after a write that may cover only some of its registers."""
+        """Return the value of a point after a write, which may cover only some of its registers."""
         raw = self.image.get(table, place.address, place.words)
         for at in range(place.words):
             if place.address + at in writes:

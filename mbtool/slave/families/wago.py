@@ -13,8 +13,9 @@
 #                counters 0, watchdog off
 #
 # Assumed: a restart by 2040H is acknowledged, and connections stay open. The time of 1030H holds
-# for later connections. Requests with the header errors of the second counter get silence and are
-# not counted. 2041H to 2043H and 1028H are acknowledged without effect.
+# for later connections. The second counter is for requests with a wrong protocol id: here they get
+# no response and are not counted. Writes of 2041H to 2043H and 1028H are acknowledged without
+# effect.
 
 from __future__ import annotations
 
@@ -50,7 +51,7 @@ _FAILURE = 4
 
 
 class Counter(IntEnum):
-    """The counters from 1029H on, numbered by their offset."""
+    """The nine counters in the block at 1029H, by their offset in it."""
 
     DEVICE_FAILURE = 0
     BAD_PROTOCOL = 1
@@ -64,7 +65,7 @@ class Counter(IntEnum):
 
 
 class Wago(Behaviour):
-    """A fieldbus coupler."""
+    """A fieldbus coupler of the series 750."""
 
     kept = ((HOLDING, PARAMETERS),)
     watches = True
@@ -81,7 +82,10 @@ class Wago(Behaviour):
         self._counters = self._first_counters()
         self._went_well = 0
         self._at_first: list[int] | None = None
-        """The settings at the first request, with the parameters saved since then."""
+        """The settings that a restart brings back: those at the first request, or saved since.
+
+        None before the first request.
+        """
         self._set_idle_time()
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
@@ -147,7 +151,7 @@ class Wago(Behaviour):
             self._went_well = self._went_well + 1 & 0xFFFF
 
     def _alone(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
-        """A function whose request has no data; one with data gets the exception for a value."""
+        """Wrap a function whose request has no data: if it has any, an exception is returned."""
 
         def own(pdu: bytes, now_ns: int) -> bytes:
             if len(pdu) > 1:
@@ -167,7 +171,7 @@ class Wago(Behaviour):
         return address in span and self.image.get(HOLDING, address)[0] in values
 
     def _first_counters(self) -> list[int]:
-        """The counters at the start: those of the image, if the profile has a block for them."""
+        """Return the counters at the start: those in the image's block for them, else zeros."""
         span = range(COUNTERS, COUNTERS + len(Counter))
         begun = self.image.blocks.get(HOLDING, span) or []
         return [*begun, *[0] * len(Counter)][: len(Counter)]

@@ -5,10 +5,11 @@
 # part works likewise: registers from 6000H are read back at 7000H, bits from 3000H at 4000H.
 #
 # Digital data also stand in registers, behind all analog data. Registers 1022H to 1025H give the
-# size of each kind in bits. They are 0 unless the user's values file describes a node; they are
-# read once. With a node, registers of digital data are made from the bits, and a write to such a
-# register sets the bits. Assumed: the lowest bit of a register is the first one, and digital data
-# begin with a register of their own. Only the first part, 256 registers and 512 bits, is mapped.
+# sizes of analog and digital outputs and inputs in bits. They are 0 unless the user's values file
+# sets them, to describe a coupler with modules; they are read once, at the start. If they are set,
+# the registers of digital data are made from the bits, and a write to such a register sets the
+# bits. Assumed: the lowest bit of a register is the first one, and digital data begin with a
+# register of their own. Only the first part, 256 registers and 512 bits, has digital data in both.
 
 from __future__ import annotations
 
@@ -29,9 +30,9 @@ _OUTPUTS = (
     (COILS, range(0x0200), range(0x0200, 0x0400)),
     (COILS, range(0x3000, 0x35F8), range(0x4000, 0x45F8)),
 )
-"""Table, addresses where outputs are written, addresses where they are stored and read back."""
+"""For each range of outputs: its table, where masters write it, and where it is read back."""
 _SIZES = range(0x1022, 0x1026)
-"""Sizes in bits of analog outputs, analog inputs, digital outputs, digital inputs."""
+"""Registers with the sizes, in bits, of analog outputs and inputs, digital outputs and inputs."""
 _OUTPUT_BASE = 0x0200
 _WORDS, _BITS = 0x0100, 0x0200
 _WORD_BITS = 16
@@ -53,7 +54,7 @@ class ProcessImage:
         )
 
     def read(self, span: range, values: list[int]) -> list[int]:
-        """The registers of a range: `values` of the image, with digital data put in."""
+        """Put digital data into `values`, the image's registers of a range, and return them."""
         for base, words, bits in self._parts:
             for at in range(max(words.start, span.start), min(words.stop, span.stop)):
                 first = base + (at - words.start) * _WORD_BITS
@@ -62,13 +63,16 @@ class ProcessImage:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """The values that a write to a range would replace."""
+        """Return the values that a write to a range would replace."""
         span = stored_range(table, span)
         values = self._image.get(table, span.start, len(span))
         return values if table.is_bits else self.read(span, values)
 
     def write(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Write outputs or other registers and bits."""
+        """Write a range: outputs where they are read back, other registers and bits as they are.
+
+        Written registers of digital data also set the bits.
+        """
         span = stored_range(table, span)
         self._image.set(table, span.start, values)
         if table.is_bits:
@@ -86,7 +90,11 @@ class ProcessImage:
 
 
 def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
-    """For outputs and inputs: the first bit, the registers of digital data, and their bits."""
+    """Return, for outputs and for inputs, where digital data stand in registers and as bits.
+
+    Each has the address of the first bit, the addresses of the registers, and those of the bits.
+    Outputs or inputs without digital data are left out.
+    """
     parts = []
     for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):
         if digital:
@@ -98,7 +106,7 @@ def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
 
 
 def stored_range(table: Table, span: range) -> range:
-    """The addresses where a written range is stored and read back."""
+    """Return the addresses where a written range is stored and read back."""
     for each, first, stands in _OUTPUTS:
         if table is each and span.start in first:
             by = stands.start - first.start

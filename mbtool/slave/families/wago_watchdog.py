@@ -44,7 +44,7 @@ RESTART = 0x1007
 SIMPLE_STOP = 0x1008
 ALTERNATIVE = 0x100A
 PARAMETERS = range(TIME, MASKS.stop)
-"""The registers that survive a restart once they are saved."""
+"""The registers that survive a restart once a master has saved them: time and mask."""
 SETTINGS = range(TIME, ALTERNATIVE + 1)
 
 _ENDING = (STOP, RESTART, SIMPLE_STOP)
@@ -55,7 +55,7 @@ _UNIT_NS = 100_000_000
 
 
 class Status(IntEnum):
-    """The values of 1006H."""
+    """The state of the watchdog, as register 1006H shows it."""
 
     OFF = 0
     ACTIVE = 1
@@ -63,7 +63,7 @@ class Status(IntEnum):
 
 
 class Watchdog:
-    """The watchdog over the registers of an image."""
+    """The watchdog of a coupler; its settings and its state are registers of `image`."""
 
     def __init__(self, image: RegisterImage) -> None:
         self._image = image
@@ -72,7 +72,7 @@ class Watchdog:
         self._time_ns = 0
         self._last_trigger = 0
         self._stop_place = 0
-        """How many values of the stop sequence have been written."""
+        """How many values of the stop sequence (AAAAH, 5555H) have been written to 1005H."""
 
     @property
     def is_active(self) -> bool:
@@ -83,7 +83,10 @@ class Watchdog:
         return self._status is Status.EXPIRED
 
     def heard(self, function: int, now_ns: int) -> bool:
-        """Called with each request. True if all outputs must become 0."""
+        """Called with each request: lets the watchdog expire if its time is over, or restarts it.
+
+        Returns True if all outputs must become 0.
+        """
         is_alternative = bool(self._register(ALTERNATIVE))
         is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
         if is_alternative:
@@ -103,7 +106,7 @@ class Watchdog:
         return len(writes) == 1 and writes.start in _ENDING
 
     def written(self, span: range, now_ns: int) -> None:
-        """Called after a write; acts on the registers in their order."""
+        """Called after a write: acts on each written register of the watchdog, in their order."""
         for address in span:
             value = self._register(address)
             if address == TRIGGER:
@@ -116,7 +119,7 @@ class Watchdog:
                 self._set_status(Status.OFF)
 
     def reset(self) -> None:
-        """Return to the state after a start of the device."""
+        """Put the watchdog into the state that it has after a start of the device."""
         self._set_status(Status.OFF)
         self._set(LEAST_LEFT, _NEVER_TRIGGERED)
         self._last_trigger = self._stop_place = 0

@@ -7,7 +7,8 @@
 #     [[faults]]
 #     kind = "exception"                     # a FaultKind; _TAKES lists the keys of each kind
 #     code = 6
-#     functions = [3, 0x10]                  # from here on: which requests; all must hold
+#     functions = [3, 0x10]                  # the keys from here on say which requests it is for;
+#                                            # a request must fit all of them
 #     units = [1]
 #     registers = "HR400001..400010"         # or 'holding 0..9'
 #     seconds = [10, 20]                     # from and until, counted from the first request
@@ -52,7 +53,7 @@ _TAKES = {
     FaultKind.OFFSET: ("by",),
 }
 _ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
-"""Least and greatest `by` that give another unit or id."""
+"""The least and the greatest `by`: all numbers between them give another unit or id."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -62,7 +63,11 @@ class FaultFile:
     """The faults and the seed of one file."""
 
     def __init__(self, path: Path, profiles: Iterable[Profile] = ()) -> None:
-        """Raises InputError for a file that is no TOML, UsageError for what it says."""
+        """Read a file; `profiles` say what the references in it mean.
+
+        Raises InputError for a file that cannot be read or is no TOML, UsageError for a wrong key
+        or value.
+        """
         keys = read_toml(path, MAX_FILE_BYTES, "list of faults", "see docs/faults.md")
         whole = _Table(f"{path}", keys)
         self.seed = whole.number("seed", 0, -(1 << 63), 1 << 63)
@@ -119,7 +124,7 @@ def _match(table: _Table, profiles: list[Profile]) -> FaultCondition:
 
 
 class _Table:
-    """One table of the file, and its place for errors."""
+    """Reads the keys of one table of the file; its errors say in which table they are."""
 
     def __init__(self, where: str, keys: object) -> None:
         if not isinstance(keys, dict):

@@ -4,13 +4,13 @@
 # fault's `FaultCondition` says which requests it is for, and `Fault` what happens to their
 # responses. All faults that fit apply in their order, each to the result of the one before.
 #
-# Repeatable: each fault draws its random numbers from a generator of its own, seeded with the
-# file's seed and the fault's position, one number for each request that fits otherwise. The same
-# requests at the same times meet the same faults.
+# The faults are repeatable: the same requests at the same times meet the same faults. For this,
+# each fault has a random generator of its own, seeded with the file's seed and the fault's position
+# in the file. It draws one number for each request that fits all conditions but the probability.
 #
-# A request is executed even if its response becomes an exception or is left out. A stuck value is
-# the first one that the slave gave after the fault began; at most MAX_STUCK addresses are stuck
-# for each fault, further ones pass unchanged.
+# A request is executed even if its response becomes an exception or is left out. A stuck address
+# keeps the first value that the slave gave after the fault began. Each fault has at most MAX_STUCK
+# stuck addresses; the values of further ones pass unchanged.
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _WORD = 0xFFFF
 
 
 class FaultKind(StrEnum):
-    """What a fault does."""
+    """What a fault does to a response; docs/faults.md describes each kind."""
 
     DELAY = "delay"
     NO_ANSWER = "no-answer"
@@ -57,7 +57,7 @@ class FaultKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultCondition:
-    """Which requests a fault is for. None fits any."""
+    """Which requests a fault is for. A field that is None fits any request."""
 
     units: frozenset[int] | None = None
     functions: frozenset[int] | None = None
@@ -65,13 +65,13 @@ class FaultCondition:
     """The request reads or writes at least one of these addresses."""
     from_ns: int = 0
     until_ns: int | None = None
-    """Time in ns since the first request."""
+    """The fault acts from `from_ns` until `until_ns`, both in ns since the first request."""
     nth: int = 1
-    """The number of the first request meant, among those that fit."""
+    """Of the requests that fit the fields above, the fault begins with the nth; 1 is the first."""
     every: int = 1
-    """From the first one on, every such request."""
+    """From the nth request on, the fault is for one in so many: 1 is all, 5 every fifth."""
     times: int | None = None
-    """At most so many requests; None for no limit."""
+    """The fault acts on at most so many requests; None for no limit."""
     probability: float = 1.0
 
 
@@ -83,11 +83,11 @@ class Fault:
     match: FaultCondition = field(default_factory=FaultCondition)
     delay_ns: int = 0
     code: int = 4
-    """The exception code, for EXCEPTION."""
+    """The exception code, for the kind EXCEPTION."""
     by: int = 1
-    """Added to the unit, the transaction id or the values, by kind."""
+    """What WRONG_UNIT adds to the unit, WRONG_ID to the transaction id, OFFSET to the values."""
     count: int = 1
-    """Missing bytes, for TRUNCATED; pieces, for SPLIT."""
+    """How many bytes TRUNCATED leaves out, or in how many pieces SPLIT sends the response."""
     extra: bytes = b""
 
 
@@ -102,7 +102,7 @@ class FaultySlave:
         self._begin_ns: int | None = None
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        """The slave's response after all faults that fit."""
+        """Return the slave's response, changed by all faults that are for this request."""
         if self._begin_ns is None:
             self._begin_ns = now_ns
         answer = self._slave.respond(unit, pdu, now_ns)
@@ -122,7 +122,7 @@ class FaultySlave:
 
 
 class _Active:
-    """One fault and its counters."""
+    """One fault, and the counts of requests that fitted it and that it acted on."""
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault
@@ -133,11 +133,11 @@ class _Active:
 
     @property
     def ends_connections(self) -> bool:
-        """True if the fault acts even without a response."""
+        """True if the fault ends the connection, which it does even if there is no response."""
         return self._fault.kind in (FaultKind.CLOSE, FaultKind.RESET)
 
     def is_due(self, unit: int, request: Pdu, access: RegisterAccess | None, at_ns: int) -> bool:
-        """True if the fault applies to this request; counts the request."""
+        """Count a request if it fits, and return True if the fault acts on it."""
         match = self._fault.match
         if not _fits(match, unit, request, access, at_ns):
             return False
@@ -172,7 +172,10 @@ class _Active:
     def _with_other_values(
         self, unit: int, pdu: bytes, request: Pdu, access: RegisterAccess | None, answer: Response
     ) -> Response:
-        """The same response to a read, with the values of the fault's registers replaced."""
+        """Return a response to a read with other values at the fault's addresses.
+
+        A response to any other request is returned as it is.
+        """
         if access is None or not access.reads or answer.pdu[:1] != pdu[:1]:
             return answer
         response = parse_pdu(answer.pdu, Direction.RESPONSE)

@@ -1,4 +1,4 @@
-"""Slaves on a TCP endpoint or a serial line: a shell around a responder."""
+"""Shells: each connects a responder, which has no I/O, to a TCP endpoint or a serial line."""
 
 from mbtool.slave.shells.opening import open_shell, slave_link
 from mbtool.slave.shells.serial_shell import SerialSlave

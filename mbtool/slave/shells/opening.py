@@ -1,4 +1,4 @@
-"""Chooses the shell for a link."""
+"""Chooses the shell that plays a slave on a link: serial or TCP."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def slave_link(link: LinkSpec) -> SerialLink | TcpLink:
-    """The same link, if a slave can answer on it. Raises UsageError."""
+    """Return the link itself. Raises UsageError if no slave can answer on such a link."""
     if isinstance(link, SerialLink):
         link.demand_one_port()
     if isinstance(link, SerialLink | TcpLink):
@@ -33,9 +33,10 @@ def open_shell(
     rules: ConnectionPolicy | None = None,
     on_exchange: OnExchange | None = None,
 ) -> Shell:
-    """A shell that will play a responder on a link, not yet started. Raises UsageError.
+    """Return a shell, not yet started, that will answer on a link with a responder's responses.
 
-    `allowed` and `rules`, those of a device for its connections, have no use on a serial line.
+    `allowed` are the machines that may connect, and `rules` the device's rules for connections;
+    neither has any use on a serial line. Raises UsageError if no slave can answer on such a link.
     """
     where = slave_link(link)
     if isinstance(where, SerialLink):

@@ -1,6 +1,6 @@
 """Plays slaves on a serial line: RTU or ASCII."""
 
-# One thread reads, gives what it read to the splitter, and writes the responses. A read waits for
+# One thread reads, passes the bytes to the splitter, and writes the responses. A read waits for
 # at most t3.5, and a read without bytes is the silence that ends an RTU frame. A response leaves at
 # least t3.5 after its request's last byte (Serial Line V1.02, 2.5.1.1), or later if the slave takes
 # longer. Responses leave in the order of their requests.
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Responder
 
 MAX_PENDING = 16
-"""How many responses, or pieces of them, may wait."""
+"""How many responses, or pieces of them, may wait to be sent."""
 _NEVER = 32.0
-"""The extra cost, in bits, of a frame that cannot be a request: more than any request costs."""
+"""The extra cost, in bits, of reading a frame as what it cannot be here: more than any other."""
 
 
 class SerialSlave(Shell):
@@ -60,7 +60,7 @@ class SerialSlave(Shell):
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _NobodysTurn())
         self._pending: deque[tuple[int, bytes]] = deque()
-        """Responses, or pieces of them, each with the time when it leaves."""
+        """Responses, or pieces of them, each with the time in ns when it is to be sent."""
 
     @property
     def place(self) -> str:
@@ -98,7 +98,7 @@ class SerialSlave(Shell):
             self._on_exchange(request, answer)
 
     def _send_due(self) -> None:
-        """Send the responses that are due before the next read would return."""
+        """Send the responses that are due within t3.5, the length of a read; wait for each."""
         while self._pending:
             due_ns, data = self._pending[0]
             rest_ns = due_ns - self._clock()
@@ -112,7 +112,10 @@ class SerialSlave(Shell):
 
 
 class _NobodysTurn(BusModel):
-    """No request waits for an answer that the line would bring: what can be a request is one."""
+    """Reads each frame that can be a request as a request, and only others as responses.
+
+    This holds for a slave, as no other slave answers for its units.
+    """
 
     def classify(
         self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()

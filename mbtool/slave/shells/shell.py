@@ -1,4 +1,4 @@
-"""What all slaves share: a link that a thread of its own answers on, until it is stopped."""
+"""What all shells of slaves share: a thread that answers on a link until it is stopped."""
 
 # A shell owns the link and the clock; the responder decides what to answer. Only the shell's thread
 # calls the responder, so each shell has a responder of its own.
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Response
 
 OnExchange = Callable[["Adu", "Response | None"], None]
-"""Called in the shell's thread with each request, and the response, or None if there is none."""
+"""Called in the shell's thread with each request and its response, or None if it gets none."""
 
 STOP_TIMEOUT_S = 5.0
 
@@ -35,7 +35,7 @@ class Shell(ABC):
     @property
     @abstractmethod
     def place(self) -> str:
-        """The link, as opened: with the port that the system chose where 0 was asked for."""
+        """The link as text. If TCP port 0 was asked for, it has the port that the system chose."""
 
     @property
     def places(self) -> int:
@@ -47,7 +47,11 @@ class Shell(ABC):
         return []
 
     def start(self) -> None:
-        """Open the link and begin to answer. Raises LinkError, UsageError."""
+        """Open the link and begin to answer.
+
+        Raises LinkError if the link cannot be opened, UsageError if other machines can reach a TCP
+        endpoint and none is allowed to connect.
+        """
         if self._thread is not None:
             raise RuntimeError("a shell is started once")
         self._open()
@@ -55,9 +59,9 @@ class Shell(ABC):
         self._thread.start()
 
     def wait(self, timeout_s: float | None = None) -> None:
-        """Return when the shell has ended or the time is over.
+        """Wait until the shell has ended, or `timeout_s` seconds have passed.
 
-        Raises the error that ended it: LinkError for a lost link.
+        If an error ended the shell, it is raised: LinkError if the link was lost.
         """
         if self._thread is not None:
             self._thread.join(timeout_s)
@@ -65,7 +69,7 @@ class Shell(ABC):
             raise self._failure
 
     def stop(self) -> None:
-        """End, and close the link. A second call does nothing."""
+        """Stop answering, and close the link. A second call does nothing."""
         if self._thread is not None and self._thread.is_alive():
             with suppress(RuntimeError):  # Its event loop has just been closed.
                 self._interrupt()
@@ -91,12 +95,15 @@ class Shell(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Open the link, in the caller's thread. Raises LinkError or UsageError."""
+        """Open the link, in the thread that calls `start`. Raises what `start` says."""
 
     @abstractmethod
     def _run(self) -> None:
-        """Answer until interrupted, and close the link. Raises LinkError if the link is lost."""
+        """Answer until `_interrupt` is called, then close the link.
+
+        Raises LinkError if the link is lost.
+        """
 
     @abstractmethod
     def _interrupt(self) -> None:
-        """Make `_run` return soon; called from another thread."""
+        """Make `_run` return soon; it is called from another thread than `_run`."""

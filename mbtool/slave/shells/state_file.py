@@ -31,11 +31,11 @@ def keep_state(
     device: DeviceResponder,
     on_trouble: Callable[[str], None],
 ) -> None:
-    """Load a device's state from a file, if it exists, and write it there from now on.
+    """Load a device's state from a file, if the file exists, and save the state there from now on.
 
-    Raises UsageError for a device that keeps nothing or a file with other keys, InputError for a
-    file that cannot be read, OutputError for one that cannot be written. If writing fails later,
-    the device goes on, and `on_trouble` gets a line for the user.
+    Raises UsageError for a device that keeps nothing over a restart and for a file with other keys,
+    InputError for a file that cannot be read, OutputError for one that cannot be written. If a
+    later write fails, the device goes on, and `on_trouble` gets a line for the user.
     """
     kept = device.behaviour.kept
     if not kept:
@@ -70,7 +70,7 @@ def keep_state(
 
 
 def _resolved(path: Path) -> Path:
-    """The path without symbolic links. Raises InputError if it cannot be looked up."""
+    """Return the path without symbolic links. Raises InputError if they cannot be followed."""
     try:
         path = path.resolve()
         path.exists()
@@ -85,7 +85,7 @@ def _key(reference: str) -> str:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Replace a file's content in one step. Raises OSError."""
+    """Replace a file's content in one step. Raises OSError if the file cannot be written."""
     beside = path.with_name(f".{path.name}.new")
     try:
         with beside.open("w", encoding="utf-8") as file:

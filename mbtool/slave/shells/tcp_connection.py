@@ -4,17 +4,17 @@
 # goes through the splitter: requests in pieces, bytes that are no request, RTU frames, and all
 # requests while someone watches the exchanges.
 #
-# Responses leave in the order of their requests; a delayed one delays those behind it. A distorted
-# one leaves as modbus/distortion.py says, and may end the connection.
+# Responses are sent in the order of their requests; a delayed one delays those behind it. A
+# distorted one is sent as modbus/distortion.py says, and may end the connection.
 #
-# Timers, by the rules of the device (connection_policy.py): a connection without a whole request
-# for idle_s is closed; a request whose last part does not come within split_s of its first is given
-# up, and its connection closed.
+# The rules of the device (connection_policy.py) set two timers: a connection without a whole
+# request for idle_s is closed; if the last part of a request does not come within split_s of its
+# first, the request is given up and the connection closed.
 #
-# Holds: the splitter's incomplete ADU, and the responses to Bounds.waiting requests. With so many
-# pending responses, and while the master reads none, the connection is not read. A read that came
-# just before may add READ_BYTES / 8 responses, with RTU frames READ_BYTES / 4 (the shortest ADU has
-# 8 bytes, or 4).
+# Memory: the splitter's incomplete ADU, and the responses to Bounds.waiting requests. While so many
+# responses are pending, or the master reads none, the connection is not read. The last read before
+# that may add READ_BYTES / 8 responses, with RTU frames READ_BYTES / 4 (the shortest ADU has 8
+# bytes, or 4).
 
 from __future__ import annotations
 
@@ -47,12 +47,14 @@ if TYPE_CHECKING:
 READ_BYTES = 2048
 
 _HEADER = struct.Struct(">HHHB")
-"""Transaction id, protocol id, length, unit."""
+"""The MBAP header of Modbus/TCP: transaction id, protocol id, length, unit."""
 _MODBUS = 0
 
 _GONE = frozenset({errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH})
-"""The errors of a master that answers no probe or acknowledges nothing; the last two come if the
-network gives a reason."""
+"""The errors of a connection whose master answers no keep-alive probe or acknowledges nothing.
+
+The last two come if a router reports that it cannot reach the master.
+"""
 
 # The options that set TCP keep-alive. If a system lacks one, its own setting stays. macOS calls
 # TCP_KEEPALIVE what others call TCP_KEEPIDLE.
@@ -76,17 +78,20 @@ class Host(Protocol):
     def waiting(self) -> int: ...
 
     def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
-        """Give the peer that the rules count for a new connection; None if it must be closed."""
+        """Learn of a new connection from the address `host`, and let the rules decide about it.
+
+        Returns the peer that the rules know it by; None if the connection must be closed.
+        """
 
     def left(self, connection: MasterConnection) -> None:
         """Learn that a connection has ended."""
 
     def follow_rules(self) -> None:
-        """Apply the rules, as they have changed."""
+        """Apply the keep-alive times and the closing of all connections, after rules changed."""
 
 
 class MasterConnection(asyncio.BufferedProtocol):
-    """One master."""
+    """The connection of one master, as asyncio's protocol."""
 
     peer: Peer
     _transport: asyncio.Transport
@@ -103,11 +108,11 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._splitter = (RtuStreamSplitter if shell.is_rtu else MbapSplitter)(Direction.REQUEST)
         self._reads_in_place = not shell.is_rtu and shell.on_exchange is None
         self._is_in_pieces = False
-        """True if the splitter holds part of a request, or looks for the next one."""
+        """True if the splitter holds part of a request, or searches for the next one's begin."""
         self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """Responses, or pieces of them, and how the connection ends; each with its time."""
+        """Bytes to be sent, or how the connection is to end; each with the time due, in ns."""
         self._has_ended = False
-        """True if the master sends no more."""
+        """True once the master has ended its direction of the connection with FIN."""
         self._peer_is_slow = False
         self._is_paused = False
         self._last_request_ns = self._clock()
@@ -120,7 +125,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._transport.abort()
 
     def keep_alive(self, setting: KeepAlive | None) -> None:
-        """Switch TCP keep-alive on with these times, or off."""
+        """Switch TCP keep-alive on with the times of `setting`; off if it is None."""
         sock = self._transport.get_extra_info("socket")
         with suppress(OSError):  # The connection may have broken just now; asyncio will say so.
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, setting is not None)
@@ -134,7 +139,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if option is not None:
                     sock.setsockopt(socket.IPPROTO_TCP, option, value)
 
-    # Called by asyncio.
+    # asyncio calls the methods from here on.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -162,7 +167,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._send_due()
 
     def eof_received(self) -> bool:
-        """The master sends no more; true if it still gets pending responses."""
+        """Learn that the master sends no more; return True if it still gets pending responses."""
         self._has_ended = True
         return bool(self._pending)
 
@@ -184,10 +189,13 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._rules.lost(self.peer, loss, self._clock())
             self._shell.left(self)
 
-    # Parts of these.
+    # The methods above call the methods from here on.
 
     def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
-        """Answer one whole request from the buffer; False, and nothing done, if it is not one."""
+        """Answer the request in the buffer, if the bytes there are exactly one.
+
+        Otherwise, and if requests are not answered in place at all, do nothing and return False.
+        """
         if self._is_in_pieces or not self._reads_in_place or not MBAP_BYTES < nbytes <= MAX_TCP_ADU:
             return False
         transaction_id, protocol, length, unit = _HEADER.unpack_from(self._bytes)
@@ -205,7 +213,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         return True
 
     def _split(self, data: bytes, now_ns: int) -> None:
-        """Take bytes that are not exactly one request."""
+        """Pass bytes through the splitter, and answer the requests that they complete."""
         events = self._splitter.feed(data, now_ns)
         for event in events:
             if isinstance(event, Adu):
@@ -221,7 +229,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._watch_parts(has_ended_one=bool(events))
 
     def _put(self, answer: Response, transaction_id: int | None, unit: int, now_ns: int) -> None:
-        """Queue a response, in pieces if it is distorted."""
+        """Queue a response; a distorted one may be in pieces, or be followed by a disconnection."""
         due_ns = last_ns = now_ns + answer.delay_ns
         transport = Transport.RTU_TCP if transaction_id is None else Transport.TCP
         for after_ns, piece in wire_pieces(answer, transport, unit, transaction_id or 0):
@@ -231,7 +239,10 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._pending.append((last_ns, answer.distortion.ending))
 
     def _send_due(self) -> None:
-        """Send what is due, and set the timer for the rest."""
+        """Send all that is due now, and set a timer for the rest.
+
+        If there is no rest and the master sends no more, close the connection.
+        """
         if self._send_timer is not None:
             self._send_timer.cancel()
             self._send_timer = None
@@ -273,7 +284,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 self._transport.resume_reading()
 
     def _watch_idle(self) -> None:
-        """Close the connection if it was idle too long, else look again when it could have been."""
+        """Close the connection if no whole request came for idle_s, else check again in time."""
         if math.isinf(self._rules.idle_s):
             return
         rest_s = self._rules.idle_s - (self._clock() - self._last_request_ns) / 1e9
@@ -283,7 +294,10 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._idle_timer = self._loop.call_later(rest_s, self._watch_idle)
 
     def _watch_parts(self, *, has_ended_one: bool) -> None:
-        """Start the timer of a request in parts, or stop it."""
+        """Start the timer of a request whose last part is missing, or stop it.
+
+        `has_ended_one` is True if the last read completed a request.
+        """
         if self._split_timer is not None and (has_ended_one or not self._is_in_pieces):
             self._split_timer.cancel()
             self._split_timer = None

@@ -1,21 +1,21 @@
 """Plays slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
 
-# Each master has a MasterConnection (tcp_connection.py). Which machines may connect says the
-# listener (ports/tcp_listener.py). How many masters stay connected, and how long, say the rules of
-# the device that is played (connection_policy.py), or Bounds where the device has none.
+# Each master has a MasterConnection (tcp_connection.py). The listener (ports/tcp_listener.py)
+# decides which machines may connect. The rules of the played device (connection_policy.py), or
+# Bounds if the device has none, decide how many masters stay connected, and how long.
 #
 # No response goes to: a request whose protocol id is not 0, bytes that are no request, and requests
 # for which the responder gives none. What one peer sends harms no other connection.
 #
-# Limits. Bounds has the first three; the rules of a device replace the first two:
+# Bounds has the first three of these limits; a device's own rules replace the first two:
 #
 #     connections   one more is closed as soon as it is made, and counted
 #     idle          a connection without a whole request for so long is closed
 #     waiting       a connection with so many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
 #
-# A FA3 takes no connections for a while after a remote reset. Its port then stays bound but does
-# not listen, so the system refuses masters, as it does while a real device starts.
+# An FA3 module takes no connections for a while after a remote reset. Its port then stays bound but
+# does not listen, so the system refuses masters, as a real device does while it starts.
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ if TYPE_CHECKING:
     from mbtool.slave.device.connection_policy import Peer
 
 MAX_REFUSED_HOSTS = 64
-"""How many machines that may not connect are reported by name; one more is refused silently."""
+"""How many machines that may not connect are reported; further ones are refused silently."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """How much one endpoint takes on."""
+    """The limits of one endpoint, which the comment above describes."""
 
     connections: int = 32
     idle_s: float = 600.0
     waiting: int = 16
-    """As many transactions as the TCP guide lets a server accept at once (V1.0b, 4.3.2)."""
+    """Pending responses of a connection; as many as the TCP guide names (V1.0b, 4.3.2)."""
 
 
 class TcpSlave(Shell):
@@ -65,7 +65,8 @@ class TcpSlave(Shell):
     ) -> None:
         """`rules` decide which connections the played device accepts, and when it closes them.
 
-        None for a device without rules of its own: `bounds` then gives the number and idle time.
+        None stands for a device without rules of its own: `bounds` then sets how many connections
+        there may be, and how long one may be idle.
         """
         super().__init__()
         self.link = link
@@ -78,12 +79,12 @@ class TcpSlave(Shell):
         self._listener = TcpListener(link, link.endpoint, allowed)
         self._refused_hosts: set[str] = set()
         self._woken = asyncio.Event()
-        """Set when the slave shall stop, and when the rules want no connections for a while."""
+        """Set when the slave shall stop, and when the rules let nobody connect for a while."""
         self._is_stopping = False
 
     @property
     def endpoint(self) -> Endpoint:
-        """Where it listens; with the port that the system chose where 0 was asked for."""
+        """The endpoint it listens at. Once it is open, port 0 is replaced by the chosen port."""
         return self._listener.endpoint
 
     @property
@@ -97,7 +98,7 @@ class TcpSlave(Shell):
     def notes(self) -> list[str]:
         return [self.rules.notes.popleft() for _ in range(len(self.rules.notes))]
 
-    # Called by its connections.
+    # Its connections call the members from here on.
 
     @property
     def is_rtu(self) -> bool:
@@ -135,12 +136,12 @@ class TcpSlave(Shell):
             self._woken.set()
 
     def _tell_refused(self, host: str, refusal: str) -> None:
-        """Report each machine once: one that is refused usually tries again and again."""
+        """Report a refused machine, but only once: it will usually try again and again."""
         if host not in self._refused_hosts and len(self._refused_hosts) < MAX_REFUSED_HOSTS:
             self._refused_hosts.add(host)
             self.rules.notes.append(f"a master was turned away: {refusal}")
 
-    # How it runs.
+    # The methods from here on open the endpoint, serve it and close it.
 
     def _open(self) -> None:
         self._listener.open()
@@ -175,10 +176,11 @@ class TcpSlave(Shell):
                 await self._stay_closed()
 
     async def _finish_accepting(self) -> None:
-        """Wait until each accepted connection has its protocol: a closed server would drop it.
+        """Wait until asyncio has made a MasterConnection for each connection that it accepted.
 
-        asyncio runs a task for each. No other connection is accepted meanwhile, except by the event
-        loop of Windows, which cannot be told to stop.
+        Closing the server before that would drop those connections. asyncio runs a task for each.
+        No other connection is accepted meanwhile, except by the event loop of Windows, which cannot
+        be told to stop.
         """
         with suppress(NotImplementedError):
             asyncio.get_running_loop().remove_reader(self._listener.sock)
@@ -197,6 +199,6 @@ class TcpSlave(Shell):
             await asyncio.wait_for(self._woken.wait(), self._closed_s())
 
     def _closed_s(self) -> float:
-        """How long the rules want no connections, in seconds from now."""
+        """Return for how many seconds from now the rules let nobody connect."""
         until_ns = self.rules.closed_until_ns
         return 0.0 if until_ns is None else max(until_ns - self.clock(), 0) / 1e9

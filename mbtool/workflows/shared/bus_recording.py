@@ -51,7 +51,7 @@ MAX_PIECE = 256
 
 
 class Begun(NamedTuple):
-    """Bytes, and when the first of them began."""
+    """Bytes, when the first of them began (ns), and whether a silence of t3.5 comes before them."""
 
     begin_ns: int
     data: bytes
@@ -67,7 +67,8 @@ def read_pieces(
 ) -> list[ByteRun]:
     """The pieces to send to a link, in order of time, counted from the beginning of the window.
 
-    Raises InputError if there are none, UsageError.
+    Raises InputError if the file cannot be read or has no piece to send, UsageError if it has
+    several lines, or a line of another mode (RTU or ASCII) than the link.
     """
     window = options.window
     transactions = read_recorded(path, options, on_remark, watch).transactions

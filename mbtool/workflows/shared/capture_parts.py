@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from mbtool.logs import LogReader
 
 BACK_NS = 1_000_000_000
-"""A time this much earlier is not a step back: packets of several interfaces, and bytes of several
-ports, are written slightly out of order."""
+"""So many ns before the last item, an item still continues the capture: packets of several
+interfaces, and bytes of several ports, are written slightly out of order."""
 
 _PART = "part"
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What a file tells of the capture that it is a part of. Files of packets tell nothing."""
+    """Which part of which capture a file is, as a log tells it. Files of packets tell neither."""
 
     number: int | None = None
     run: tuple[object, ...] = ()
 
     @classmethod
     def of_log(cls, log: LogReader) -> Part:
-        """Read from the head of a log, before its items."""
+        """Read the number and the run from the head of a log, before its items."""
         number = log.capture.get(_PART, "")
         capture = {key: value for key, value in log.capture.items() if key != _PART}
         run = (capture, dict(log.links), dict(log.devices), dict(log.profiles))
@@ -54,7 +54,7 @@ class Part:
 
 
 class Seam:
-    """The end of what has been read of a capture."""
+    """How far a capture has been read: the times of its first and last item, its link types."""
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
@@ -77,7 +77,10 @@ class Seam:
         return item.ts_ns >= self._last_ns - BACK_NS
 
     def is_overtaken_by(self, item: Evidence) -> bool:
-        """True if this first packet of a file is from between those read: parts out of order."""
+        """True if this first packet of a file is from the time between packets already read.
+
+        Then the parts of the capture are named in the wrong order.
+        """
         if self._first_ns is None or self._last_ns is None or not isinstance(item, Packet):
             return False
         is_alike = item.link_type in self._types

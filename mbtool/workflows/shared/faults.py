@@ -22,9 +22,11 @@ _ENDINGS = frozenset((FaultKind.CLOSE, FaultKind.RESET))
 def faulty(
     responder: Responder, path: Path, link: SerialLink | TcpLink, profiles: Iterable[Profile] = ()
 ) -> FaultySlave:
-    """The responder with the faults of a file. Raises InputError, UsageError.
+    """Return the responder with the faults of a file.
 
-    The file may name registers by the references of `profiles`.
+    The file may name registers by the references of `profiles`. Raises InputError if it cannot be
+    read or is no TOML, UsageError if it has a fault that is not understood or that the link cannot
+    have.
     """
     file = FaultFile(path, profiles)
     for number, fault in enumerate(file.faults, start=1):

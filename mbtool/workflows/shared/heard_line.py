@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 def serial_types(line: LineSettings | None) -> AbstractSet[int]:
-    """The link types of packets that hold serial bytes; more if the user names the line."""
+    """The link types of packets with serial bytes; if the user names the line, USER0 to 15 too."""
     return SERIAL_LINK_TYPES if line is None else SERIAL_LINK_TYPES | USER_LINK_TYPES
 
 
 class HeardLine:
-    """The pieces of one file, at an assumed baud rate."""
+    """The pieces of one file, and how many of them overlap at an assumed baud rate."""
 
     def __init__(self, name: str, format_: SerialFormat) -> None:
         self.name = name
@@ -38,7 +38,7 @@ class HeardLine:
         self._overlaps = 0
 
     def note(self, piece: object) -> None:
-        """Take the next piece; ignores everything but bytes of the line."""
+        """Take the next item of the file; items that are not bytes of the line are ignored."""
         if not isinstance(piece, Chunk):
             return
         self._pieces += 1

@@ -21,7 +21,7 @@ def log_records(
 ) -> Iterator[Record]:
     """The transactions and events among a log's items.
 
-    A transaction that the user has assigned a profile to is named by it.
+    A transaction is named again if the user has assigned a profile to its device.
     """
     namer = Namer(assignments)
     for item in items:
@@ -32,10 +32,11 @@ def log_records(
 
 
 def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> Iterator[Record]:
-    """Read a log that is being written.
+    """Give the records of a log that is being written, as they come.
 
     `wait` is called at the end of what is written; it returns True to look again, False to end.
-    Raises UsageError, InputError.
+    Raises UsageError if the path is standard input or not a plain log, InputError if it cannot be
+    read.
     """
     if path == STANDARD_INPUT:
         raise UsageError("--follow reads a log on disk, not standard input; name the log")

@@ -19,19 +19,23 @@ if TYPE_CHECKING:
 
 MAX_SLAVES = 2048
 _SHOWN = 12
-"""Slaves that an error names."""
+"""How many slaves an error names at most."""
 
 
 class ObservedSlaves:
     """The slaves of a recording, in the order in which they first appear."""
 
     def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
-        """With `who` only the slaves that it describes."""
+        """Collect all slaves or, with `who`, only those that it describes.
+
+        `with_values` keeps the values of their registers, too.
+        """
         self._who = who
         self._with_values = with_values
         self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
         self.forgotten = 0
-        """Transactions of slaves beyond the first MAX_SLAVES."""
+        """How many transactions were not kept, as they are of slaves beyond the first
+        MAX_SLAVES."""
 
     def add(self, records: Iterable[Record]) -> None:
         for record in records:
@@ -57,9 +61,9 @@ class ObservedSlaves:
         return list(self._slaves.values())
 
     def only(self, option: str) -> ObservedSlave:
-        """The only slave, or the only one that answers. Raises UsageError if there is none.
+        """The only slave, or the only one that answers. Raises UsageError if there is no such one.
 
-        `option` is the option that chooses a slave, for the error.
+        `option` is the option with which the user chooses a slave; the error names it.
         """
         slaves = self.slaves
         if len(slaves) == 1:

@@ -27,8 +27,9 @@ def read_all(
 ) -> Iterator[Record]:
     """Give all records; those of a file that is cut or damaged as far as they can be read.
 
-    `on_remark` gets a line for such a file, `told_as` with its error, and then what `reading` has
-    to say of the files. Raises InputError for a file that cannot be read at all, UsageError.
+    `on_remark` gets a line if a file is cut or damaged: `told_as`, with its error put in. In any
+    case it then gets a line for each thing that a user should know of the files. Raises InputError
+    for a file that cannot be read at all, UsageError if the options do not fit the file.
     """
     try:
         yield from watch(reading, reading.records())

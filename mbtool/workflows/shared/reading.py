@@ -65,7 +65,7 @@ DEFAULT_PORT = 502
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """How to read."""
+    """How files are read: where Modbus is looked for, with which profiles and silences."""
 
     assignments: Assignments = field(default_factory=Assignments)
     ports: Sequence[int] = ()
@@ -77,14 +77,14 @@ class ReadingOptions:
     line: LineSettings | None = None
     """The serial line that the bytes of a file were heard on."""
     t1_5: Silence | None = None
-    """In place of the silences that follow from the line's settings."""
+    """The longest silence inside a frame (t1.5), in place of that of the line's settings."""
     t3_5: Silence | None = None
     raw: bool = False
     """True to decode the packets and bytes of a log again."""
 
 
 class Reading:
-    """One pass over some files."""
+    """One pass over some files, which gives their transactions and events."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         self._paths = paths
@@ -96,17 +96,19 @@ class Reading:
         self._seam = Seam()
         self._files_read = 0
         self._items = 0
-        """Packets, reads of a serial line and marks that were decoded."""
+        """How many packets, reads of a serial line and events of the source the decoder was
+        given."""
         self._serial_packets = 0
-        """Packets with bytes of a serial line, which are among the items."""
+        """How many packets with bytes of a serial line are among these items."""
         self._has_found = False
         """True if there was a transaction or an event."""
         self._has_decoded = False
-        """True if there was one that does not tell of data that cannot be decoded."""
+        """True if there was a transaction, or an event that is not about data that cannot be
+        decoded."""
         self._first_undecodable: str | None = None
         """The message of the first event about data that cannot be decoded."""
         self._heard: list[HeardLine] = []
-        """One for each file with serial bytes that does not tell their baud rate."""
+        """The bytes of each file that does not tell the baud rate at which they were heard."""
         self._unclosed_logs: list[str] = []
         self._broken: list[InputError] = []
         """The errors of files that are cut or damaged."""
@@ -158,7 +160,7 @@ class Reading:
         )
 
     def demand_readable(self) -> None:
-        """Raise InputError where a whole pass gave only events of what cannot be decoded."""
+        """Raise InputError if a whole pass gave only events about data that cannot be decoded."""
         why = self._first_undecodable
         if why is not None and not self._has_decoded and self._is_complete:
             raise InputError(f"{self._names}: nothing in it could be read: {why}")
@@ -192,9 +194,11 @@ class Reading:
         return remarks + self._misordered + self._unclosed_logs + broken
 
     def demand_files(self) -> None:
-        """See that each file exists, is named once, and is of a kind that can be read.
+        """Check that each file exists, is named once, and is of a kind that can be read.
 
-        A pipe is not opened, as it can be read only once. Raises InputError, UsageError.
+        A pipe is not opened, as it can be read only once. Raises InputError for a file that is
+        absent or of another kind, UsageError for one that is named twice or does not go with the
+        options.
         """
         known: set[object] = set()
         for path in self._paths:
@@ -207,7 +211,10 @@ class Reading:
             known.add(place)
 
     def profiles_of_logs(self) -> list[Profile]:
-        """The profiles in the logs among the files; pipes are not opened. Raises InputError."""
+        """The profiles in the logs among the files; pipes are not opened.
+
+        Raises InputError if a file cannot be read.
+        """
         profiles = []
         for path in self._paths:
             if not place_of(path)[1]:
@@ -221,7 +228,7 @@ class Reading:
         return profiles
 
     def records(self) -> Iterator[Record]:
-        """Give everything, file by file."""
+        """Give all transactions and events, file by file."""
         for record in self._records():
             self._has_found = True
             self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
@@ -260,7 +267,7 @@ class Reading:
                 yield from self._serial_records(capture)
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
-        """Report a gap: this file ends early, and the next part may go on behind it."""
+        """Give a GAP event: this file ends early, and the next part may go on behind the gap."""
         is_of_packets = self._part is not None and self._part.number is None
         gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
         if self._decoder is None:
@@ -362,7 +369,7 @@ class Reading:
         self._enter()
 
     def _enter(self, *, is_log: bool = False) -> None:
-        """The next records come from the file that is open."""
+        """Set `file` and `is_log`: the next records come from the file that is open now."""
         self.file = self._current.name if self._current is not None else ""
         self.is_log = is_log
 
@@ -383,7 +390,8 @@ class Reading:
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            # The transactions of the log have names and times, so it can be read without these.
+            # The transactions of the log have names and times already. So an error in the profiles
+            # or link specs of the log does not stop the reading.
             with suppress(UsageError):
                 self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}

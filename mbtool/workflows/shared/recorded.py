@@ -50,7 +50,8 @@ def read_recorded(
     """The transactions of a capture or a log, in the order in which they ended.
 
     `on_remark` gets a line where the file is cut or damaged; what could be read is played. Raises
-    InputError, and UsageError for a unit that is on several links.
+    InputError if the file cannot be read at all, and UsageError for a unit that is on several
+    links.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
@@ -66,7 +67,10 @@ def read_recorded(
 
 
 def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
-    """The 99th percentile of how late things were sent; None if no time was to be kept."""
+    """The 99th percentile of how late requests or pieces were sent, in ns.
+
+    None if the sample is empty, or if recorded times were not to be kept.
+    """
     late = sorted(sample.values)
     return late[len(late) * 99 // 100] if late and options.rate else None
 
@@ -80,17 +84,14 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """The end of the message `nothing to play ...`: where, and what the user can do."""
+    """The end of a message that there is nothing to play: where, and what the user can do."""
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"
 
 
 def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> None:
-    """See that no unit is on several links, as one unit cannot play two slaves.
-
-    Raises UsageError.
-    """
+    """Raise UsageError if a unit is on several links, as one unit cannot play two slaves."""
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:
         if one.request_raw is not None and one.outcome is not Outcome.BROADCAST:

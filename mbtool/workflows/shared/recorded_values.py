@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 
 def recorded_values(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
-    """A function that finds the values of a register in a capture.
+    """Return a function that finds the values of a register in a capture.
 
-    `profile` gives the register's name in errors. `on_remark` is told what a reader should know of
-    a capture, such as that it is cut. The function raises InputError for a file that cannot be
-    read, UsageError for a file without the value.
+    `profile` gives the register's name in errors. `on_remark` gets a line for each thing a user
+    should know of a capture, such as that it is cut. The function raises InputError for a file that
+    cannot be read, UsageError for a file without the value, or with several units or links to
+    choose from.
     """
     captures: dict[Path, list[NamedTransaction]] = {}
     recordings: dict[tuple[Path, str | None], Recording] = {}

@@ -51,7 +51,7 @@ class SlaveMonitor:
         self._ends = Ends(link.name)
         self._pending: deque[tuple[Adu, Response | None]] = deque()
         self._missed = 0
-        """How many were dropped since the start; counted by the slave's thread."""
+        """How many requests were dropped since the start; counted by the slave's thread."""
         self._missed_told = 0
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[DeviceOutput] = []
@@ -59,10 +59,10 @@ class SlaveMonitor:
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
 
-    # Called by the slave's thread.
+    # The methods up to the next comment are called by the slave's thread.
 
     def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
-        """Take the behaviours of the devices, by unit, which have the outputs."""
+        """Take the behaviour of each device, by unit; the devices' outputs are read from it."""
         self._behaviours = behaviours
         self._outputs = self._all_outputs()
 
@@ -72,7 +72,7 @@ class SlaveMonitor:
         else:
             self._missed += 1
 
-    # Called by the other thread.
+    # The methods from here on are called by the thread that shows what happens.
 
     def records(self) -> list[Record]:
         """The transactions and events since the last call."""
