@@ -66,7 +66,7 @@ class PathSearch:
         self._is_speaker_known = len(roles) == 1
         self._paths: list[list[Path]] = [[] for _ in range(self._end + 1)]
         """The paths to each offset."""
-        self._lowest_costs = [float("inf")] * (self._end + 1)
+        self._lowest_costs = [float("inf")] * len(self._paths)
         """The cost of the cheapest path to each offset."""
         self._incomplete: Path | None = None
         """The cheapest path to an incomplete frame at the end of the window."""
