@@ -265,17 +265,15 @@ class PathSearch:
                 SegmentKind.DAMAGED, offset, one.size, one.role, repaired=one.repaired
             )
             cost = path.cost + start_cost + one.cost
-            if self._is_speaker_known:
-                self._keep(end, Path(cost, state, path, segment, runs=path.runs))
-                continue
-            if one.repaired:
+            if one.repaired and not self._is_speaker_known:
                 unit, pdu = one.repaired[0], one.repaired[1:-2]
                 start_ns, end_ns = self._window.start_ns(offset), self._window.times[end - 1]
                 cost += self._model.cost(state, unit, pdu, one.role, start_ns)
                 follows = self._model.next_state(state, unit, pdu, one.role, start_ns, end_ns)
                 self._keep(end, Path(cost, follows, path, segment, runs=path.runs))
                 cost += costs.NOT_UNDERSTOOD
-            self._keep(end, Path(cost, state.after_damage(), path, segment, runs=path.runs))
+            ignored = state if self._is_speaker_known else state.after_damage()
+            self._keep(end, Path(cost, ignored, path, segment, runs=path.runs))
 
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
         """Add a byte that is in no frame, although a frame (of unknown form) can begin here."""
