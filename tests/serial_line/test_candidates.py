@@ -364,3 +364,15 @@ def test_pdu_that_breaks_its_rules_makes_a_frame_malformed() -> None:
     found, _ = candidates(READ + odd)
     assert [one.cost for one in found.frames(0)] == [0.0]
     assert [one.cost for one in found.frames(8)] == [costs.MALFORMED]
+
+
+def test_frames_inside_a_frame_of_unknown_form_cost_extra() -> None:
+    """One may be chance; of several, each but one costs a correct CRC."""
+    for count, inside in (
+        (0, 0.0),
+        (1, costs.UNKNOWN_CRC_COINCIDENCE),
+        (2, costs.CRC_COINCIDENCE),
+        (3, 2 * costs.CRC_COINCIDENCE),
+    ):
+        whole = rtu_adu(1, b"\x41" + READ * count + b"\x01")
+        assert unknown(whole + ANSWER)[len(whole), True] == inside + costs.UNKNOWN_FORM

@@ -167,3 +167,12 @@ def test_without_silences_a_response_needs_another_frame_after_it() -> None:
         bus_model.history.trusts_silences = False
         told = taken(FastPath(bus_model, None, MOST), write + following)
         assert (told is not None) is is_taken, following
+
+
+def test_bytes_with_a_wrong_crc_after_a_silence_do_not_end_the_wait() -> None:
+    asked = rtu_adu(1, bytes.fromhex("03 0000 0014"))
+    head = b"\x01\x03\x28"
+    assert front(asked).is_incomplete(head + OTHER[:-1] + b"\x00", (3,))
+    assert front(asked).is_incomplete(head + OTHER[:-1], (3,))
+    assert not front(asked).is_incomplete(head + OTHER, (1, 3))
+    assert front(asked).is_incomplete(head + OTHER, (2, 4))

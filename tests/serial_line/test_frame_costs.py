@@ -196,21 +196,21 @@ def test_late_response_comes_within_a_second() -> None:
 )
 def test_lateness_costs_by_its_doublings_up_to_a_limit(silence_ns: int, bits: float) -> None:
     state = BusState(pending=asked(READ))
-    assert cost(state, ANSWER, RESPONSE, silence_ns) == (costs.RESPONSE, pytest.approx(bits))
+    assert cost(state, ANSWER, RESPONSE, silence_ns) == pytest.approx((costs.RESPONSE, bits))
     assert cost(state, ANSWER, RESPONSE, silence_ns, timed=False) == (costs.RESPONSE, 0.0)
 
 
 def test_late_echo_costs_more_than_another_late_response() -> None:
     state = BusState(pending=asked(WRITE), direction_known=True)
     bits = costs.LATE + 3 * costs.LATE_PER_DOUBLING
-    assert cost(state, WRITE, RESPONSE, 1600 * MS) == (costs.RESPONSE, pytest.approx(bits))
+    assert cost(state, WRITE, RESPONSE, 1600 * MS) == pytest.approx((costs.RESPONSE, bits))
     assert cost(state, WRITE, RESPONSE, 20 * SECOND) == (costs.RESPONSE, costs.MAX_ECHO_LATENESS)
 
 
 def test_late_echo_of_an_unknown_function_costs_its_lateness_instead() -> None:
     told = cost(BusState(pending=asked(VENDOR)), VENDOR, RESPONSE, 400 * MS)
     late = costs.LATE + costs.LATE_PER_DOUBLING
-    assert told == (costs.ECHO_OF_UNKNOWN_FUNCTION, pytest.approx(late))
+    assert told == pytest.approx((costs.ECHO_OF_UNKNOWN_FUNCTION, late))
 
 
 @pytest.mark.parametrize(
