@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import accumulate, product
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -133,10 +133,8 @@ class Candidates:
         state."""
         self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
-        self._silences = [0] * (self._end + 2)
+        self._silences = [0, 0, *accumulate(map(int, window.silences[1:]))]
         """For each offset, how many of the bytes before it have a silence before them."""
-        for offset in range(1, self._end + 1):
-            self._silences[offset + 1] = self._silences[offset] + window.silences[offset]
 
     def split_cost(self, offset: int, size: int) -> float:
         """The cost, in bits, of the silences of t3.5 between the bytes of a segment."""

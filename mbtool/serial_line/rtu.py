@@ -119,8 +119,7 @@ class RtuSplitter:
             silence_ns = first_ns - step_ns - times[-1]
             if silence_ns >= self._t3_5_ns:
                 self._hear_silence(events, silence_ns >= HOLD_NS)
-                if self._data:
-                    self._silences_at.append(len(self._data))
+                self._silences_at.append(len(self._data))
         while data:
             room = WINDOW - len(self._data)
             part, data = data[:room], data[room:]
@@ -227,7 +226,7 @@ class RtuSplitter:
             else:
                 start_ns, end_ns = self._times[0] - self._character_ns, self._times[size - 1]
                 self._emit_skipped(size, events)
-                if segment.kind is SegmentKind.DAMAGED or size >= LONG_SKIP:
+                if size >= LONG_SKIP:
                     self._hear_damage(segment, start_ns, end_ns)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:

@@ -71,7 +71,7 @@ class PathSearch:
         self._is_speaker_known = len(roles) == 1
         self._paths: list[list[Path]] = [[] for _ in range(self._end + 1)]
         """For each offset in the window, the paths kept that end there."""
-        self._lowest_costs = [float("inf")] * (self._end + 1)
+        self._lowest_costs = [float("inf")] * len(self._paths)
         """For each offset in the window, the cost in bits of the cheapest path that ends there."""
         self._incomplete: Path | None = None
         """The cheapest path to an incomplete frame at the end of the window."""
@@ -282,17 +282,15 @@ class PathSearch:
                 SegmentKind.DAMAGED, offset, one.size, one.role, repaired=one.repaired
             )
             cost = path.cost + start_cost + one.cost
-            if self._is_speaker_known:
-                self._keep(end, Path(cost, state, path, segment, runs=path.runs))
-                continue
-            if one.repaired:
+            if one.repaired and not self._is_speaker_known:
                 unit, pdu = one.repaired[0], one.repaired[1:-2]
                 start_ns, end_ns = self._window.start_ns(offset), self._window.times[end - 1]
                 cost += self._model.cost(state, unit, pdu, one.role, start_ns)
                 follows = self._model.next_state(state, unit, pdu, one.role, start_ns, end_ns)
                 self._keep(end, Path(cost, follows, path, segment, runs=path.runs))
                 cost += costs.NOT_UNDERSTOOD
-            self._keep(end, Path(cost, state.after_damage(), path, segment, runs=path.runs))
+            ignored = state if self._is_speaker_known else state.after_damage()
+            self._keep(end, Path(cost, ignored, path, segment, runs=path.runs))
 
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
         """Extend a path by the byte at an offset, taken for a byte that belongs to no frame.

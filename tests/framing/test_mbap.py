@@ -188,3 +188,26 @@ def test_is_idle_if_in_step_and_without_held_bytes() -> None:
         splitter.feed(piece, 1)
         idle.append(splitter.is_idle)
     assert idle == [True, False, True, False]
+
+
+def test_length_has_two_bytes() -> None:
+    """Lengths of 0100H to FF00H are impossible."""
+    for high in (0x01, 0x02, 0x80, 0xFF):
+        garbage = bytes((0, 1, 0, 0, high, 6, 0x11, 3))
+        events = every_way(requests, garbage + READ_HOLDING_REQUEST)
+        assert pdus(events) == [READ]
+        assert skipped(events)[0].raw == garbage
+
+
+def test_unknown_function_behind_bad_bytes_is_skipped_at_the_start_of_a_stream() -> None:
+    unknown = mbap_adu(3, 1, b"\x41\x00")
+    events = every_way(requests, bytes.fromhex("0001 0000 0001 11") + unknown)
+    assert pdus(events) == []
+    splitter = requests()
+    bad = bytes.fromhex("0001 0000 FFFF 11 03")
+    assert pdus(splitter.feed(bad + unknown + READ_HOLDING_REQUEST, 1)) == [READ]
+
+
+def test_transaction_id_has_two_bytes() -> None:
+    (adu,) = adus(every_way(requests, mbap_adu(0xA5C3, 1, bytes.fromhex("03 0000 0001"))))
+    assert adu.transaction_id == 0xA5C3

@@ -110,3 +110,13 @@ def test_is_idle_without_an_incomplete_frame() -> None:
         splitter.feed(piece, 1)
         idle.append(splitter.is_idle)
     assert idle == [True, False, True]
+
+
+def test_frame_of_256_bytes_is_read_and_one_of_257_is_skipped() -> None:
+    longest, longer = (rtu_adu(1, bytes((3, count, *bytes(count)))) for count in (251, 252))
+    assert [len(longest), len(longer)] == [256, 257]
+    assert [adu.raw for adu in adus(every_way(responses, longest))] == [longest]
+    assert adus(every_way(responses, longer)) == []
+    splitter = responses()
+    assert adus(splitter.feed(longest[:255], 1)) == []
+    assert [adu.raw for adu in adus(splitter.feed(longest[255:], 2))] == [longest]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu_bytes import crc, crc_on, rtu_adu
 from mbtool.serial_line.bit_repair import repaired
 
 pdus = st.binary(min_size=1, max_size=253)
@@ -33,3 +33,14 @@ def test_two_wrong_bits_of_a_short_frame_are_not_repaired() -> None:
     frame = bytearray(rtu_adu(1, bytes.fromhex("03 0000 0001")))
     frame[2] ^= 0x41
     assert repaired(bytes(frame)) is None
+
+
+def test_wrong_bit_before_the_first_byte_repairs_nothing() -> None:
+    """Its remainder is that of no bit of the frame."""
+    frame = rtu_adu(1, bytes.fromhex("03 0000 0002"))
+    before = {crc_on(0, bytes([1 << bit]) + bytes(len(frame))) for bit in range(8)}
+    damaged = [
+        whole for last in range(0x10000) if crc(whole := frame[:-2] + last.to_bytes(2)) in before
+    ]
+    assert len(damaged) == 8
+    assert [repaired(one) for one in damaged] == [None] * 8

@@ -6,6 +6,7 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import DirectionBy
+from mbtool.modbus.adu_bytes import rtu_adu
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import (
     SURE,
@@ -13,7 +14,7 @@ from mbtool.serial_line.bus_model import (
     Classification,
     roles_of,
 )
-from mbtool.serial_line.bus_state import MAX_PENDING_NS
+from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState
 from mbtool.serial_line.line_history import MAX_REQUESTS
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
@@ -507,3 +508,179 @@ def test_unknown_function_that_is_echoed_and_asked_again_is_answered_each_time()
     line = TappedLine()
     heard = [line.hear(1, b"\x41", after_ns).direction for after_ns in (2000 * MS, 7 * MS) * 3]
     assert heard == [REQUEST, RESPONSE] * 3
+
+
+# What is due.
+
+
+def asked_for(pdu: bytes, *, unit: int = 1) -> BusModel:
+    """After a request that ended at 0."""
+    model = BusModel()
+    model.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), unit, pdu, 0, 0)
+    return model
+
+
+def test_response_is_due_with_the_unit_function_and_size_of_its_request() -> None:
+    model = asked_for(READ)
+    state = model.state
+    for unit, code, size, is_due in (
+        (1, 0x03, 8, True),
+        (1, 0x03, 0, True),
+        (1, 0x03, 7, False),
+        (1, 0x83, 2, True),
+        (1, 0x04, 8, False),
+        (2, 0x03, 8, False),
+    ):
+        assert model.expects(state, unit, code, size, RESPONSE) is is_due
+    assert model.expects(state, 1, 0x03, 5, REQUEST) is False
+    assert BusModel().expects(BusModel().state, 1, 0x03, 8, RESPONSE) is False
+
+
+def test_request_is_due_if_its_function_was_requested_and_none_is_pending() -> None:
+    model = asked_for(READ)
+    state = BusModel().state
+    assert model.expects(state, 1, 0x03, 5, REQUEST) is True
+    assert model.expects(state, 1, 0x04, 5, REQUEST) is False
+    assert model.expects(state, 2, 0x03, 5, REQUEST) is False
+
+
+@pytest.mark.parametrize(
+    ("head", "size", "is_due"),
+    [
+        ("01", 0, True),
+        ("02", 0, False),
+        ("01 03", 0, True),
+        ("01 04", 0, False),
+        ("01 03 06", 0, True),
+        ("01 03 06", 11, True),
+        ("01 03 06 00", 11, True),
+        ("01 03 06 00", 10, False),
+        ("01 03 06 00", 0, False),
+        ("01 03 06 00 00 00 00 00 00 00", 11, True),
+        ("01 03 06 00 00 00 00 00 00 00 00", 11, False),
+    ],
+)
+def test_bytes_are_the_beginning_of_the_response_that_is_due(
+    head: str, size: int, is_due: bool
+) -> None:
+    model = asked_for(READ)
+    sizes = {RESPONSE: size} if size else {}
+    assert bool(model.expects_incomplete(bytes.fromhex(head), sizes)) is is_due
+
+
+def test_one_byte_is_the_beginning_of_a_request_to_a_known_unit() -> None:
+    model = asked_for(READ)
+    model.reset_state()
+    assert model.expects_incomplete(b"\x01", {})
+    assert not model.expects_incomplete(b"\x02", {})
+    assert model.expects_incomplete(b"\x01\x03\x00", {REQUEST: 8})
+    assert not model.expects_incomplete(b"\x01\x04\x00", {REQUEST: 8})
+
+
+# Silences between merged frames.
+
+
+def merging(longest_ns: int = 20 * MS) -> BusModel:
+    """A line whose adapter merges frames, and the silences between them."""
+    model = BusModel()
+    model.history.trusts_silences = False
+    for _ in range(16):
+        model.history.unexplained_silences.learn(longest_ns)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("silence_ns", "is_last", "bits"),
+    [
+        (0, False, 0.0),
+        (20 * MS, False, 0.0),
+        (23 * MS, False, 0.0),
+        (40 * MS, False, costs.LATE + costs.LATE_PER_DOUBLING),
+        (40 * MS, True, (costs.LATE + costs.LATE_PER_DOUBLING) / 2),
+        (160 * MS, False, costs.MAX_LATENESS),
+        (255 * MS, True, costs.MAX_LATENESS / 2),
+        (255 * MS + 1, True, costs.MAX_LATENESS),
+    ],
+)
+def test_long_silence_that_no_missing_response_explains_costs_by_its_doublings(
+    silence_ns: int, is_last: bool, bits: float
+) -> None:
+    state = BusState(unexplained_silence_ns=silence_ns)
+    assert merging().silence_cost(state, is_last=is_last) == pytest.approx(bits)
+
+
+@pytest.mark.parametrize(
+    ("role", "answered", "start_ns", "inside_ns", "silence_ns"),
+    [
+        (RESPONSE, False, 130, 0, 30),
+        (RESPONSE, False, 100, 0, 9),
+        (RESPONSE, False, 130, 40, 40),
+        (REQUEST, True, 130, 0, 30),
+        (REQUEST, True, 100, 0, 9),
+        (REQUEST, False, 130, 0, 0),
+        (REQUEST, False, 130, 40, 40),
+    ],
+)
+def test_last_silence_is_the_one_inside_a_frame_or_before_it(
+    role: Direction, answered: bool, start_ns: int, inside_ns: int, silence_ns: int
+) -> None:
+    pending = asked_for(READ).state.pending if answered else None
+    state = BusState(answered=pending, last_ns=100, unexplained_silence_ns=9)
+    for model, expected in ((merging(), silence_ns), (BusModel(), 0), (BusModel(timed=False), 0)):
+        after = model.next_state(state, 1, READ, role, start_ns, 200, inside_ns)
+        assert after.unexplained_silence_ns == expected
+        assert after.last_ns == 200
+
+
+def test_silence_costs_in_full_unless_it_is_the_last() -> None:
+    model, state = merging(), BusState(unexplained_silence_ns=40 * MS)
+    assert model.silence_cost(state) == model.silence_cost(state, is_last=False)
+
+
+def test_first_frame_has_no_silence_before_it() -> None:
+    after = merging().next_state(BusState(), 1, ANSWER, RESPONSE, 130, 200)
+    assert after.unexplained_silence_ns == 0
+
+
+def test_request_remembers_the_silence_before_it_and_the_request_that_it_follows() -> None:
+    model = BusModel()
+    first = model.next_state(BusState(), 1, READ, REQUEST, 50, 100)
+    assert first.pending is not None
+    assert (first.pending.silence_before_ns, first.pending.awaited_from_ns) == (None, 100)
+    second = model.next_state(first, 2, WRITE, REQUEST, 130, 200)
+    assert second.pending is not None
+    assert second.overdue is not None
+    assert (second.pending.unit, second.pending.silence_before_ns) == (2, 30)
+    assert (second.overdue.unit, second.overdue.awaited_from_ns) == (1, 200)
+    assert second.last_response == b""
+    broadcast = model.next_state(second, 0, WRITE, REQUEST, 230, 300)
+    assert broadcast.pending is broadcast.overdue is None
+
+
+def test_response_answers_the_pending_request_and_keeps_the_overdue_one() -> None:
+    model = BusModel()
+    first = model.next_state(BusState(), 1, READ, REQUEST, 50, 100)
+    second = model.next_state(first, 1, READ, REQUEST, 130, 200)
+    after = model.next_state(second, 1, ANSWER, RESPONSE, 230, 300)
+    assert (after.pending, after.answered, after.overdue) == (None, second.pending, second.overdue)
+    assert after.last_response == ANSWER
+    late = model.next_state(after, 1, ANSWER, RESPONSE, 330, 400)
+    assert (late.pending, late.answered, late.overdue) == (None, second.overdue, None)
+    other = model.next_state(second, 2, ANSWER, RESPONSE, 230, 300)
+    assert (other.pending, other.answered, other.overdue) == (
+        second.pending, None, second.overdue,
+    )  # fmt: skip
+    assert not after.direction_known
+    assert model.next_state(BusState(), 1, READ, REQUEST, 50, 100, 0, True).direction_known
+
+
+def test_damage_that_a_wrong_bit_explains_leaves_two_bus_states() -> None:
+    model = BusModel()
+    frame = rtu_adu(1, READ)
+    model.hear_damaged_frame(frame, REQUEST, 50, 100)
+    assert [bits for bits, _ in model.states] == [0.0, costs.NOT_UNDERSTOOD]
+    understood, ignored = (state for _, state in model.states)
+    assert understood.pending is not None
+    assert (understood.pending.unit, understood.pending.pdu) == (1, READ)
+    assert (understood.last_ns, understood.direction_known) == (100, False)
+    assert (ignored.pending, ignored.follows_damage) == (None, True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from mbtool.core import Direction
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.serial_line.bus_state import (
     DOUBT_BITS,
@@ -63,6 +64,47 @@ def test_damage_makes_the_pending_request_overdue() -> None:
         True,
         7,
     )
+
+
+def test_damage_explains_the_silence_before_it() -> None:
+    assert BusState(unexplained_silence_ns=9).after_damage().unexplained_silence_ns == 0
+
+
+def test_request_is_pending_for_a_second() -> None:
+    state = BusState(pending=pending(7))
+    assert state.pending_at(1_000_000_007) == pending(7)
+    assert state.pending_at(1_000_000_008) is None
+    assert BusState().pending_at(0) is None
+
+
+def test_response_awaited_exactly_has_unit_function_and_size() -> None:
+    state = BusState(pending=pending())
+    assert state.awaits_exactly(5, 0x06, 5)
+    for unit, code, size in ((6, 0x06, 5), (5, 0x86, 5), (5, 0x06, 4)):
+        assert state.awaits_exactly(unit, code, size) is False
+    assert BusState().awaits_exactly(5, 0x06, 5) is False
+
+
+@pytest.mark.parametrize(
+    ("role", "answered", "start_ns", "inside_ns", "is_settled"),
+    [
+        (Direction.RESPONSE, False, 101, 0, True),
+        (Direction.RESPONSE, False, 100, 0, False),
+        (Direction.RESPONSE, False, 100, 1, True),
+        (Direction.REQUEST, True, 101, 0, True),
+        (Direction.REQUEST, False, 101, 0, False),
+        (Direction.REQUEST, False, 101, 1, False),
+    ],
+)
+def test_next_silence_settles_the_last_unless_a_response_is_missing(
+    role: Direction, answered: bool, start_ns: int, inside_ns: int, is_settled: bool
+) -> None:
+    one = pending() if answered else None
+    state = BusState(answered=one, last_ns=100, unexplained_silence_ns=9)
+    assert state.settles_silence(role, start_ns, inside_ns) is is_settled
+    assert BusState(answered=one, last_ns=100).settles_silence(role, start_ns, inside_ns) is False
+    unknown = BusState(answered=one, unexplained_silence_ns=9)
+    assert unknown.settles_silence(role, start_ns, 0) is False
 
 
 def test_recent_request_is_the_answered_or_the_overdue_one() -> None:

@@ -103,3 +103,76 @@ def test_known_speaker_decides_the_direction() -> None:
     told = front(speaker=RESPONSE).frame(ANSWER, 2, True)
     assert told is not None
     assert (told[1].direction, told[1].by, told[1].confidence) == (RESPONSE, DirectionBy.PORT, 1.0)
+
+
+# How many bytes are needed.
+
+
+def needed(data: bytes, *heard: bytes) -> int:
+    looking = front(*heard)
+    looking.frame(data, 2, False)
+    return looking.needed
+
+
+def test_one_byte_more_than_the_longest_frame_is_needed() -> None:
+    assert FastPath(BusModel(), None, MOST).needed == 4
+    assert needed(READ[:4]) == len(READ) + 1
+    longer = rtu_adu(1, bytes.fromhex("03 08 0001 0002 0003 0004"))
+    assert needed(longer[:4]) == len(longer) + 1
+    assert needed(REFUSAL[:4]) == len(REFUSAL) + 1
+
+
+def test_one_byte_more_is_needed_as_long_as_no_byte_tells_the_size() -> None:
+    write = rtu_adu(1, bytes.fromhex("10 0000 0002 04 0001 0002"))
+    assert [needed(write[:size]) for size in (4, 5, 6, 7)] == [5, 6, 7, len(write) + 1]
+
+
+def test_search_decides_about_a_function_without_a_size() -> None:
+    assert needed(b"\x01\x41\x00\x00") == MOST
+    looking = front()
+    assert taken(looking, b"\x01\x41\x00\x00") is None
+    looking.restart(behind_noise=False)
+    assert looking.needed == 4
+
+
+def test_frame_of_256_bytes_is_found_and_one_of_257_needs_a_search() -> None:
+    for count, size in ((250, 255), (251, None), (252, None)):
+        asked = rtu_adu(1, bytes((3, 0, 0, 0, count // 2)))
+        answer = rtu_adu(1, bytes((3, count)) + bytes(range(count)))
+        told = taken(front(asked), answer)
+        assert (told and told[0]) == size
+    custom = rtu_adu(1, bytes((0x01, 251)) + bytes(251))
+    assert needed(custom) == len(custom) + 1
+    assert needed(rtu_adu(1, bytes((0x01, 252)) + bytes(252))) == len(READ) + 1
+
+
+def test_frame_with_a_wrong_crc_needs_a_search() -> None:
+    assert taken(front(), READ[:-1] + b"\x00") is None
+    assert taken(front(READ), ANSWER[:-1]) is None
+
+
+def test_new_request_costs_no_more_than_the_fast_path_takes() -> None:
+    assert taken(front(READ, ANSWER), OTHER) == (len(OTHER), REQUEST)
+    odd = rtu_adu(2, bytes.fromhex("04 0000 0000"))
+    assert taken(front(READ, ANSWER), odd) is None
+    assert taken(front(READ), OTHER) is None
+
+
+def test_without_silences_a_response_needs_another_frame_after_it() -> None:
+    """Two equal frames may be a request and its retry."""
+    write = rtu_adu(5, bytes.fromhex("06 0001 0003"))
+    for following, is_taken in ((READ, True), (write, False), (write[:2], False), (b"\x05", False)):
+        bus_model = BusModel()
+        bus_model.hear(Classification(REQUEST, DirectionBy.FORM, 1.0), 5, write[1:-2], 0, 1)
+        bus_model.history.trusts_silences = False
+        told = taken(FastPath(bus_model, None, MOST), write + following)
+        assert (told is not None) is is_taken, following
+
+
+def test_bytes_with_a_wrong_crc_after_a_silence_do_not_end_the_wait() -> None:
+    asked = rtu_adu(1, bytes.fromhex("03 0000 0014"))
+    head = b"\x01\x03\x28"
+    assert front(asked).is_incomplete(head + OTHER[:-1] + b"\x00", (3,))
+    assert front(asked).is_incomplete(head + OTHER[:-1], (3,))
+    assert not front(asked).is_incomplete(head + OTHER, (1, 3))
+    assert front(asked).is_incomplete(head + OTHER, (2, 4))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core import Direction, SerialFormat
+from mbtool.core import Direction, LineSettings, SerialFormat
 from mbtool.modbus.adu_bytes import ascii_adu, rtu_adu
 from mbtool.modbus.pdu import encode_pdu
 from mbtool.serial_line.settings_fit import (
@@ -105,6 +105,50 @@ def test_the_standards_default_is_heard_first_and_nothing_twice() -> None:
     to_hear = settings_to_try()
     assert to_hear[0] == EVEN
     assert len(set(to_hear)) == len(to_hear) == 24
+
+
+def test_formats_are_heard_in_the_order_of_their_use() -> None:
+    bauds = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
+    usual = [f"{baud}-8{parity}1" for baud in bauds for parity in "EN"]
+    assert [str(one) for one in settings_to_try()] == [*usual, *(f"{baud}-8O1" for baud in bauds)]
+
+
+def scored(frames: int, framed: int, damaged: int = 0) -> SettingsScore:
+    """Of 100 bytes heard."""
+    return SettingsScore(LineSettings(EVEN), frames, 0, framed, 100, damaged)
+
+
+def test_settings_are_sure_from_nine_tenths_on_and_likely_from_three_tenths_on() -> None:
+    assert [scored(3, framed).is_sure for framed in (89, 90)] == [False, True]
+    assert [scored(2, framed).is_likely for framed in (29, 30)] == [False, True]
+    assert [scored(frames, 100).is_sure for frames in (2, 3)] == [False, True]
+    assert [scored(frames, 100).is_likely for frames in (1, 2)] == [False, True]
+
+
+def test_each_damaged_byte_lowers_the_fit_to_zero_at_the_least() -> None:
+    fits = [scored(9, 80, damaged).fit for damaged in (0, 25, 100, 101, 150)]
+    assert fits == [0.8, 0.8 * 0.75, 0, 0, 0]
+    assert SettingsScore(LineSettings(EVEN), 0, 0, 0, 0, 0).fit == 0
+
+
+def test_damaged_bytes_of_seven_bits_are_those_marked_or_of_the_wrong_parity() -> None:
+    frame = with_parity(ascii_adu(1, READ), "E")
+    trial = SettingsTrial(NONE)
+    trial.feed(frame, (0, 3), 10**9)
+    damaged = {str(one.settings.format): one.damaged for one in trial.scores()}
+    assert (trial.heard, trial.marked) == (len(frame), 2)
+    assert (damaged["9600-7E1"], damaged["9600-7O1"]) == (2, len(frame))
+    assert damaged["9600-8N1"] == 2
+    lacking = sum(byte < 0x80 for at, byte in enumerate(frame) if at not in (0, 3)) + 2
+    assert damaged["9600-7N2"] == lacking
+
+
+@pytest.mark.parametrize(("count", "is_decided"), [(199, False), (200, True)])
+def test_settings_of_a_bad_fit_are_given_up_after_200_bytes(count: int, is_decided: bool) -> None:
+    frame = rtu_adu(1, READ)
+    trial = heard(EVEN, frame, frame, *[b"\x55" * 8] * 22, b"\x55" * (count - 192))
+    assert best(trial).frames == 2
+    assert trial.is_decided is is_decided
 
 
 def test_the_other_parity_of_even_is_odd() -> None:
