@@ -65,12 +65,10 @@ GAP_BYTES = 64
 MAX_NOISE = MAX_RTU_ADU
 MAX_HELD_EVENTS = 8
 
-_HEAD_SIZE = MAX_RTU_ADU + 1
-"""First bytes of a direction that are kept: one more than the longest RTU frame."""
+_HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept of a direction: one more than the longest RTU frame.
 
 _MBAP = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
-_MBAP_SIZE = 6
-"""Bytes of an MBAP header up to and with its length."""
+_MBAP_SIZE = 6  # Bytes of an MBAP header up to and with its length.
 _MBAP_PREFIX = re.compile(rb"(?s).{0,2}\x00{0,3}\Z")
 _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 """Any transaction id and protocol id 0, or the beginning of these."""
@@ -161,9 +159,8 @@ class ProtocolDetector:
         decoded = self._decide(is_last=is_last)
         if not decoded and is_last and self.state is ProtocolState.UNDECIDED:
             return self._reject()
-        if not later:
-            return decoded
-        return [*decoded, *self.feed(direction, later, ts_ns, place and place.after(len(now)))]
+        after = place and place.after(len(now))
+        return [*decoded, *self.feed(direction, later, ts_ns, after)] if later else decoded
 
     def gap(
         self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP

@@ -47,6 +47,9 @@ _MAX_CACHED = 4096
 
 _MASK_WRITE = 0x16
 
+_WITHOUT_REQUEST = frozenset((Outcome.UNSOLICITED, Outcome.NOT_CAPTURED))
+"""Outcomes of transactions that may have a response only."""
+
 
 class Namer:
     """Names transactions with the profiles that the user assigned."""
@@ -142,7 +145,9 @@ class _Vocabulary:
         if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
             return []  # Its bytes may be a different frame.
         # Without a request, no rule about requests can be broken.
-        has_request = transaction.request_raw is not None
+        has_request = (
+            transaction.outcome not in _WITHOUT_REQUEST or transaction.request_ns is not None
+        )
         findings = [*meaning.findings] if has_request else []
         findings += form_codes(transaction)
         profile = self.profile
