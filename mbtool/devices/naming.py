@@ -39,6 +39,7 @@ from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
+from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
