@@ -70,7 +70,7 @@ class _RequestResult:
     count: int = 0
     different: int = 0
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """How often each pair was seen: the recorded outcome, and the other one in its place."""
+    """How often a recorded outcome (first) was replaced by another one in the replay (second)."""
     recorded: Sample = field(default_factory=Sample)
     """The recorded latencies."""
     answered: Sample = field(default_factory=Sample)

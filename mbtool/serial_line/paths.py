@@ -63,7 +63,8 @@ class Path(msgspec.Struct, eq=False):
     """True if the bytes skipped at the end of the path directly follow a frame and are all noise,
     as receivers hear it when the bus changes direction."""
     runs: int = 0
-    """How many runs of skipped bytes the path has: each makes the next one cheaper."""
+    """How many runs of skipped bytes the path has. A line that has some probably has more, so each
+    run lowers the cost of beginning a further one by one bit."""
     ends_frame: bool = False
     """True if the path ends with a frame, so that another frame probably begins behind it."""
     rivals: tuple[Path, ...] = ()

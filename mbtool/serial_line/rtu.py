@@ -184,7 +184,7 @@ class RtuSplitter:
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Give out the frames at the front that need no search."""
+        """Emit the frames at the front of the buffer that are beyond doubt, without the search."""
         while len(self._data) >= MIN_FRAME and (
             frame := self._fast_path.frame(
                 self._data, self._times[0] - self._character_ns, burst_over

@@ -1,10 +1,10 @@
 """Two serial ports as one live source: one hears the master, the other the slaves."""
 
-# Each port has a reading process and a thread of its own; each chunk says which side spoke. If one
-# port is silent, the other may still hear something. So for each port this source keeps the time
-# until which all that the port heard is in the inbox, and puts a Quiet with the earlier of the two
-# times. When the clock is set back, these times go back too. Both ports end together: when one is
-# gone, the other is told to end, and what it has heard comes before the single Ended.
+# Each port has a reading process and a thread of its own; each chunk says which side spoke. A Quiet
+# promises that no byte heard before its time is still to come. One port can promise that for itself
+# only, so this source puts a Quiet with the earlier of the two ports' times. When the clock is set
+# back, these times go back too. Both ports end together: when one is gone, the other is told to
+# end, and the bytes that it has heard come before the single Ended.
 
 from __future__ import annotations
 
