@@ -28,7 +28,7 @@ class AddressesChoice(StrEnum):
 
 
 class ScalingChoice(StrEnum):
-    """Whether the factors of a register list multiply or divide the values of registers."""
+    """The use of a register list's factors: they multiply or divide the registers' values."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"

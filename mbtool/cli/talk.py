@@ -39,7 +39,7 @@ def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
 
 
 class Interrupt:
-    """Whether someone asked the command to stop."""
+    """A request of the user to stop the command, made by a signal."""
 
     # `ask` runs as a signal handler, at any line of the main thread, also while `wait` runs. So it
     # takes no lock that `wait` may hold: Event.set() would, and Ctrl-C could hang the program.

@@ -66,6 +66,9 @@ ENOUGH_OVERLAPS = 3
 ENOUGH_REQUESTS = 8
 """So many requests in a row without another one waiting show that the master never pipelines."""
 
+MAX_LOST_RESPONSES = 8
+"""Responses that lost bytes are divided into at most; this bounds the combinations of lengths."""
+
 _EXCEPTION_PDU = 2
 _USUAL_REQUEST = 12
 """Bytes of the ADU of a read: lost bytes of requests are counted as so many reads."""
@@ -127,7 +130,7 @@ class NetworkPairing:
             self._lost_requests = min(self._lost_requests + likely, MAX_OPEN_REQUESTS)
             return []
         waiting = [one for one in self._open if not one.is_given_up]
-        for count in range(1, len(waiting) + 1):
+        for count in range(1, min(len(waiting), MAX_LOST_RESPONSES) + 1):
             if lost in _sums(waiting[:count]):
                 for one in waiting[:count]:
                     self._open.remove(one)

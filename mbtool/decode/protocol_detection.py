@@ -75,7 +75,7 @@ _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 
 
 class ProtocolState(Enum):
-    """Whether a connection's protocol is known, and if so, whether it is Modbus."""
+    """What is known of a connection's protocol."""
 
     UNDECIDED = 0
     MODBUS = 1
