@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class AddressesChoice(StrEnum):
-    """How the numbers of a register list count: from 0, from 1, as references, in hexadecimal."""
+    """The meaning of a register list's numbers: from 0, from 1, references, hexadecimal."""
 
     ZERO_BASED = "zero-based"
     ONE_BASED = "one-based"

@@ -39,7 +39,7 @@ class EventChoice(StrEnum):
 
 
 ListFormat = Literal["table", "jsonl"]
-"""How the rows of a list are printed."""
+"""The output format of a list."""
 DeviceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -136,7 +136,7 @@ class PortOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class SourceOptions(PortOptions):
-    """How captures and logs are read."""
+    """The options for reading captures and logs."""
 
     link: Annotated[
         str | None,

@@ -104,7 +104,7 @@ class RecordOutput:
             self._file.flush()
 
     def sentence(self) -> str:
-        """What has been printed, counted in one sentence."""
+        """One sentence that counts the printed records."""
         return self._tally.sentence()
 
     def _wants(self, record: Record) -> bool:

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class EventKind(StrEnum):
-    """What happened. Logs and filters contain these values, so their meanings never change."""
+    """The kind of an event. Logs and filters contain these values, so they never change."""
 
     SKIPPED = "skipped"
     """Captured bytes that could not be read as Modbus."""
@@ -51,12 +51,12 @@ class WireEvent:
     link: str
     kind: EventKind
     message: str
-    """What happened, as a text for the user."""
+    """The event in a sentence for the user."""
     source: str = ""
     destination: str = ""
     raw: bytes = b""
     """The bytes that the event is about, if any."""
     missing: int = 0
-    """How many bytes are missing from the capture, if known; otherwise 0."""
+    """Number of bytes that the capture lacks; 0 if unknown."""
     packets: int = 0
-    """How many packets of a network interface are missing from the capture."""
+    """Number of packets of a network interface that the capture lacks."""

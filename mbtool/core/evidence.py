@@ -59,7 +59,7 @@ class Connection:
 
 
 class StreamPlace(NamedTuple):
-    """Where the bytes of a TCP segment belong in their connection. Positions count bytes."""
+    """The position of a TCP segment's bytes in their connection, in bytes."""
 
     position: int
     """The position of the first byte in its direction."""
@@ -103,7 +103,7 @@ class Packet:
     """A LINKTYPE_ value of the pcap registry (tcpdump.org/linktypes.html)."""
     data: bytes
     original_length: int
-    """How many bytes the packet had on the wire; more than len(data) if the capture cut it."""
+    """Bytes that the packet had on the wire; more than len(data) if the capture cut it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ MAX_CLOCK_STEP_NS = 1_000_000_000
 """If a time is earlier than the one before it by more than this, in ns, the clock was set back."""
 
 RESPONSE_TIMEOUT_NS = 1_000_000_000
-"""How long a master waits for a response by default, in ns."""
+"""Default time in ns that a master waits for a response."""
 TURNAROUND_NS = 100_000_000
 """Pause after a broadcast, in ns (Serial Line V1.02, 2.4.1: typically 100 to 200 ms)."""
 
