@@ -32,6 +32,8 @@ class EventKind(StrEnum):
     """A packet or link type that this program cannot read."""
     MISPLACED = "misplaced"
     """The two ports of a link are exchanged: what they hear does not fit their order."""
+    ECHO = "echo"
+    """The second copy of a request, from an adapter that also hears what it sends."""
     SPOILT = "spoilt"
     """This program, playing the slave, distorted a response on purpose."""
     CUT = "cut"

@@ -135,6 +135,11 @@ class SerialFormat:
             return self._ns(self.t3_5)
         return self._standard_ns(7, _FIXED_T3_5_NS)
 
+    @property
+    def has_fixed_silences(self) -> bool:
+        """True if t3.5 is the standard's fixed 1.75 ms, and no number of characters."""
+        return self.t3_5 is None and self.baud > _FIXED_ABOVE_BAUD
+
     def _standard_ns(self, half_characters: int, fixed_ns: int) -> int:
         if self.baud > _FIXED_ABOVE_BAUD:
             return fixed_ns

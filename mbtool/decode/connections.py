@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.core.wording import counted
@@ -19,12 +19,22 @@ from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import Adu, Skipped
 from mbtool.modbus.transaction import Transaction
 from mbtool.serial_line.ascii import AsciiSplitter
+from mbtool.serial_line.bus_model import BusModel
 from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
     from mbtool.core import Connection, SerialFormat, StreamPlace
 
 Decoded = Adu | Transaction | WireEvent
+
+
+class _LostBytes(NamedTuple):
+    """Bytes of one direction that the capture lacks."""
+
+    direction: Direction
+    size: int
+    end: int | None
+    """The position behind them; None if unknown."""
 
 
 class Bus:
@@ -37,11 +47,20 @@ class Bus:
         *,
         ascii: bool = False,  # noqa: A002
         timed: bool = True,
+        response_timeout_ns: int | None = None,
     ) -> None:
-        """`timed` is False if the bytes have no known times, as in a raw file."""
+        """Set up the line.
+
+        `timed` is False if the bytes have no known times, as in a raw file. `response_timeout_ns`
+        is how long the master waits before it repeats a request; None if that is not known.
+        """
         self._ends = Ends(link, timed=timed)
-        splitter = AsciiSplitter if ascii else RtuSplitter
-        self._splitter: AsciiSplitter | RtuSplitter = splitter(line, timed=timed)
+        self._splitter: AsciiSplitter | RtuSplitter
+        if ascii:
+            self._splitter = AsciiSplitter(line, timed=timed)
+        else:
+            model = BusModel(timed=timed, response_timeout_ns=response_timeout_ns)
+            self._splitter = RtuSplitter(line, model, timed=timed)
         self._pairing = Pairing(self._ends)
 
     def feed(self, data: bytes, ts_ns: int) -> list[Decoded]:
@@ -68,7 +87,6 @@ class ConnectionDecoder:
     """Decodes a TCP connection between a master and a slave."""
 
     def __init__(self, connection: Connection, *, rtu: bool = False) -> None:
-        splitter = RtuStreamSplitter if rtu else MbapSplitter
         self._link = connection.link
         master, slave = str(connection.master), str(connection.slave)
         self._endpoints = {
@@ -76,31 +94,38 @@ class ConnectionDecoder:
             Direction.RESPONSE: (slave, master),
         }
         """The sender and the receiver of each direction."""
-        self._splitters = {direction: splitter(direction) for direction in self._endpoints}
+        self._splitters: dict[Direction, MbapSplitter | RtuStreamSplitter] = {
+            each: RtuStreamSplitter(each) if rtu else MbapSplitter(each, by_segments=True)
+            for each in self._endpoints
+        }
         self._pairing = NetworkPairing(Ends(self._link, master, slave))
-        self._progress = StreamProgress()
-        self._unread = dict.fromkeys(OTHER, 0)
-        """By direction, how many bytes the splitter holds. Counted while positions are known."""
+        self._last_ns = 0
+        """When the last bytes came."""
+        self._progress = {direction: StreamProgress() for direction in OTHER}
 
     def feed(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
     ) -> list[Decoded]:
         """Take the payload of one segment."""
+        self._last_ns = ts_ns
         events = self._splitters[direction].feed(data, ts_ns)
         if place is None:
-            return self._paired(events, direction)
-        decoded: list[Decoded] = []
-        other = OTHER[direction]
-        lost = self._progress.take(direction, other, place, len(data))
-        if lost:
-            decoded += self._pairing.note_loss(other, lost)
-        end = place.position - self._unread[direction]
-        self._unread[direction] += len(data)
-        for event in events:
-            end += len(event.raw)
-            self._unread[direction] -= len(event.raw)
-            decoded += self._paired([event], direction, AduPlace(end, place.acknowledged))
-        return decoded
+            gaps = [
+                _LostBytes(one, progress.without_places(), None)
+                for one, progress in self._progress.items()
+            ]
+            return [*self._lost(gaps, ts_ns), *self._paired(events, direction)]
+        self._progress[direction].take(place, len(data))
+        return self._placed(events, direction, ts_ns)
+
+    def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
+        """Tell lost bytes to the pairing: those of requests before those of their responses."""
+        return [
+            each
+            for loss in sorted(losses, key=lambda loss: loss.direction is Direction.RESPONSE)
+            if loss.size
+            for each in self._pairing.note_loss(loss.direction, loss.size, ts_ns, loss.end)
+        ]
 
     def gap(
         self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
@@ -119,11 +144,12 @@ class ConnectionDecoder:
             destination=destination,
             missing=missing,
         )
-        decoded = self._paired(self._splitters[direction].gap(), direction)
-        self._unread[direction] = 0
-        unexplained = self._progress.skip(direction, missing)
-        if unexplained or not missing:
-            decoded += self._pairing.note_loss(direction, unexplained)
+        events = self._splitters[direction].gap(missing)
+        decoded = self._placed(events, direction, ts_ns) if events else []
+        cut = sum(event.missing for event in events if isinstance(event, Adu))
+        self._progress[direction].skip(missing, cut)
+        if not missing:
+            decoded += self._pairing.note_loss(direction, 0, ts_ns)
         return [*decoded, lost]
 
     def advance(self, now_ns: int) -> list[Decoded]:
@@ -135,7 +161,32 @@ class ConnectionDecoder:
         decoded: list[Decoded] = []
         for direction, splitter in self._splitters.items():
             decoded += self._paired(splitter.close(), direction)
+        losses = [_LostBytes(one, progress.end(), None) for one, progress in self._progress.items()]
+        decoded += self._lost(losses, self._last_ns)
         return [*decoded, *self._pairing.close()]
+
+    def _placed(
+        self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
+    ) -> list[Decoded]:
+        """Pair what came out of the splitter of a direction, with its places if they are known."""
+        other, progress = OTHER[direction], self._progress[direction]
+        end, received = progress.first_unread, progress.received
+        if end is None:
+            return self._paired(events, direction)
+        losses: list[_LostBytes] = []
+        if events or direction is Direction.RESPONSE:
+            # A part of a request waits for the rest: lost requests before it are told first.
+            losses.append(_LostBytes(other, self._progress[other].acknowledge(received), received))
+        decoded: list[Decoded] = []
+        for event in events:
+            start, end = end, end + (event.size if isinstance(event, Adu) else len(event.raw))
+            progress.unread -= len(event.raw)
+            if isinstance(event, Adu):
+                losses.append(_LostBytes(direction, progress.read(start, end), start))
+                decoded += self._lost(losses, ts_ns)
+                losses = []
+            decoded += self._paired([event], direction, AduPlace(end, received))
+        return [*decoded, *self._lost(losses, ts_ns)]
 
     def _paired(
         self, events: list[Adu | Skipped], direction: Direction, place: AduPlace | None = None

@@ -129,7 +129,11 @@ class Decoder:
         """
         if link in self._untimed:
             return None
-        return self._timing.format_of(self._line_of(link))
+        return self._timing.format_of(self.line_of(link))
+
+    def line_of(self, link: str) -> SerialLink:
+        """A serial link with its ports and its settings as the user gave them."""
+        return self._lines.get(link) or self._line.on(link)
 
     def begin_line(self, line: SerialLink) -> None:
         """Set the settings of a serial link before its bytes are fed."""
@@ -226,6 +230,8 @@ class Decoder:
         is_loss = discarded and state is not ProtocolState.FOREIGN
         kind = EventKind.DISCARDED if is_loss else EventKind.CLOSED
         probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
+        if item.unanswered_probes:
+            probes += f", the last {item.unanswered_probes} unanswered"
         text = _DROPPED if discarded else f"connection closed: {item.reason}"
         closed = _connection_event(item, kind, text + probes)
         return [*records, closed if detector is None else detector.in_detected_roles(closed)]
@@ -251,20 +257,20 @@ class Decoder:
             return [*self._close_all(), event]
         return [*(self.end_line(event.link) if event.kind in _LOSS else ()), event]
 
-    def _line_of(self, link: str) -> SerialLink:
-        return self._lines.get(link) or self._line.on(link)
-
     def _bus(self, chunk: Chunk) -> Bus | TapPair:
         link = chunk.link
         bus = self._buses.get(link)
         if bus is None:
-            line = self._line_of(link)
+            line = self.line_of(link)
             format_, is_ascii = self._timing.format_of(line), line.ascii
             if chunk.direction is Direction.UNKNOWN:
                 timed = chunk.stamp is not Stamp.UNKNOWN
                 if not timed:
                     self._untimed.add(link)
-                bus = Bus(link, format_, ascii=is_ascii, timed=timed)
+                timeout_ns = self._timing.response_timeout_ns(format_)
+                bus = Bus(
+                    link, format_, ascii=is_ascii, timed=timed, response_timeout_ns=timeout_ns
+                )
             else:
                 bus = TapPair(link, format_, ascii=is_ascii)
             self._buses[link] = bus

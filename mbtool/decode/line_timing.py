@@ -31,6 +31,13 @@ class LineTiming:
     assignments: Assignments = field(default_factory=Assignments)
     t1_5: Silence | None = None
     t3_5: Silence | None = None
+    response_timeout: Silence | None = None
+    """The time after which the master repeats a request; None if it has to be learned."""
+
+    @property
+    def is_given(self) -> bool:
+        """True if an option gives one of the silences."""
+        return any((self.t1_5, self.t3_5, self.response_timeout))
 
     def given(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
         """The links with the silences of the options, which a log then records.
@@ -38,9 +45,11 @@ class LineTiming:
         Raises UsageError if silences are given and no link is a serial line, or if they contradict
         each other.
         """
-        is_given = self.t1_5 is not None or self.t3_5 is not None
-        if is_given and not any(isinstance(link, SerialLink) for link in links):
-            raise UsageError("--t1-5 and --t3-5 are for serial lines; none of the links is one")
+        if self.is_given and not any(isinstance(link, SerialLink) for link in links):
+            raise UsageError(
+                "--t1-5, --t3-5 and --response-timeout are for serial lines; "
+                "none of the links is one"
+            )
         return [self._given(link) if isinstance(link, SerialLink) else link for link in links]
 
     def format_of(self, line: SerialLink) -> SerialFormat:
@@ -61,6 +70,10 @@ class LineTiming:
             ]
             format_ = replace(format_, t1_5=_longest(fitting, format_))
         return format_
+
+    def response_timeout_ns(self, line: SerialFormat) -> int | None:
+        """The response timeout of the master, in ns; None if it was not given."""
+        return None if self.response_timeout is None else _ns(self.response_timeout, line)
 
     def _given(self, line: SerialLink) -> SerialLink:
         return replace(line, format=line.format.with_silences(self.t1_5, self.t3_5))

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
+from mbtool.modbus.adu import Verdict
 from mbtool.modbus.request_match import is_response_code
 
 if TYPE_CHECKING:
@@ -39,6 +42,7 @@ class Pairing:
         """Take the next ADU, in order of time."""
         done = self.advance(adu.start_ns)
         if adu.direction is not Direction.RESPONSE:
+            self._doubt_silence(adu)
             done += self.close()
             if adu.unit == 0:
                 done.append(broadcast(self._ends, adu))
@@ -63,6 +67,17 @@ class Pairing:
         if self._open is None or now_ns - self._open.end_ns <= BUS_TIMEOUT_NS:
             return []
         return self.close()
+
+    def _doubt_silence(self, adu: Adu) -> None:
+        """Make the open request ambiguous if an equal frame, called a retry, may be its response.
+
+        The outcome of a request is no more certain than the direction of the frame after it.
+        """
+        request = self._open
+        if request is not None and request.raw == adu.raw and Verdict.AMBIGUOUS in adu.verdicts:
+            verdicts = tuple(dict.fromkeys((*request.verdicts, Verdict.AMBIGUOUS)))
+            confidence = min(request.confidence, adu.confidence)
+            self._open = replace(request, confidence=confidence, verdicts=verdicts)
 
     def close(self) -> list[Transaction]:
         """End the line: the open request stays without an answer."""

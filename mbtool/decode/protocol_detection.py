@@ -46,6 +46,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.connections import ConnectionDecoder, Decoded
 from mbtool.decode.foreign_protocols import TLS, begins_tls_record, foreign_protocol
+from mbtool.framing.mbap import LONG_HEADER
 from mbtool.framing.rtu_lengths import frame_size
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Verdict
 from mbtool.modbus.adu_bytes import crc
@@ -67,9 +68,8 @@ MAX_HELD_EVENTS = 8
 
 _HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept of a direction: one more than the longest RTU frame.
 
-_MBAP = re.compile(rb"(?s)..\x00\x00\x00[\x02-\xFE]")
 _MBAP_SIZE = 6  # Bytes of an MBAP header up to and with its length.
-_MBAP_PREFIX = re.compile(rb"(?s).{0,2}\x00{0,3}\Z")
+_MBAP_PREFIX = re.compile(rb"(?s).{0,2}\x00{0,2}\Z|..\x00\x00[\x00-\x05]\Z")
 _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 """Any transaction id and protocol id 0, or the beginning of these."""
 
@@ -375,7 +375,7 @@ class _ProtocolCandidate:
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
         if self._is_rtu:
             return _begins_with_frame(head, self._role(direction)) is not False
-        return (_MBAP if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
+        return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:
         """Hold results, and count what they say for or against this candidate."""
@@ -401,8 +401,8 @@ class _ProtocolCandidate:
         return replace(event, link=self._connection.link, source=ends[0], destination=ends[1])
 
     def _count(self, adu: Adu) -> None:
-        size = pdu_length(adu.pdu, adu.direction)  # 0 if it has none, as for an unknown function.
-        fits = size == len(adu.pdu)
+        size = pdu_length(adu.pdu, adu.direction) or 0  # 0 if its bytes do not tell it.
+        fits = size == len(adu.pdu) + adu.missing
         if fits:
             self.well_formed += 1
         elif size != 0:

@@ -1,14 +1,16 @@
 """Which bytes of a TCP connection were captured, and which its ends had that the capture lacks."""
 
-# Each segment acknowledges what its sender has received. If that is more than the capture has of
-# the other direction, the capture lacks bytes that were on the network. A gap that the reassembler
-# reports later for the same bytes is then no further loss.
+# Two things show that the capture lacks bytes: a gap between two ADUs of one direction, and a
+# segment that acknowledges more of the other direction than was captured. What is lost begins
+# behind the last ADU. The missing bytes of an ADU whose unit and function were captured are not
+# lost: the ADU is known. Without these, the captured part of an ADU is of no use.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
+from mbtool.packets.stream import LEAD
 
 if TYPE_CHECKING:
     from mbtool.core import StreamPlace
@@ -26,28 +28,76 @@ class AduPlace(NamedTuple):
 
 
 class StreamProgress:
-    """The position that the captured bytes of each direction have reached."""
+    """The positions up to which the bytes of one direction were captured, and are known."""
 
     def __init__(self) -> None:
-        self._reached: dict[Direction, int] = {}
-        self._explained = dict.fromkeys(OTHER, 0)
-        """Bytes known to be lost, for which no gap was reported yet."""
+        self.unread = 0
+        """Bytes behind the last ADU or skipped bytes, which the splitter holds."""
+        self.received: int | None = None
+        """The position in the other direction that the last segment acknowledged; None if
+        unknown."""
+        self._missing = 0
+        """Bytes of the gaps behind the last ADU, as they were reported."""
+        self._captured: int | None = None
+        """The position behind the last byte captured; None before the first one."""
+        self._known = 0
+        """The position behind the last ADU, or behind lost bytes that were told."""
 
-    def take(self, direction: Direction, other: Direction, place: StreamPlace, size: int) -> int:
-        """Note a segment. Gives how many bytes of the other direction the capture lacks by it."""
-        self._reached[direction] = place.position + size
-        received = place.acknowledged
+    @property
+    def first_unread(self) -> int | None:
+        """The position of the first byte that the splitter holds; None if positions are unknown."""
+        return None if self._captured is None else self._captured - self.unread
+
+    def take(self, place: StreamPlace, size: int) -> None:
+        """Note a segment."""
+        self._begin(place.position)
+        self._captured = place.position + size
+        self.unread += size
+        self.received = place.acknowledged
+
+    def acknowledge(self, received: int | None) -> int:
+        """Note that the other end received all up to a position. Gives how many bytes are lost."""
         if received is None:
             return 0
-        lost = received - self._reached.setdefault(other, received)
-        if lost <= 0:
+        captured = self._begin(received)
+        if received > captured:
+            self._captured = received
+        elif not self._missing:
             return 0
-        self._reached[other] = received
-        self._explained[other] += lost
+        return self._tell(received, received)
+
+    def read(self, start: int, end: int) -> int:
+        """Note an ADU. Gives how many bytes between the last one and this are lost."""
+        lost = self._tell(start, end) if self._missing else 0
+        self._known = max(end, self._known)
+        self._missing = 0
         return lost
 
-    def skip(self, direction: Direction, missing: int) -> int:
-        """Note a reported gap. Gives how many of its bytes were not known to be lost before."""
-        explained = min(missing, self._explained[direction])
-        self._explained[direction] -= explained
-        return missing - explained
+    def skip(self, missing: int, known: int) -> None:
+        """Note a gap. `known` of the missing bytes belong to an ADU that was read."""
+        self.unread = 0
+        self._missing += missing - known
+        if self._captured is not None:
+            self._captured += missing
+
+    def end(self) -> int:
+        """End the stream. Gives how many bytes are lost at its end."""
+        if not self._missing or self._captured is None:
+            return 0
+        return self._tell(self._captured, self._captured)
+
+    def without_places(self) -> int:
+        """Gives how many bytes gaps have reported, for a source that tells no positions."""
+        missing, self._missing = self._missing, 0
+        return missing
+
+    def _begin(self, position: int) -> int:
+        if self._captured is None:
+            # Positions count from 0 if the capture has the beginning of the connection.
+            self._captured = self._known = 0 if position < LEAD // 2 else position
+        return self._captured
+
+    def _tell(self, position: int, known: int) -> int:
+        lost = position - self._known
+        self._known = max(known, self._known)
+        return max(lost, 0)

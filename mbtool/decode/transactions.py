@@ -32,12 +32,19 @@ class Ends:
 
 
 def with_response(
-    ends: Ends, request: Adu, response: Adu, retries: int, verdicts: tuple[Verdict, ...]
+    ends: Ends,
+    request: Adu,
+    response: Adu,
+    retries: int,
+    verdicts: tuple[Verdict, ...],
+    confidence: float = 1.0,
 ) -> Transaction:
-    """A request with its response; `verdicts` are those about the pair."""
+    """A request with its response; `verdicts` and `confidence` are those of the pair."""
+    noticed = [*request.verdicts, *response.verdicts, *verdicts]
+    if request.missing or response.missing:
+        return _cut(ends, request, response, noticed, confidence)
     facts = _request_facts(request.pdu)
     response_pdu = parse_pdu(response.pdu, Direction.RESPONSE)
-    noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if facts.is_malformed:
         noticed.append(Verdict.MALFORMED_REQUEST)
     malformed = response_pdu.problem or (
@@ -65,7 +72,32 @@ def with_response(
         request_raw=request.raw,
         response_raw=response.raw,
         verdicts=list(dict.fromkeys(noticed)) if noticed else noticed,
-        confidence=min(request.confidence, response.confidence),
+        confidence=min(request.confidence, response.confidence, confidence),
+    )
+
+
+def _cut(
+    ends: Ends, request: Adu, response: Adu, verdicts: list[Verdict], confidence: float
+) -> Transaction:
+    """A request with its response, where the capture lacks bytes of one or both."""
+    facts = _facts(request)
+    whole = None if response.missing else parse_pdu(response.pdu, Direction.RESPONSE)
+    return _record(
+        ends,
+        request,
+        facts,
+        whole.exception_code if whole is not None else None,
+        outcome=Outcome.NOT_CAPTURED,
+        request_values=_listed(facts.values),
+        response_values=_response_values(facts.pdu, whole) if whole is not None else None,
+        request_ns=request.end_ns,
+        response_ns=response.end_ns,
+        latency_ns=_latency_ns(request, response) if ends.timed else None,
+        retries=0,
+        request_raw=request.raw,
+        response_raw=response.raw,
+        verdicts=list(dict.fromkeys(verdicts)),
+        confidence=min(request.confidence, response.confidence, confidence),
     )
 
 
@@ -100,6 +132,9 @@ def broadcast(ends: Ends, request: Adu) -> Transaction:
 def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> Transaction:
     """A response without a request; `outcome` is NOT_CAPTURED if the capture lacks the request."""
     pdu = parse_pdu(response.pdu, Direction.RESPONSE)
+    if response.missing:
+        pdu = Pdu(pdu.code, {}, None)
+        outcome = Outcome.NOT_CAPTURED
     malformed = [Verdict.MALFORMED_RESPONSE] if pdu.problem else []
     return _record(
         ends,
@@ -119,7 +154,7 @@ def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITE
 def _alone(
     ends: Ends, request: Adu, outcome: Outcome, retries: int, verdicts: tuple[Verdict, ...] = ()
 ) -> Transaction:
-    facts = _request_facts(request.pdu)
+    facts = _facts(request)
     malformed = [Verdict.MALFORMED_REQUEST] if facts.is_malformed else []
     return _record(
         ends,
@@ -148,6 +183,7 @@ class _RequestFacts(msgspec.Struct, frozen=True):
     quantity: int | None
     """How many registers or bits; 1 for a write of a single value."""
     write_address: int | None
+    write_quantity: int | None
     values: tuple[int, ...] | None
 
     @classmethod
@@ -165,6 +201,7 @@ class _RequestFacts(msgspec.Struct, frozen=True):
             address=pdu.number("address"),
             quantity=quantity,
             write_address=pdu.number("write_address"),
+            write_quantity=pdu.number("write_quantity"),
             values=_values(pdu),
         )
 
@@ -173,6 +210,14 @@ class _RequestFacts(msgspec.Struct, frozen=True):
 def _request_facts(request: bytes) -> _RequestFacts:
     """Parse a request's PDU; cached, as masters repeat the same few requests."""
     return _RequestFacts.of(parse_pdu(request, Direction.REQUEST))
+
+
+def _facts(request: Adu) -> _RequestFacts:
+    """The facts of a request; without its values if the capture lacks some of them."""
+    facts = _request_facts(request.pdu)
+    if not request.missing:
+        return facts
+    return msgspec.structs.replace(facts, is_malformed=False, values=None)
 
 
 def _record(
@@ -191,6 +236,7 @@ def _record(
         address=facts.address,
         quantity=facts.quantity,
         write_address=facts.write_address,
+        write_quantity=facts.write_quantity,
         exception=exception,
         exception_name=None if exception is None else exception_name(exception),
         direction_by=adu.direction_by,

@@ -13,12 +13,27 @@
 #
 # Out of step it drops one byte and looks again. Zeros in register data look like headers, so it
 # accepts a header only if its length agrees with the structure of the PDU behind it. The PDU of an
-# unknown function has no structure to compare with. Its header is accepted only right behind a gap,
-# where a segment begins, and so most likely an ADU.
+# unknown function has no structure to compare with, and its header is skipped.
 #
-# Which bytes are dropped depends on the bytes only, never on the ends of chunks.
+# If each call of `feed` brings one TCP segment (`by_segments`), the ends of segments are evidence,
+# as masters and slaves begin and end their ADUs with a segment:
 #
-# Holds at most one incomplete ADU (260 bytes) and one run of skipped bytes (skips.MAX_RUN).
+# - In step, a length of up to LONGEST_LENGTH is possible if the ADU ends with a segment, or if the
+#   next header follows. Schneider's UMAS (function 5AH) sends such ADUs.
+# - Out of step, an ADU of an unknown function, or a longer one, is accepted if it also begins with
+#   a segment. An ADU of a known function must begin with a segment, or end like those.
+# - While such an ADU is incomplete, a whole ADU behind its header that begins and ends with a
+#   segment shows that the header is none. If the header's function is known, whose PDU has another
+#   length, any whole ADU that ends with a segment shows it.
+#
+# Without `by_segments`, which bytes are dropped depends on the bytes only, never on the ends of
+# chunks.
+#
+# If the capture lacks the end of an ADU whose unit and function it has, the ADU is reported with
+# the bytes that are there.
+#
+# Holds at most one incomplete ADU (260 bytes; 1460 with `by_segments`) and one run of skipped bytes
+# (skips.MAX_RUN).
 
 from __future__ import annotations
 
@@ -29,7 +44,7 @@ from mbtool.core import EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
 from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_size
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
@@ -37,22 +52,33 @@ if TYPE_CHECKING:
 
 MIN_LENGTH = 2
 MAX_LENGTH = 1 + MAX_PDU
+LONGEST_LENGTH = 1454
+"""The length of an ADU that fills the TCP segment of an Ethernet packet, 1460 bytes. UMAS agrees on
+messages of up to about 1 KB."""
 
+_LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"
 _HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
 """A transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
+LONG_HEADER = re.compile(
+    rb"(?s)..\x00\x00(?:\x00[%c-\xff]|[\x01-%c].|%c[\x00-%c])"
+    % (MIN_LENGTH, (LONGEST_LENGTH >> 8) - 1, LONGEST_LENGTH >> 8, LONGEST_LENGTH & 0xFF)
+)
+"""The same with a length of up to LONGEST_LENGTH."""
 
 
 class MbapSplitter:
     """Takes the bytes of one direction of a Modbus/TCP stream; returns `Adu` and `Skipped`."""
 
-    def __init__(self, direction: Direction) -> None:
+    def __init__(self, direction: Direction, *, by_segments: bool = False) -> None:
+        """`by_segments` is True if each call of `feed` brings the payload of one TCP segment."""
         self._direction = direction
+        self._by_segments = by_segments
+        self._longest = LONGEST_LENGTH if by_segments else MAX_LENGTH
+        self._header = LONG_HEADER if by_segments else _HEADER
         self._buffer = TimedBuffer()
         self._skips = SkipRun(lambda _: (EventKind.SKIPPED, "no Modbus/TCP header", None))
         self._in_step = True
-        self._behind_gap = False
-        """True if the next undecided byte is the first after a gap."""
 
     @property
     def is_idle(self) -> bool:
@@ -71,11 +97,20 @@ class MbapSplitter:
                 self._drop(events)
         return events
 
-    def gap(self) -> list[Adu | Skipped]:
-        """Take the information that bytes are missing here; return the bytes held, as skipped."""
-        events = self.close()
-        self._in_step = False
-        self._behind_gap = True
+    def gap(self, missing: int = 0) -> list[Adu | Skipped]:
+        """Take the information that `missing` bytes are missing here; 0 if the number is unknown.
+
+        Returns the bytes held: as an ADU if they are its beginning and the missing bytes its end,
+        else as skipped.
+        """
+        events: list[Adu | Skipped] = []
+        held = len(self._buffer)
+        size = self._cut_size(missing)
+        if size:
+            self._skips.end(events)
+            self._emit(held, events, missing=size - held)
+        events += self.close()
+        self._in_step = size > 0 and size == held + missing
         return events
 
     def close(self) -> list[Adu | Skipped]:
@@ -96,22 +131,83 @@ class MbapSplitter:
         header = self._buffer.peek(MBAP_BYTES)
         if len(header) < MBAP_BYTES:
             return None
-        length = header[4] << 8 | header[5]
-        size = MBAP_BYTES - 1 + length
-        if not MIN_LENGTH <= length <= MAX_LENGTH:
-            return 0
-        if self._in_step:
+        size = mbap_size(header)
+        length = size - _LENGTH_END
+        if self._in_step and MIN_LENGTH <= length <= MAX_LENGTH:
             return size
-        if header[2:4] != _MODBUS:
+        if header[2:4] != _MODBUS or not MIN_LENGTH <= length <= self._longest:
             return 0
-        pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
-        if pdu_size is None:
-            return None if len(self._buffer) < size else 0
-        if not pdu_size:
-            return size if self._behind_gap else 0
-        return size if pdu_size == length - 1 else 0
+        if length <= MAX_LENGTH:
+            pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
+            if pdu_size is None:
+                return None if len(self._buffer) < size else 0
+            if pdu_size:
+                return self._known_size(size) if pdu_size == length - 1 else 0
+        return self._size_by_segments(size)
 
-    def _emit(self, size: int, events: list[Adu | Skipped]) -> None:
+    def _known_size(self, size: int) -> int | None:
+        """The size of an ADU of a known function found out of step, as `_first_size` gives it."""
+        if not self._by_segments or self._buffer.is_seam(0):
+            return size
+        if len(self._buffer) < size:
+            return None
+        return size if self._may_end_at(size) else 0
+
+    def _size_by_segments(self, size: int) -> int | None:
+        """The size of an ADU that only the ends of segments confirm, as `_first_size` gives it."""
+        if not self._by_segments or not (self._in_step or self._buffer.is_seam(0)):
+            return 0
+        if len(self._buffer) < size:
+            return 0 if self._is_refuted() else None
+        return size if self._may_end_at(size) else 0
+
+    def _may_end_at(self, end: int) -> bool:
+        """True if a segment ends in front of an index of the buffer, or a header follows."""
+        if self._buffer.is_seam(end):
+            return True
+        following = self._buffer.peek(_LENGTH_END, end)
+        if any(following[2:4]):
+            return False
+        length = mbap_size(following) - _LENGTH_END
+        return len(following) < _LENGTH_END or MIN_LENGTH <= length <= LONGEST_LENGTH
+
+    def _is_refuted(self) -> bool:
+        """True if an ADU behind the buffer's first byte shows that no ADU begins with that byte."""
+        is_unknown = pdu_length(self._buffer.peek(1, MBAP_BYTES), self._direction) == 0
+        place = 1
+        while (at := self._buffer.find(self._header, place)) is not None:
+            place = at + 1
+            if self._is_whole_adu(at) and (not is_unknown or self._buffer.is_seam(at)):
+                return True
+        return False
+
+    def _is_whole_adu(self, at: int) -> bool:
+        """True if an ADU begins at an index of the buffer and ends with a segment.
+
+        If its function is unknown, it must begin with a segment.
+        """
+        end = at + mbap_size(self._buffer.peek(MBAP_BYTES, at))
+        if end > len(self._buffer) or not self._buffer.is_seam(end):
+            return False
+        pdu = self._buffer.peek(end - at - MBAP_BYTES, at + MBAP_BYTES)
+        pdu_size = pdu_length(pdu, self._direction)
+        return pdu_size == len(pdu) or (pdu_size == 0 and self._buffer.is_seam(at))
+
+    def _cut_size(self, missing: int) -> int:
+        """The size of the ADU that the held bytes begin, if `missing` bytes can end it; else 0."""
+        held = len(self._buffer)
+        start = self._buffer.peek(held)
+        if held <= MBAP_BYTES or start[2:4] != _MODBUS:
+            return 0
+        size = mbap_size(start)
+        if not held < size <= min(held + missing, _LENGTH_END + self._longest):
+            return 0
+        if self._in_step or self._buffer.is_seam(0):
+            return size
+        fits = pdu_length(start, self._direction, MBAP_BYTES) == size - MBAP_BYTES
+        return size if fits else 0
+
+    def _emit(self, size: int, events: list[Adu | Skipped], missing: int = 0) -> None:
         start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
         raw = self._buffer.take(size)
         if raw[2:4] != _MODBUS:
@@ -129,18 +225,25 @@ class MbapSplitter:
                 unit=raw[6],
                 pdu=raw[MBAP_BYTES:],
                 raw=raw,
+                missing=missing,
                 transaction_id=raw[0] << 8 | raw[1],
-                verdicts=() if self._in_step else (Verdict.RESYNCHRONISED,),
+                verdicts=self._verdicts(size, missing),
             )
         )
         self._in_step = True
-        self._behind_gap = False
+
+    def _verdicts(self, size: int, missing: int) -> tuple[Verdict, ...]:
+        verdicts = (
+            (not self._in_step, Verdict.RESYNCHRONISED),
+            (missing > 0, Verdict.CUT),
+            (size + missing > _LENGTH_END + MAX_LENGTH, Verdict.OVER_LENGTH),
+        )
+        return tuple(verdict for is_true, verdict in verdicts if is_true)
 
     def _drop(self, events: list[Adu | Skipped]) -> None:
         """Drop the bytes before the next place where a header may begin."""
         undecided = len(self._buffer) - MBAP_BYTES + 1
-        next_header = self._buffer.find(_HEADER, 1)
+        next_header = self._buffer.find(self._header, 1)
         for piece, ts_ns in self._buffer.drain(min(next_header or undecided, undecided)):
             self._skips.add(piece, ts_ns, events)
         self._in_step = False
-        self._behind_gap = False

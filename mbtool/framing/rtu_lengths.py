@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.modbus.adu import Checksum
+from mbtool.modbus.adu import MAX_RTU_ADU, Checksum
 from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES, crc, crc_on
 from mbtool.modbus.pdu import LAYOUTS
 
@@ -26,6 +26,13 @@ _FIXED = {
 }
 """By direction and function code, the frame size in bytes if the function code alone tells it, as
 for most requests; 0 otherwise."""
+_VARIABLE = frozenset(
+    code
+    for layouts in LAYOUTS.values()
+    for code, layout in enumerate(layouts)
+    if layout.length(b"") is None
+)
+"""The functions whose frames have a length that more bytes than the function code tell."""
 
 
 def frame_size(start: bytes, direction: Direction) -> int | None:
@@ -40,6 +47,21 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
         return fixed
     length = LAYOUTS[direction][start[1]].length(start, 1)
     return length + RTU_EXTRA_BYTES if length else length
+
+
+def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
+    """True if a frame of known form with a correct CRC begins somewhere in `data`."""
+    tables = [(_FIXED[direction], direction) for direction in directions]
+    end = len(data)
+    for offset in range(end - MIN_FRAME + 1):
+        code = data[offset + 1]
+        for fixed, direction in tables:
+            size = fixed[code]
+            if not size and code in _VARIABLE:
+                size = frame_size(data[offset : offset + MAX_RTU_ADU], direction) or 0
+            if size and offset + size <= end and crc(data[offset : offset + size]) == 0:
+                return True
+    return False
 
 
 def crc_ends(start: bytes, most: int) -> list[int]:

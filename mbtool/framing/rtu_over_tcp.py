@@ -57,8 +57,11 @@ class RtuStreamSplitter:
         self._buffer.append(data, ts_ns)
         return self._frames(ended=False)
 
-    def gap(self) -> list[Adu | Skipped]:
-        """Take the information that bytes are missing here; return what `close` returns."""
+    def gap(self, missing: int = 0) -> list[Adu | Skipped]:
+        """Take the information that bytes are missing here; return what `close` returns.
+
+        A frame whose end is missing is skipped, since no CRC confirms it.
+        """
         return self.close()
 
     def close(self) -> list[Adu | Skipped]:

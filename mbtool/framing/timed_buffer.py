@@ -13,15 +13,17 @@ if TYPE_CHECKING:
 class TimedBuffer:
     """Bytes of one link, taken from the front. The bytes of one `append` share a time."""
 
-    __slots__ = ("_data", "_marks", "_taken")
+    __slots__ = ("_data", "_last_end", "_marks", "_taken")
 
     def __init__(self) -> None:
         self._data = bytearray()
         self._taken = 0
         """How many bytes were ever taken."""
         self._marks: deque[tuple[int, int]] = deque()
-        """For each `append`, the number of bytes appended up to its end since the buffer was made,
-        and the time of its bytes in ns."""
+        """For each `append` of which bytes are left: the number of bytes appended up to its end
+        since the buffer was made, and the time of its bytes in ns."""
+        self._last_end = 0
+        """The same number for the last `append` that was taken wholly."""
 
     def __len__(self) -> int:
         return len(self._data)
@@ -44,6 +46,11 @@ class TimedBuffer:
                 return ts_ns
         raise IndexError(index)
 
+    def is_seam(self, index: int) -> bool:
+        """True if an `append` began or ended in front of the byte at an index from the front."""
+        place = self._taken + index
+        return place == self._last_end or any(end == place for end, _ in self._marks)
+
     def peek(self, size: int, at: int = 0) -> bytes:
         """Up to `size` bytes from an index on, which stay in the buffer."""
         return bytes(self._data[at : at + size])
@@ -59,7 +66,7 @@ class TimedBuffer:
         del self._data[:size]
         self._taken += len(taken)
         while self._marks and self._marks[0][0] <= self._taken:
-            self._marks.popleft()
+            self._last_end, _ = self._marks.popleft()
         return taken
 
     def drain(self, size: int) -> Iterator[tuple[bytes, int]]:

@@ -88,7 +88,7 @@ def _lock(file: BinaryIO, path: Path) -> None:
 def _exists(path: Path) -> UsageError:
     return UsageError(
         f"{path}: the file exists, and a recording is not overwritten; "
-        "name another, or let sniff replace it with --overwrite"
+        "name another, remove it, or let sniff replace it with --overwrite"
     )
 
 

@@ -57,6 +57,7 @@ CSV_COLUMNS = (
     "confidence",
     "request_raw",
     "response_raw",
+    "write_quantity",
 )
 """The columns in order. A column never changes its name or meaning; new columns come last."""
 

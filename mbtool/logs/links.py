@@ -26,7 +26,7 @@ def all_assignments(log: LogReader, given: Assignments) -> Assignments:
         for who, name in log.devices.items()
         if who not in named and name in log.profiles
     )
-    return Assignments([*given, *of_log])
+    return Assignments([*given, *of_log], given.applied)
 
 
 def serial_lines(log: LogReader) -> dict[str, SerialLink]:

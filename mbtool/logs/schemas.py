@@ -82,6 +82,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "address": "The first address on the wire, counted from 0; function 17H reads there",
         "quantity": "How many registers or bits",
         "write_address": "The first address that function 17H writes, counted from 0",
+        "write_quantity": "How many registers function 17H writes, as its request says",
         "request_values": "What the request writes: registers as 0..65535, bits as 0 or 1",
         "response_values": "What the response brings: registers as 0..65535, bits as 0 or 1",
         "exception": "The exception code of the response",

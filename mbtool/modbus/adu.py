@@ -63,7 +63,8 @@ class Verdict(StrEnum):
     T1_5_BROKEN = "t1.5-broken"
     """The frame contains a silence longer than t1.5, but none as long as t3.5."""
     AMBIGUOUS = "ambiguous"
-    """Another direction or another end is nearly as likely for these bytes."""
+    """Another direction or another end is nearly as likely for these bytes; in a TCP connection,
+    another request for this response."""
     PARITY_IN_DATA = "parity-in-data"
     """A port with 8 data bits heard an ASCII line with 7: bit 7 of each character is a parity bit
     or a stop bit."""
@@ -78,8 +79,14 @@ class Verdict(StrEnum):
     """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
     """The response's transaction id differs from that of the only request that it can belong to."""
+    CUT = "cut"
+    """The capture has the first bytes of the ADU, with its unit and function, and lacks the
+    others."""
+    OVER_LENGTH = "over-length"
+    """The ADU is longer than the standard allows, 260 bytes on Modbus/TCP."""
     OVER_LIMIT = "over-limit"
-    """Dropped by the decoder's limit of open requests; nothing is known of its response."""
+    """A request that the decoder's limit of open requests dropped, or the response to one; they are
+    not joined."""
 
 
 class Checksum(msgspec.Struct, frozen=True, gc=False):
@@ -109,8 +116,12 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """How certain the direction is, from 0 to 1."""
     unit: int
     pdu: bytes
+    """The PDU; its first bytes if `missing` is not 0."""
     raw: bytes
     """All bytes of the ADU, as captured."""
+    missing: int = 0
+    """How many bytes at the end of the ADU the capture lacks. Only an ADU of Modbus/TCP may lack
+    bytes, as only its header tells its length."""
     transaction_id: int | None = None
     """The transaction id of the MBAP header; None unless the transport is Modbus/TCP."""
     checksum: Checksum | None = None
@@ -120,6 +131,11 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     longest_silence_ns: int | None = None
     """On an RTU line, the longest silence inside the frame, in ns; None if unknown."""
     verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """The length of the whole ADU in bytes."""
+        return len(self.raw) + self.missing
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,11 @@ def ascii_adu(unit: int, pdu: bytes) -> bytes:
     return b":" + (body + bytes([lrc(body)])).hex().upper().encode("ascii") + b"\r\n"
 
 
+def mbap_size(header: bytes) -> int:
+    """The size in bytes of the Modbus/TCP ADU with this MBAP header, as its length field says."""
+    return MBAP_BYTES - 1 + int.from_bytes(header[4:6])
+
+
 def mbap_adu(transaction_id: int, unit: int, pdu: bytes) -> bytes:
     """The Modbus/TCP ADU: MBAP header and PDU (TCP/IP Implementation Guide V1.0b, 3.1.3)."""
     return struct.pack(">HHHB", transaction_id, 0, 1 + len(pdu), unit) + pdu

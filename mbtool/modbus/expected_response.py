@@ -22,6 +22,8 @@ from mbtool.modbus.functions import (
 from mbtool.modbus.packing import bit_bytes
 
 UNKNOWN_SIZE = 0
+EXCEPTION_SIZE = 2
+"""The size of the PDU of an exception response in bytes."""
 MAX_KNOWN = 1024
 """For how many requests the expected response is remembered; beyond that, the request that was not
 looked up for the longest time is forgotten."""
@@ -72,7 +74,13 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         """True if a PDU can be the response to this request, or an exception response to it."""
         if pdu[0] == self.code:
             return pdu.startswith(self.prefix) and self.size in (UNKNOWN_SIZE, len(pdu))
-        return len(pdu) == 2 and self.is_named_by(pdu[0])
+        return len(pdu) == EXCEPTION_SIZE and self.is_named_by(pdu[0])
+
+    def fits_start(self, pdu: bytes, size: int) -> bool:
+        """True if a response with a PDU of `size` bytes can begin with the bytes of `pdu`."""
+        if pdu[0] != self.code:
+            return size == EXCEPTION_SIZE and self.is_named_by(pdu[0])
+        return self.prefix.startswith(pdu[: len(self.prefix)]) and self.size in (UNKNOWN_SIZE, size)
 
     def is_named_by(self, code: int) -> bool:
         """True if a function code is the request's, with or without the exception bit."""

@@ -52,7 +52,7 @@ _MASKS = Layout(ADDRESS, ("and_mask", 2), ("or_mask", 2))
 _DIAGNOSTICS = Layout(("sub_function", 2), tail=UncountedRegisters())
 _EMPTY = Layout()
 
-FUNCTIONS: dict[int, Function] = {
+FUNCTIONS: dict[int, Function] = {  # Numbers are chapters of the specification, V1.1b3.
     0x01: Function(  # 6.1
         name="read coils", short="read coils", table=Table.COILS, limit=2000,
         request=_READ, response=Layout(tail=Bits()),

@@ -22,6 +22,7 @@ import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import MAX_PDU, Transport
+from mbtool.modbus.adu_bytes import mbap_size
 from mbtool.modbus.ascii_frame import read_frame
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_SEVERAL
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
@@ -139,11 +140,14 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
 
 
 def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
-    """The PDU of an ADU; None if `raw` is None, or too short to contain a PDU.
+    """The PDU of an ADU; None if `raw` is None, or not a whole ADU.
 
-    An ADU may be too short in a log that another program wrote.
+    A capture may have cut an ADU of Modbus/TCP, and another program may have written any bytes to a
+    log.
     """
     if raw is None:
+        return None
+    if transport is Transport.TCP and len(raw) != mbap_size(raw):
         return None
     try:
         _, pdu = pdu_of(transport, raw)

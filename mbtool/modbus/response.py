@@ -52,7 +52,7 @@ class Response:
 
 
 class Responder(Protocol):
-    """Plays one or more slaves."""
+    """Responds to requests as one or more slaves."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         """The response to a request PDU; None if the slave stays silent. Never raises for a PDU."""

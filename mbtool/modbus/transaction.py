@@ -17,7 +17,8 @@ class Outcome(StrEnum):
     NO_ANSWER = "no-answer"
     """The slave sent no response, and the capture would have it."""
     NOT_CAPTURED = "not-captured"
-    """The other half was sent, or may have been, and the capture lacks it."""
+    """The other half was sent, or may have been, and the capture lacks it; or the capture lacks
+    bytes of a half."""
     UNSOLICITED = "unsolicited"
     """The transaction is a response that no request asked for."""
     BROADCAST = "broadcast"
@@ -51,6 +52,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     quantity: int | None = None
     write_address: int | None = None
     """The first address that function 17H writes."""
+    write_quantity: int | None = None
+    """How many registers function 17H writes, as the request's field says; its byte count and its
+    values may say otherwise."""
     request_values: list[int] | None = None
     response_values: list[int] | None = None
     exception: int | None = None
@@ -69,6 +73,13 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     verdicts: list[Verdict] = []
     direction_by: DirectionBy
     confidence: float
+
+    @property
+    def written_quantity(self) -> int:
+        """How many registers function 17H writes; of a log without the field, how many values."""
+        if self.write_quantity is not None:
+            return self.write_quantity
+        return len(self.request_values or ())
 
     @property
     def start_ns(self) -> int:

@@ -17,8 +17,11 @@
 # - Without such an acknowledgement the missing bytes may still be sent again. The hole is given up
 #   when the held bytes exceed the limits of a stream, after HOLE_NS, or when the connection ends.
 #
-# An acknowledgement alone delivers nothing and makes no gap: only bytes behind a hole do. So a
-# wrong acknowledgement loses no bytes.
+# An acknowledgement alone delivers nothing and makes no gap before the connection ends: only bytes
+# behind a hole do. So a wrong acknowledgement loses no bytes.
+#
+# When the connection ends, bytes that were acknowledged, or that precede a FIN, and never came
+# become a gap.
 #
 # Bytes that come after their hole was given up are reported as an event; the gap stays.
 #
@@ -29,6 +32,9 @@
 #
 # Times. The time of a byte is when that byte and all bytes before it had been captured. So bytes
 # that waited for earlier bytes get the time of those earlier bytes.
+#
+# A SYN that carries bytes counts as one sequence number before them (RFC 793, 3.3). If the next
+# segment or the first acknowledgement shows that the sender does not count it, it is not counted.
 #
 # A segment whose sequence number is further than WINDOW from the next expected one cannot belong to
 # the bytes in flight. Its bytes are then taken as the next ones, behind a gap of unknown length.
@@ -71,10 +77,12 @@ class TcpConnection:
         "_master_is_lower",
         "_now_ns",
         "_out",
+        "_prober",
         "closed",
         "identity",
         "keep_alives",
         "last_ns",
+        "unanswered_probes",
     )
 
     def __init__(
@@ -91,6 +99,10 @@ class TcpConnection:
         self.last_ns = ts_ns
         """The time of the segment taken last, in ns."""
         self.keep_alives = 0
+        self.unanswered_probes = 0
+        """How many keep-alive probes one end has sent since the other end last sent anything."""
+        self._prober: Stream | None = None
+        """The direction of the end that sent the last keep-alive probe."""
         self._master_is_lower = master_is_lower
         self._arrivals = 0
         """The number of segments taken so far."""
@@ -143,7 +155,12 @@ class TcpConnection:
             return
         self._arrivals += 1
         sender, other = self._directions[from_lower != self._master_is_lower]
+        if sender is not self._prober:
+            self.unanswered_probes = 0
+        probes = self.keep_alives
         flags, sequence = segment.flags, segment.sequence
+        if flags & ACK and other.syn_end is not None:
+            other.decide_syn(segment.acknowledgement)
         acknowledged = 0
         if flags & ACK and other.origin is not None:
             acknowledged = self._acknowledge(other, segment.acknowledgement)
@@ -152,10 +169,17 @@ class TcpConnection:
             return
         if flags & SYN:
             sequence = sender.take_syn(sequence)
+            if len(segment.payload) > 1:
+                sender.syn_end = sender.position_of(sequence) + len(segment.payload)
+        elif len(segment.payload) > 1 and sender.syn_end is not None:
+            sender.decide_syn(sequence)
         if segment.payload or segment.missing:
             self._take_payload(segment, sequence, acknowledged, sender, other)
         elif flags == ACK and sender.is_before_next(sequence):
             self.keep_alives += 1
+        if self.keep_alives > probes:
+            self._prober = sender
+            self.unanswered_probes += 1
         if flags & FIN:
             _note_finish(sender, sequence, segment)
         if sender.held or other.held:
@@ -178,8 +202,21 @@ class TcpConnection:
         """Deliver all held bytes and end the connection, unless it has ended."""
         if not self.closed:
             self.flush()
+            for stream, _ in self._directions:
+                self._report_missing_end(stream)
             self.closed = True
-            self._out.append(StreamClosed(ts_ns, self.identity, reason, self.keep_alives))
+            self._out.append(
+                StreamClosed(ts_ns, self.identity, reason, self.keep_alives, self.unanswered_probes)
+            )
+
+    def _report_missing_end(self, stream: Stream) -> None:
+        """Report a gap if the last bytes of a stream were sent, and are not in the capture."""
+        end = stream.acknowledged if stream.finish is None else stream.finish
+        missing = end - stream.position
+        if 0 < missing <= WINDOW and not stream.joining:
+            gap = StreamGap(self._now_ns, self.identity, stream.direction, missing=missing)
+            self._out.append(gap)
+            stream.pass_over(missing)
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
         """Note that the end which receives `stream` has acknowledged its bytes up to a number.

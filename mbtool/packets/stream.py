@@ -79,6 +79,7 @@ class Stream:
         "origin",
         "position",
         "source",
+        "syn_end",
     )
 
     def __init__(self, direction: Direction, source: Endpoint, destination: Endpoint) -> None:
@@ -95,6 +96,9 @@ class Stream:
         """The position of the next byte to deliver."""
         self.finish: int | None = None
         """The position of the sender's FIN, behind the last byte; None until the FIN has come."""
+        self.syn_end: int | None = None
+        """The position behind the bytes that came with the SYN, while it is unknown if the sender
+        counts the SYN in its sequence numbers; else None."""
         self.acknowledged = 0
         """The highest position that the other end has acknowledged."""
         self.held: list[HeldBytes] = []
@@ -129,6 +133,20 @@ class Stream:
         if self.beginning is None:
             self.begin(sequence)
         return sequence
+
+    def decide_syn(self, sequence: int) -> None:
+        """Find out by a sequence number behind the SYN's bytes if the sender counts its SYN.
+
+        RFC 793 says that it must (3.3). The stacks of some test tools do not: the bytes behind
+        those of the SYN, and the acknowledgement of the SYN's bytes, are one too low.
+        """
+        if self.syn_end is None:
+            return
+        position = self.position_of(sequence)
+        if position == self.syn_end - 1 and self.origin is not None:
+            self.origin = self.origin - 1 & _MASK
+        if position >= self.syn_end - 1:
+            self.syn_end = None
 
     def join(self, sequence: int, arrival: int, ts_ns: int) -> None:
         """Note the first sequence number seen of a stream whose SYN is not in the capture."""

@@ -62,6 +62,8 @@ class StreamClosed:
     reason: CloseReason
     keep_alives: int = 0
     """How many keep-alive probes both ends sent."""
+    unanswered_probes: int = 0
+    """How many of the last keep-alive probes got no answer."""
 
 
 @dataclass(frozen=True, slots=True)

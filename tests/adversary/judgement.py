@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import NamedTransaction, Namer
+from mbtool.modbus import whole_pdu
+from mbtool.modbus.adu import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -30,6 +32,8 @@ class Row:
     ask: int | None
     answer: int | None
     outcome: str
+    is_sure: bool
+    """False if the decoder says that another reading is about as good."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,8 @@ class Judgement:
     blamed: list[int]
     unasked: list[int]
     excused: list[int]
+    doubtful: int
+    """Pairs that are told as ambiguous although they can be known."""
 
     def counts(self) -> dict[str, int]:
         return {
@@ -55,6 +61,7 @@ class Judgement:
             "blamed": len(self.blamed),
             "unasked": len(self.unasked),
             "excused": len(self.excused),
+            "doubtful": self.doubtful,
         }
 
 
@@ -77,12 +84,13 @@ def judge(simulated: Simulated) -> Judgement:
         blamed=blamed(records, truth),
         unasked=unasked(records, truth),
         excused=excused(records, truth),
+        doubtful=doubtful(records, truth),
     )
 
 
 def wrong_pairs(records: Iterable[NamedTransaction], truth: Truth) -> list[Pair]:
-    """Joined requests and responses of which the truth says that they do not belong together."""
-    joined = _joined(rows(records, truth))
+    """Pairs told as sure of which the truth says that they do not belong together."""
+    joined = _joined(row for row in rows(records, truth) if row.is_sure)
     return [
         pair
         for pair in (joined - truth.pairs()).elements()
@@ -96,6 +104,14 @@ def missing_pairs(records: Iterable[NamedTransaction], truth: Truth) -> list[Pai
     return [
         pair for pair in (truth.pairs() - joined).elements() if not truth.unsure.intersection(pair)
     ]
+
+
+def doubtful(records: Iterable[NamedTransaction], truth: Truth) -> int:
+    """How many pairs are told as ambiguous whose response can be known to answer one request."""
+    return sum(
+        not row.is_sure and row.answer is not None and row.answer not in truth.unsure
+        for row in rows(records, truth)
+    )
 
 
 def blamed(records: Iterable[NamedTransaction], truth: Truth) -> list[int]:
@@ -130,14 +146,24 @@ def excused(records: Iterable[NamedTransaction], truth: Truth) -> list[int]:
 
 
 def rows(records: Iterable[NamedTransaction], truth: Truth) -> list[Row]:
-    """Find the kinds of the ADUs of records by their bytes and times."""
+    """Find the kinds of the ADUs of records by their bytes and times.
+
+    The truth has the ADUs that are wholly in the capture, so an ADU that is cut counts as absent.
+    """
     ordered = list(records)
-    asks = _kinds([(one.request_raw, one.request_ns) for one in ordered], truth, is_ask=True)
-    answers = _kinds([(one.response_raw, one.response_ns) for one in ordered], truth, is_ask=False)
+    requests = [(whole_adu(one, one.request_raw), one.request_ns) for one in ordered]
+    responses = [(whole_adu(one, one.response_raw), one.response_ns) for one in ordered]
+    asks = _kinds(requests, truth, is_ask=True)
+    answers = _kinds(responses, truth, is_ask=False)
     return [
-        Row(ask, answer, str(record.outcome))
+        Row(ask, answer, str(record.outcome), Verdict.AMBIGUOUS not in record.verdicts)
         for ask, answer, record in zip(asks, answers, ordered, strict=True)
     ]
+
+
+def whole_adu(record: NamedTransaction, raw: bytes | None) -> bytes | None:
+    """The bytes of an ADU; None if they are not all of it."""
+    return None if whole_pdu(record.transport, raw) is None else raw
 
 
 def _kinds(
@@ -162,7 +188,7 @@ def _kinds(
     return found
 
 
-def _joined(found: list[Row]) -> Counter[Pair]:
+def _joined(found: Iterable[Row]) -> Counter[Pair]:
     return Counter(
         (row.ask, row.answer) for row in found if row.ask is not None and row.answer is not None
     )

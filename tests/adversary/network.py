@@ -251,7 +251,16 @@ def main() -> None:
     parser.add_argument("--master", choices=MASTERS, action="append", help="only this master")
     parser.add_argument("--no-pairs", action="store_true", help="leave pairs of losses out")
     options = parser.parse_args()
-    columns = ("transactions", "undecidable", "wrong", "missing", "blamed", "unasked", "excused")
+    columns = (
+        "transactions",
+        "undecidable",
+        "wrong",
+        "missing",
+        "blamed",
+        "unasked",
+        "excused",
+        "doubtful",
+    )
     print(f"{'master':20}{'loss':32}" + "".join(f"{column:>13}" for column in columns))
     totals = dict.fromkeys(columns, 0)
     for master in options.master or MASTERS:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import CutError
-from tests.adversary.judgement import NO_ANSWER, UNSOLICITED, decode
+from tests.adversary.judgement import NO_ANSWER, UNSOLICITED, decode, whole_adu
 from tests.adversary.segments import is_at_or_after, part_of
 from tests.captures import read_packets
 
@@ -135,8 +135,8 @@ class Block:
     def _read(self, packets: Iterable[Packet]) -> Reading:
         reading = Reading(Counter(), Counter(), Counter())
         for record in decode(packets, self._ports):
-            ask = self._half(record.request_raw, record.request_ns)
-            answer = self._half(record.response_raw, record.response_ns)
+            ask = self._half(whole_adu(record, record.request_raw), record.request_ns)
+            answer = self._half(whole_adu(record, record.response_raw), record.response_ns)
             outcome = str(record.outcome)
             if ask is not None and answer is not None:
                 reading.pairs[(ask, answer), outcome] += 1

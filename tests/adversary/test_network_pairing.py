@@ -72,11 +72,19 @@ def test_all_pairs_of_a_capture_without_loss_are_joined(master: str) -> None:
     assert (counts["missing"], counts["undecidable"]) == (0, 0)
 
 
-@pytest.mark.xfail(strict=True, reason="see known_failures.py")
+@pytest.mark.xfail(strict=True, reason="1.3 in a thousand; two rare losses in a row")
 def test_all_but_one_in_a_thousand_pairs_are_joined() -> None:
     counts = [counted(*cell) for cell in CELLS]
     pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
-    assert sum(one["missing"] for one in counts) <= pairs / 1000
+    assert sum(one["missing"] for one in counts) <= pairs / 1000, [
+        (cell, counted(*cell)["missing"]) for cell in CELLS if counted(*cell)["missing"]
+    ]
+
+
+def test_few_pairs_that_can_be_known_are_told_as_ambiguous() -> None:
+    counts = [counted(*cell) for cell in CELLS]
+    pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
+    assert sum(one["doubtful"] for one in counts) <= pairs / 500
 
 
 def test_nearly_everything_can_be_known() -> None:

@@ -60,8 +60,12 @@ def test_skipped_bytes_name_their_sender() -> None:
 def test_a_gap_is_an_event_and_ends_the_incomplete_adu() -> None:
     talk = connection()
     talk.feed(REQUEST, mbap_adu(1, 5, READ)[:9], 100)
-    held, gap = wire_events(talk.gap(REQUEST, 100, 200))
-    assert held.raw == mbap_adu(1, 5, READ)[:9]
+    talk.feed(RESPONSE, mbap_adu(1, 5, ANSWER)[:7], 100)
+    decoded = talk.gap(REQUEST, 100, 200)
+    (gap,) = wire_events(decoded)
+    assert [one.raw for one in adus(decoded)] == [mbap_adu(1, 5, READ)[:9]]
+    held, _ = wire_events(talk.gap(RESPONSE, 100, 200))
+    assert held.raw == mbap_adu(1, 5, ANSWER)[:7]
     assert (gap.kind, gap.missing, gap.ts_ns) == (EventKind.GAP, 100, 200)
     assert gap.message == "100 bytes are missing from the capture"
     assert gap.source == "10.0.0.1:40000"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.network_pairing import TIMEOUT_NS, NetworkPairing
@@ -238,3 +240,17 @@ def test_counts_of_unanswered_requests_are_bounded() -> None:
     pairing.feed(first)
     (done,) = pairing.close()
     assert (done.address, done.retries) == (0, 0)  # The oldest count was given up.
+
+
+def test_request_is_ambiguous_if_the_retry_after_it_may_be_its_response() -> None:
+    retry = replace(asked(WRITE, 200), confidence=0.6, verdicts=(Verdict.AMBIGUOUS,))
+    first, second = joined(bus(), asked(WRITE, 0), retry, told(WRITE, 210))
+    assert (first.outcome, first.confidence) == (Outcome.NO_ANSWER, 0.6)
+    assert (second.outcome, second.confidence, second.retries) == (Outcome.OK, 0.6, 1)
+    assert Verdict.AMBIGUOUS in first.verdicts
+
+
+def test_request_is_certain_though_another_after_it_is_ambiguous() -> None:
+    other = replace(asked(READ, 200), confidence=0.6, verdicts=(Verdict.AMBIGUOUS,))
+    first, _ = joined(bus(), asked(WRITE, 0), other)
+    assert (first.confidence, first.verdicts) == (1.0, [])

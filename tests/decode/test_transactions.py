@@ -95,7 +95,7 @@ def exchange(asked: str, told: str) -> Transaction:
         (
             "17 0003 0002 000E 0001 02 00FF", "17 04 00FE 0ACD",
             {
-                "address": 3, "quantity": 2, "write_address": 14,
+                "address": 3, "quantity": 2, "write_address": 14, "write_quantity": 1,
                 "request_values": [0xFF], "response_values": [0xFE, 0xACD],
             },
         ),
@@ -112,7 +112,8 @@ def test_transaction_says_what_was_asked_and_told(
 ) -> None:
     done = exchange(asked, told)
     names = (
-        "address", "quantity", "write_address", "request_values", "response_values", "sub_function",
+        "address", "quantity", "write_address", "write_quantity", "request_values",
+        "response_values", "sub_function",
     )  # fmt: skip
     assert {name: getattr(done, name) for name in names} == {**dict.fromkeys(names), **fields}
     assert (done.outcome, done.verdicts, done.exception) == (Outcome.OK, [], None)

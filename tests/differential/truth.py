@@ -177,7 +177,7 @@ def _facts(adu: Adu) -> Facts:
         facts |= {
             "trans_id": str(adu.transaction_id),
             "prot_id": "0",
-            "length": str(len(adu.pdu) + 1),
+            "length": str(adu.size - 6),
         }
     if pdu.exception_code is not None:
         facts["exc"] = str(pdu.exception_code)

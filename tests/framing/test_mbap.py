@@ -8,10 +8,11 @@ import pytest
 
 from mbtool.core import Direction, EventKind
 from mbtool.framing import MbapSplitter
+from mbtool.framing.mbap import LONGEST_LENGTH
 from mbtool.framing.skips import MAX_RUN
-from mbtool.modbus.adu import DirectionBy, Transport, Verdict
+from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.adu_bytes import mbap_adu
-from tests.feeding import every_way
+from tests.feeding import every_way, feed_all
 from tests.modbus.reading import adus, pdus, raw, skipped
 
 READ_HOLDING_REQUEST = bytes.fromhex(
@@ -147,14 +148,115 @@ def test_resynchronises_behind_a_gap() -> None:
     assert splitter.close() == []
 
 
-def test_accepts_an_unknown_function_only_right_behind_a_gap() -> None:
-    unknown = mbap_adu(3, 0x11, bytes.fromhex("63 0102"))
-    splitter = requests()
+UNKNOWN = mbap_adu(3, 0x11, bytes.fromhex("63 0102"))
+
+
+def in_segments(*segments: bytes) -> list[Adu | Skipped]:
+    """Feed segments behind a gap."""
+    splitter = MbapSplitter(Direction.REQUEST, by_segments=True)
     splitter.gap()
-    (adu,) = adus(splitter.feed(unknown, 100))
+    return [event for segment in segments for event in splitter.feed(segment, 1)]
+
+
+def test_out_of_step_an_unknown_function_begins_and_ends_with_a_segment() -> None:
+    (adu,) = adus(in_segments(UNKNOWN))
     assert (adu.pdu.hex(), adu.verdicts) == ("630102", (Verdict.RESYNCHRONISED,))
-    splitter.gap()
-    assert adus(splitter.feed(b"\xff" + unknown, 200)) == []
+    assert pdus(in_segments(b"\xff" * 9, UNKNOWN)) == [(0x11, "630102")]
+    assert pdus(in_segments(UNKNOWN + READ_HOLDING_REQUEST)) == [(0x11, "630102"), READ]
+    assert pdus(in_segments(UNKNOWN[:8], UNKNOWN[8:])) == [(0x11, "630102")]
+    assert pdus(in_segments(b"\xff" + UNKNOWN)) == []
+    assert pdus(in_segments(UNKNOWN + b"\xff" * 9)) == []
+
+
+def test_out_of_step_a_known_function_begins_or_ends_with_a_segment_or_a_header_follows() -> None:
+    noise = b"\xff" * 9
+    assert pdus(in_segments(noise + READ_HOLDING_REQUEST)) == [READ]
+    assert pdus(in_segments(noise + READ_HOLDING_REQUEST[:9], READ_HOLDING_REQUEST[9:])) == [READ]
+    assert pdus(in_segments(noise + READ_HOLDING_REQUEST + WRITE_COIL_REQUEST)) == [READ, WRITE]
+    assert pdus(in_segments(noise + READ_HOLDING_REQUEST + WRITE_COIL_REQUEST[:3])) == [READ]
+    assert pdus(in_segments(READ_HOLDING_REQUEST + noise)) == [READ]
+    assert pdus(in_segments(noise + READ_HOLDING_REQUEST + noise)) == []
+
+
+def long_adu(length: int, number: int = 1) -> bytes:
+    """An ADU of function 5AH with a length field, filled with bytes that look random."""
+    return mbap_adu(number, 0, b"\x5a" + random.Random(length * 7 + number).randbytes(length - 2))
+
+
+def by_segments(*segments: bytes) -> list[Adu | Skipped]:
+    """Feed segments from the start of a stream, and end it."""
+    return feed_all(
+        MbapSplitter(Direction.REQUEST, by_segments=True), [(one, 1) for one in segments]
+    )
+
+
+@pytest.mark.parametrize("length", [255, 256, 512, 1021, LONGEST_LENGTH])
+def test_an_adu_above_the_limit_that_ends_with_its_segment_is_read(length: int) -> None:
+    first, second = long_adu(length, 1), long_adu(length, 2)
+    for segments in (
+        [first, second],
+        [first + second],
+        [first[:200], first[200:], second],
+        [first[:5], first[5:] + second[:100], second[100:]],
+        [first, READ_HOLDING_REQUEST, second],
+    ):
+        events = by_segments(*segments)
+        assert raw(events) == b"".join(segments)
+        long = [adu for adu in adus(events) if adu.raw != READ_HOLDING_REQUEST]
+        assert [adu.raw for adu in long] == [first, second]
+        assert all(adu.verdicts == (Verdict.OVER_LENGTH,) for adu in long)
+        assert len(events) == 2 + (READ_HOLDING_REQUEST in segments)
+
+
+def test_an_adu_above_the_limit_is_not_read_from_the_bytes_alone() -> None:
+    assert adus(every_way(requests, long_adu(255))) == []
+
+
+def test_an_adu_longer_than_a_segment_of_ethernet_is_not_read() -> None:
+    events = by_segments(long_adu(LONGEST_LENGTH + 1), READ_HOLDING_REQUEST)
+    assert pdus(events) == [READ]
+
+
+@pytest.mark.parametrize("length", [255, 262, 1454])
+def test_a_wrong_length_above_the_limit_delays_no_adu(length: int) -> None:
+    wrong = bytes.fromhex("0001 0000") + length.to_bytes(2) + b"\x11\x03"
+    read = READ_HOLDING_REQUEST
+    for segments in ([wrong + read], [wrong, read], [wrong, UNKNOWN]):
+        splitter = MbapSplitter(Direction.REQUEST, by_segments=True)
+        events = [event for segment in segments for event in splitter.feed(segment, 1)]
+        assert [type(event).__name__ for event in events] == ["Skipped", "Adu"]
+        assert events[0].raw == wrong
+        assert splitter.is_idle
+
+
+@pytest.mark.parametrize("pdu", ["5a0001", "03006b0003", "0f000000100201"])
+def test_an_adu_whose_end_the_capture_lacks_keeps_unit_and_function(pdu: str) -> None:
+    adu = mbap_adu(7, 0x11, bytes.fromhex(pdu))
+    for kept in range(8, len(adu)):
+        splitter = requests()
+        assert splitter.feed(adu[:kept], 5) == []
+        (cut,) = adus(splitter.gap(len(adu) - kept))
+        assert (cut.unit, cut.transaction_id, cut.pdu, cut.raw) == (
+            0x11, 7, adu[7:kept], adu[:kept],
+        )  # fmt: skip
+        assert (cut.missing, cut.size, cut.verdicts) == (len(adu) - kept, len(adu), (Verdict.CUT,))
+        # The next byte begins a header: a function that no table knows is read at any place.
+        assert pdus(splitter.feed(UNKNOWN + b"\xff", 6)) == [(0x11, "630102")]
+
+
+def test_without_the_function_code_or_with_too_few_bytes_missing_nothing_is_read() -> None:
+    for kept, missing in ((7, 5), (9, 2), (9, 0)):
+        splitter = requests()
+        splitter.feed(READ_HOLDING_REQUEST[:kept], 5)
+        (event,) = splitter.gap(missing)
+        assert (type(event).__name__, event.raw) == ("Skipped", READ_HOLDING_REQUEST[:kept])
+
+
+def test_behind_a_cut_adu_and_further_missing_bytes_it_is_out_of_step() -> None:
+    splitter = requests()
+    splitter.feed(READ_HOLDING_REQUEST[:9], 5)
+    assert pdus(splitter.gap(3 + 20)) == [(0x11, "0300")]
+    assert pdus(splitter.feed(UNKNOWN + READ_HOLDING_REQUEST, 6)) == [READ]
 
 
 def test_direction_says_which_structure_to_expect_out_of_step() -> None:

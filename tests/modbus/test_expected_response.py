@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 
 from mbtool.core import Direction
 from mbtool.modbus.expected_response import MAX_KNOWN, UNKNOWN_SIZE, ExpectedResponse
@@ -123,3 +124,15 @@ def test_requests_remembered_are_bounded() -> None:
     for number in range(2 * MAX_KNOWN):
         assert of(f"06 0001 {number:04X}").prefix == bytes((6, 0, 1, *number.to_bytes(2)))
     assert ExpectedResponse.of.cache_info().currsize == MAX_KNOWN
+
+
+@given(exchanges(), st.data())
+def test_the_first_bytes_of_a_fitting_response_fit(exchange: Exchange, data: st.DataObject) -> None:
+    expected = ExpectedResponse.of(exchange.request)
+    if expected is None or not exchange.response or not expected.fits(exchange.response):
+        return
+    size = len(exchange.response)
+    kept = data.draw(st.integers(1, size))
+    assert expected.fits_start(exchange.response[:kept], size)
+    if expected.size != UNKNOWN_SIZE:
+        assert not expected.fits_start(exchange.response[:kept], size + 1)

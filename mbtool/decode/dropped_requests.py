@@ -1,0 +1,49 @@
+"""Remembers requests that the limit of open requests dropped, to recognise their responses."""
+
+# A slave answers requests of one transaction id and unit in their order, and the dropped ones came
+# first. So the next responses with the id and unit of a dropped request belong to it.
+#
+# Memory: MAX_DROPPED pairs of transaction id and unit; beyond that, the oldest one is forgotten.
+# All are forgotten when FORGET_NS have passed since a request was dropped.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbtool.modbus.adu import Adu
+
+MAX_DROPPED = 1 << 16
+FORGET_NS = 60_000_000_000
+"""Longer than any slave takes for a response, in ns."""
+
+_Key = tuple[int | None, int]
+
+
+class DroppedRequests:
+    """Counts dropped requests by transaction id and unit."""
+
+    def __init__(self) -> None:
+        self._counts: dict[_Key, int] = {}
+        self._last_ns = 0
+
+    def note(self, request: Adu, now_ns: int) -> None:
+        """Take a request that is dropped now."""
+        key = (request.transaction_id, request.unit)
+        if key not in self._counts and len(self._counts) >= MAX_DROPPED:
+            del self._counts[next(iter(self._counts))]
+        self._counts[key] = self._counts.get(key, 0) + 1
+        self._last_ns = now_ns
+
+    def take_response(self, response: Adu) -> bool:
+        """True if a response belongs to a dropped request; each gets only one."""
+        if not self._counts:
+            return False
+        if response.start_ns - self._last_ns > FORGET_NS:
+            self._counts.clear()
+            return False
+        key = (response.transaction_id, response.unit)
+        count = self._counts.pop(key, 0)
+        if count > 1:
+            self._counts[key] = count - 1
+        return count > 0

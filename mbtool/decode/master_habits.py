@@ -1,0 +1,116 @@
+"""Learns from a connection its ids, whether requests overlap, and the latencies of its slave."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.decode.open_requests import OpenRequest
+
+LATE = 1.5
+"""A master that sends the next request although one waited this many times the slowest response so
+far has given that one up."""
+SILENT = 3
+"""If nothing came for this many times the slowest response, none is to come."""
+MIN_LATE_NS = 30_000_000
+FIRST_LATE_NS = 100_000_000
+"""Both times before the first response: no master times out sooner than this by default."""
+FORGET = 20
+"""The slowest response counts less with each further one: it may have been retransmitted."""
+ENOUGH_OVERLAPS = 3
+"""So many responses while a further request waits show that the master pipelines."""
+ENOUGH_REQUESTS = 8
+"""So many requests in a row without another one waiting show that the master never pipelines."""
+
+
+class MasterHabits:
+    """Learns from each request and each pair of a connection."""
+
+    def __init__(self) -> None:
+        self.pipelines = False
+        """True once ENOUGH_OVERLAPS responses came while a further request waited."""
+        self.ids_vary = False
+        """True once two requests in a row had different ids."""
+        self.ids_count_up = False
+        """True if ids vary, and each was greater than the one before it (modulo 2^16)."""
+        self.has_matching_ids = False
+        """True once a response had the id of its request, and ids vary."""
+        self.reorders = False
+        """True once the slave responded to a request after it had responded to a later one."""
+        self._latest_answered = 0
+        """The highest number of a request that had its response."""
+        self.last_response_ns = 0
+        """When the last response was complete."""
+        self._slowest_ns: dict[int | None, int] = {}
+        """By function code, the longest that a response took; it falls by 1/FORGET each time."""
+        self._fastest_ns: dict[int | None, int] = {}
+        """By function code, the shortest time that a response took."""
+        self._in_a_row = 0
+        """The number of requests in a row that came while no other one waited."""
+        self.is_sequential = False
+        """True once ENOUGH_REQUESTS came in a row, and the master was never seen to pipeline."""
+        self._overlaps = 0
+        self._last_id: int | None = None
+
+    def late_ns(self, function: int | None) -> int:
+        """A request that waited longer than this when the next one is sent is given up."""
+        slowest_ns = self._slowest_of(function)
+        if slowest_ns is None:
+            return FIRST_LATE_NS
+        return slowest_ns if self.is_sequential else max(int(LATE * slowest_ns), MIN_LATE_NS)
+
+    def silence_ns(self, function: int | None) -> int:
+        """If nothing came for longer than this, no response is to come."""
+        slowest_ns = self._slowest_of(function)
+        return FIRST_LATE_NS if slowest_ns is None else max(SILENT * slowest_ns, MIN_LATE_NS)
+
+    def _slowest_of(self, function: int | None) -> int | None:
+        if function in self._slowest_ns:
+            return self._slowest_ns[function]
+        return max(self._slowest_ns.values(), default=None)
+
+    def note_request(self, transaction_id: int | None, *, others_wait: bool) -> None:
+        self._in_a_row = 0 if others_wait else self._in_a_row + 1
+        if self._in_a_row >= ENOUGH_REQUESTS:
+            self.is_sequential, self.pipelines = True, False
+            self._overlaps = 0
+        if transaction_id is None:
+            return
+        if self._last_id is not None:
+            counts_up = 0 < (transaction_id - self._last_id & 0xFFFF) < 0x8000
+            self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
+            self.ids_vary = self.ids_vary or transaction_id != self._last_id
+        self._last_id = transaction_id
+
+    def note_answered(self, number: int) -> None:
+        """Note a response to the request with a number."""
+        self.reorders = self.reorders or number < self._latest_answered
+        self._latest_answered = max(number, self._latest_answered)
+
+    def note_overlap(self) -> None:
+        """Note a response that came while a further request waited."""
+        self._overlaps += 1
+        if self._overlaps >= ENOUGH_OVERLAPS:
+            self.pipelines, self.is_sequential = True, False
+
+    def note_latency(self, function: int, latency_ns: int) -> None:
+        """Note how long a response took, in ns."""
+        slowest_ns = self._slowest_ns.get(function, 0)
+        self._slowest_ns[function] = max(slowest_ns - slowest_ns // FORGET, latency_ns)
+        fastest_ns = self._fastest_ns.get(function, latency_ns)
+        self._fastest_ns[function] = min(fastest_ns, latency_ns)
+
+    def is_too_early(self, function: int, latency_ns: int) -> bool:
+        """True if this slave never responded in half as much time."""
+        return 2 * latency_ns < self._fastest_ns.get(function, 0)
+
+    def has_own_id(self, request: OpenRequest, waiting: Sequence[OpenRequest]) -> bool:
+        """True if the id of a waiting request cannot be that of one that the capture lacks."""
+        if self.ids_count_up:
+            return True
+        if not self.ids_vary or not waiting or request is not waiting[-1]:
+            return False
+        ids = [one.transaction_id for one in waiting]
+        return ids.count(ids[-1]) == 1

@@ -1,0 +1,91 @@
+"""A request of a TCP connection that waits for its response, or that the capture lacks."""
+
+from __future__ import annotations
+
+import msgspec
+
+from mbtool.core import Direction
+from mbtool.decode.stream_progress import AduPlace
+from mbtool.modbus.adu import Adu, Transport
+from mbtool.modbus.expected_response import UNKNOWN_SIZE, ExpectedResponse
+from mbtool.modbus.pdu import parse_pdu
+from mbtool.modbus.request_match import is_response_code, is_response_to
+
+SMALLEST_RESPONSE = 9
+"""Bytes of the shortest response over Modbus/TCP: an exception response."""
+
+_EXCEPTION_PDU = 2
+_ADDED_BYTES = {Transport.TCP: 7, Transport.RTU_TCP: 3}
+"""Bytes of an ADU beside its PDU."""
+
+
+class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
+    """A request whose response has not arrived."""
+
+    number: int
+    """Counts the requests of the connection."""
+    since_ns: int
+    """When the request was complete; for one that the capture lacks, when that was noticed."""
+    adu: Adu | None
+    """None if the capture lacks the request."""
+    place: AduPlace | None = None
+    is_pipelined: bool = False
+    """True if its master sent it while others waited for their responses."""
+    is_given_up: bool = False
+    """True if its master no longer waits for the response, or its response is overdue."""
+    may_be_lost: bool = False
+    """True if the capture lacks bytes that may have been its response."""
+    counts: bool = True
+    """False if a later equal request has already counted this one in its `retries`, or if nobody
+    knows which requests are equal to it."""
+
+    @property
+    def transaction_id(self) -> int | None:
+        return None if self.adu is None else self.adu.transaction_id
+
+    @property
+    def function(self) -> int | None:
+        return None if self.adu is None else self.adu.pdu[0]
+
+    def can_get(self, response: Adu, place: AduPlace | None) -> bool:
+        """False if unit, function or acknowledgements rule out that this request got a response."""
+        request = self.adu
+        if request is not None and not (
+            request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
+        ):
+            return False
+        if place is None or self.place is None:
+            return True
+        if place.acknowledged is not None and place.acknowledged < self.place.end:
+            return False
+        received = self.place.acknowledged
+        return received is None or received < place.end
+
+    def fits(self, response: Adu) -> bool:
+        """True if a response has the form that the request asks for."""
+        if self.adu is None or self.adu.missing:
+            return True  # The capture lacks what it asks for.
+        expected = ExpectedResponse.of(self.adu.pdu)  # Remembered, so it is the quick way.
+        if response.missing:
+            size = response.size - _ADDED_BYTES[response.transport]
+            return expected is not None and expected.fits_start(response.pdu, size)
+        if expected is not None and expected.fits(response.pdu):
+            return True
+        return is_response_to(parse_pdu(self.adu.pdu, Direction.REQUEST), response.pdu)
+
+    def is_next_to(self, response: Adu, place: AduPlace | None) -> bool:
+        """True if acknowledgements show that no byte came between request and response."""
+        if place is None or self.place is None:
+            return False
+        start = place.end - response.size
+        return place.acknowledged == self.place.end and self.place.acknowledged == start
+
+    def response_sizes(self) -> tuple[int, ...]:
+        """The lengths that the ADU of its response can have; empty if unknown."""
+        if self.adu is None or self.adu.missing:
+            return ()
+        added = _ADDED_BYTES[self.adu.transport]
+        expected = ExpectedResponse.of(self.adu.pdu)
+        if expected is None or expected.size == UNKNOWN_SIZE:
+            return ()
+        return expected.size + added, _EXCEPTION_PDU + added

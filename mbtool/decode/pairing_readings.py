@@ -1,0 +1,296 @@
+"""The ways in which the responses of a connection can belong to its requests, with their costs."""
+
+# A reading gives each response a request, and each run of lost response bytes the requests that
+# they answered. A response can answer a request with its id, unit and function; acknowledgements
+# rule out those that the slave had not received, and those that were sent after the response had
+# been received. Of requests with the same id a slave answers the first one first.
+#
+# Costs are in units of one request that the slave leaves unanswered or answers after its master
+# has given it up: both are rare, and about equally so. All other costs are compared with that.
+#
+# Readings that cost MARGIN more than the cheapest one are dropped. Two that leave the same requests
+# waiting can never be told apart: one is kept, and what differs is doubtful.
+#
+# Memory: at most MAX_READINGS readings, each with the requests that wait and MAX_PASSED that were
+# passed over.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.decode.open_requests import SMALLEST_RESPONSE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.decode.master_habits import MasterHabits
+    from mbtool.decode.open_requests import OpenRequest
+    from mbtool.decode.stream_progress import AduPlace
+    from mbtool.modbus.adu import Adu
+
+UNANSWERED = 1.0
+MARGIN = 0.9
+"""Less than UNANSWERED, so that pipelined requests are not held back."""
+MISFIT = 2.0
+"""A response whose form is not the one asked for."""
+OUT_OF_ORDER = 2.0
+"""A response to a request after one to a later request."""
+UNASKED = 6.0
+"""A response that no request asked for: more than anything else can cost together."""
+TOO_EARLY = 1.0
+"""A response that came sooner than this slave responds."""
+TOO_SLOW = 0.5
+"""A response that came later than this slave responds, to a request that is not given up."""
+OTHER_ID = 4.0
+"""A response to a lost request although a request with its id waits."""
+NOT_LIKELY = 0.95
+"""A response to a lost request of which nobody knows that it was one request more. Above MARGIN, so
+that a request of the capture gets the response if it can."""
+
+MAX_LATE = 4
+"""The number of given-up requests, the newest ones, that may get a late response.
+
+With the request that waits they make fewer than MAX_READINGS readings, so that none of equal cost
+is dropped."""
+MAX_READINGS = 8
+MAX_PASSED = 64
+MAX_LOST_RESPONSES = 8
+"""Responses that lost bytes are divided into at most; this bounds the combinations of lengths."""
+
+
+class PairStep(NamedTuple):
+    """The requests that a reading gives to one response, or to lost bytes of responses."""
+
+    at_ns: int
+    response: Adu | None
+    """None if the capture lacks the response."""
+    requests: tuple[OpenRequest, ...]
+    """Empty if no request asked for the response; several only if the capture lacks responses."""
+    since_ns: int = 0
+    """When the response before this one was complete."""
+    is_sure: bool = True
+
+
+class PairOption(NamedTuple):
+    """A request that a response may answer."""
+
+    cost: float
+    request: OpenRequest | None
+
+
+class PairReading:
+    """One way to join requests and responses, as far as that is not decided yet."""
+
+    __slots__ = ("cost", "passed", "steps", "waiting")
+
+    def __init__(
+        self,
+        waiting: list[OpenRequest],
+        passed: list[OpenRequest],
+        steps: tuple[PairStep, ...] = (),
+        cost: float = 0.0,
+    ) -> None:
+        self.waiting = waiting
+        """Requests that may still be answered, in order."""
+        self.passed = passed
+        """Requests without a response that are before an answered one."""
+        self.steps = steps
+        self.cost = cost
+
+    @property
+    def someone_waits(self) -> bool:
+        """True if the master waits for a response."""
+        return any(not one.is_given_up for one in self.waiting)
+
+    @property
+    def has_different_ids(self) -> bool:
+        """True if several requests wait, and each has its own id."""
+        ids = [one.transaction_id for one in self.waiting]
+        return len(ids) > 1 and len(set(ids)) == len(ids)
+
+    def is_only_answered_by(self, response: Adu, place: AduPlace | None) -> bool:
+        """True if one request waits, and the response can be its."""
+        if len(self.waiting) != 1 or self.passed:
+            return False
+        (one,) = self.waiting
+        return _has_id(one, response) and one.can_get(response, place)
+
+    def copy(self) -> PairReading:
+        return PairReading([*self.waiting], [*self.passed], self.steps, self.cost)
+
+    def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
+        """Give the response to the request of an option."""
+        self.cost += option.cost
+        request = option.request
+        if request is None:
+            self.steps += (PairStep(response.end_ns, response, (), since_ns),)
+            return
+        self.steps += (PairStep(response.end_ns, response, (request,), since_ns),)
+        if request in self.passed:
+            self.passed.remove(request)
+        else:
+            self._pass_over(self.waiting.index(request), request, habits)
+            self.waiting.remove(request)
+
+    def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
+        """Take lost bytes for the responses of `count` requests from a place on."""
+        lost = tuple(self.waiting[start : start + count])
+        self.cost += cost
+        self.steps += (PairStep(at_ns, None, lost),)
+        self.passed += [one for one in self.waiting[:start] if one.adu is not None]
+        self.waiting = self.waiting[start + count :]
+        if any(one.adu is None for one in lost):
+            for one in self.waiting:
+                # Nobody knows how many of the lost responses are those of lost requests.
+                one.is_given_up = one.is_given_up or one.adu is None
+
+    def pass_all(self, habits: MasterHabits) -> None:
+        """Pass over the requests that wait, except those with an id of their own."""
+        kept = [one for one in self.waiting if habits.has_own_id(one, self.waiting)]
+        self.passed += [one for one in self.waiting if one.adu is not None and one not in kept]
+        self.waiting = kept
+
+    def _pass_over(self, place: int, request: OpenRequest, habits: MasterHabits) -> None:
+        passed = [
+            one
+            for one in self.waiting[:place]
+            if habits.is_sequential or is_before(one, request, habits)
+        ]
+        for one in passed:
+            self.waiting.remove(one)
+            if one.adu is not None:
+                self.passed.append(one)
+
+
+def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> bool:
+    """True if an earlier request is answered before a later one, or never."""
+    if one.adu is None or other.adu is None:
+        return not habits.ids_vary
+    return one.adu.transaction_id == other.adu.transaction_id
+
+
+def options(
+    reading: PairReading, response: Adu, place: AduPlace | None, habits: MasterHabits
+) -> Iterator[PairOption]:
+    """The requests that a response may answer, by what a reading leaves waiting."""
+    too_late = _too_late(reading, response, place)
+    skipped: list[OpenRequest] = []
+    best = UNASKED
+    for one in reading.waiting:
+        if _has_id(one, response) and one.can_get(response, place) and one.number not in too_late:
+            passed = _cost_of_passing_all(skipped, one, habits)
+            cost = passed + _cost(one, response, reading, habits)
+            best = min(best, cost)
+            yield PairOption(cost, one)
+            if passed > best + MARGIN:
+                return
+        skipped.append(one)
+    for one in reading.passed:
+        if _has_id(one, response) and one.can_get(response, place):
+            cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
+            yield PairOption(cost, one)
+
+
+def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
+    """The numbers of the requests that were given up too long ago for a response."""
+    late = [one for one in reading.waiting if one.is_given_up and one.adu is not None]
+    if len(late) > MAX_LATE:
+        late = [one for one in late if _has_id(one, response) and one.can_get(response, place)]
+    return {one.number for one in late[:-MAX_LATE]}
+
+
+def _has_id(one: OpenRequest, response: Adu) -> bool:
+    return one.adu is None or one.adu.transaction_id == response.transaction_id
+
+
+def _cost_of_passing_all(
+    skipped: list[OpenRequest], chosen: OpenRequest, habits: MasterHabits
+) -> float:
+    """The cost of earlier requests without a response, when a later one has its response."""
+    same = others = 0.0
+    for one in skipped:
+        if is_before(one, chosen, habits):
+            same += _cost_of_passing(one)
+        elif one.adu is not None and not habits.reorders:
+            others += _cost_of_passing(one)
+    return same + min(others, UNANSWERED)
+
+
+def _cost_of_passing(one: OpenRequest) -> float:
+    return 0.0 if one.is_given_up or one.may_be_lost else UNANSWERED
+
+
+def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits) -> float:
+    if one.adu is None:
+        has_other = any(
+            each.adu is not None
+            and each.transaction_id == response.transaction_id
+            and habits.has_own_id(each, reading.waiting)
+            for each in (*reading.waiting, *reading.passed)
+        )
+        return OTHER_ID if has_other else NOT_LIKELY if one.is_given_up else 0.0
+    cost = 0.0 if one.fits(response) else MISFIT
+    if habits.is_too_early(one.adu.pdu[0], response.start_ns - one.adu.end_ns):
+        return cost + TOO_EARLY
+    since_ns = max(one.since_ns, habits.last_response_ns)
+    is_slow = response.start_ns - since_ns > habits.silence_ns(one.function)
+    return cost + TOO_SLOW if is_slow and not one.is_given_up else cost
+
+
+def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
+    """The runs of waiting requests whose responses can have a number of lost bytes together.
+
+    Gives cost, place of the first request, and number of requests.
+    """
+    cost = 0.0
+    waiting = reading.waiting
+    for start, first in enumerate(waiting):
+        count = _count_in(waiting[start : start + MAX_LOST_RESPONSES], lost)
+        if count:
+            yield cost, start, count
+        cost += _cost_of_passing(first)
+        if cost > UNASKED:
+            return
+
+
+def _count_in(waiting: list[OpenRequest], lost: int) -> int:
+    """The number of first requests whose responses have `lost` bytes together; 0 if none fits."""
+    sums = {0}
+    any_size = 0
+    for count, one in enumerate(waiting, 1):
+        if one.adu is None:
+            any_size += SMALLEST_RESPONSE
+        else:
+            sums = {total + size for total in sums for size in one.response_sizes()}
+        if lost in sums or (any_size and any(total + any_size <= lost for total in sums)):
+            return count
+    return 0
+
+
+def without_costly(readings: list[PairReading]) -> list[PairReading]:
+    """The readings that are nearly as cheap as the cheapest one; of equal ones only one."""
+    limit = min(reading.cost for reading in readings) + MARGIN
+    kept: dict[tuple[int, ...], PairReading] = {}
+    for reading in sorted(readings, key=lambda reading: reading.cost):
+        if reading.cost > limit:
+            break
+        key = tuple(one.number for one in reading.waiting)
+        if key in kept:
+            _mark_differences(kept[key], reading)
+        elif len(kept) < MAX_READINGS:
+            kept[key] = reading
+    return [*kept.values()]
+
+
+def _mark_differences(kept: PairReading, other: PairReading) -> None:
+    """Make doubtful what two readings say differently."""
+    steps = []
+    for one, two in zip(kept.steps, other.steps, strict=True):
+        if one.requests == two.requests:
+            steps.append(one)
+            continue
+        steps.append(one._replace(is_sure=False))
+        if one.response is None:
+            for request in (*one.requests, *two.requests):
+                request.may_be_lost = True
+    kept.steps = tuple(steps)
