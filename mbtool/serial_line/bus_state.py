@@ -63,6 +63,13 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     late."""
     answered: PendingRequest | None = None
     """The request that the last frame answered."""
+    answered_after_ns: int = 0
+    """The time, in ns, from the end of that request to the start of the last frame, if silences
+    tell who speaks."""
+    retries: int = 0
+    """How many equal requests without a response came directly before the pending one."""
+    is_repeat: bool = False
+    """True if a request equal to the pending one was answered just before."""
     last_response: bytes = b""
     """The PDU of the last frame if that was a response, to a known request or not."""
     follows_damage: bool = False
@@ -95,11 +102,10 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
         return (pending.unit, expected.code, expected.size) == (unit, code, size)
 
     def settles_silence(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
-        """True if a frame brings a new silence, which replaces `unexplained_silence_ns`.
+        """True if a frame sets `unexplained_silence_ns` anew.
 
-        The new silence is the one before the frame, or the longest one inside it (`inside_ns`).
-        False for a request that follows an unanswered request: there the missing response explains
-        the silence.
+        It does if there is a silence before the frame, or inside it (the longest is `inside_ns`).
+        A request after an unanswered request does not: the missing response explains the silence.
         """
         if not self.unexplained_silence_ns or (role is Direction.REQUEST and self.answered is None):
             return False

@@ -91,6 +91,23 @@ MAX_LATENESS = 8.0
 MAX_ECHO_LATENESS = 14.0
 """The most bits that lateness costs for an echo. It is higher than for other responses, since a
 late echo may be a retry instead: some masters wait very long before a retry."""
+SHORT_TIMEOUT = 4.0
+"""Extra cost of a retry for each halving of the usual least timeout of masters, 200 ms, if this
+master's timeout is not known."""
+LATE_BEFORE_TIMEOUT = 3.0
+"""The most bits that lateness costs for an echo if the master is known to wait that long."""
+NEAR_TIMEOUT = 5.5
+"""The cost of an echo that comes when the master's timeout may be over, but need not: as much as a
+retry costs."""
+SOONER = 0.8
+"""A master that goes on after less than this share of its wait before a retry did not wait for a
+response."""
+SILENT_UNIT = 3.5
+"""The cost of an echo of a unit that never answered otherwise, on a line where others did: it may
+be absent, and its frames the retries of the master."""
+MIN_UNANSWERED = 1.0
+"""The least extra cost of one more request without a response, to a unit that is probably
+absent."""
 REVERSED_PAIR = 6.0
 """Extra cost of an echo when the silence before it is more than twice the silence before its
 request, and no frame so far had a certain direction: the two frames are probably a response and the

@@ -1,4 +1,7 @@
-"""What it costs, in bits, to take a frame for a request or for a response in a given bus state."""
+"""How unlikely it is that a frame is a request, or a response, in a given bus state.
+
+Costs are in bits: the negative logarithm of a probability, to base 2.
+"""
 
 # A response names the unit and function of the pending request, and fits its quantity or echoes its
 # address. Without a pending request, a frame with the form of a request is a request. Requests and
@@ -9,6 +12,7 @@
 
 from __future__ import annotations
 
+from math import log2
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
@@ -25,6 +29,12 @@ if TYPE_CHECKING:
 
 MAX_UNIT = 247
 """The largest address of a slave (Serial Line V1.02, 2.2)."""
+
+USUAL_TIMEOUT_NS = 200_000_000
+"""Masters seldom wait less than this, in ns, for a response."""
+
+USUAL_RETRIES = 3
+"""Masters seldom repeat a request more often than this."""
 
 CostParts = tuple[float, float]
 """The cost of a frame in two parts, in bits: what the bus state makes it cost, and what the silence
@@ -64,14 +74,32 @@ def _request_cost(
         cost += _new_request_cost(pdu)
     if pending is None:
         return cost, 0.0
+    silent = history.silent_bits(state, pending)
     if not is_retry:
-        cost += costs.PREVIOUS_UNANSWERED
+        cost += max(costs.PREVIOUS_UNANSWERED - silent, costs.MIN_UNANSWERED)
+    elif overdue is not None and overdue.is_same(unit, pdu):
+        is_usual = state.retries < USUAL_RETRIES - 1
+        cost += costs.SECOND_RETRY if is_usual else history.retry.bits
     else:
-        is_second = overdue is not None and overdue.is_same(unit, pdu)
-        cost += costs.SECOND_RETRY if is_second else history.retry.bits
-    latency, waited_ns = history.latency, at_ns - pending.awaited_from_ns
-    is_early = latency.is_known and latency.doublings_late(waited_ns) < 0
-    return cost, costs.EARLY_REQUEST if is_early else 0.0
+        cost += max(history.retry.bits - silent, costs.RETRY_LIMITS[0])
+    return cost, _early_cost(history, state, pending, at_ns, is_retry=is_retry)
+
+
+def _early_cost(
+    history: LineHistory, state: BusState, pending: PendingRequest, at_ns: int, *, is_retry: bool
+) -> float:
+    """The cost of a request that comes so soon that the master would still be waiting."""
+    waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
+    if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
+        return costs.EARLY_REQUEST
+    if history.timeout.is_known:
+        return costs.EARLY_REQUEST if history.timeout.is_not_over(waited_ns) else 0.0
+    if overdue is not None and overdue.is_same(pending.unit, pending.pdu):
+        before_ns = pending.silence_before_ns or 0
+        return costs.EARLY_REQUEST if waited_ns < before_ns * costs.SOONER else 0.0
+    if is_retry and pending.pdu[0] in ECHOING:
+        return costs.SHORT_TIMEOUT * max(log2(USUAL_TIMEOUT_NS / max(waited_ns, 1)), 0.0)
+    return 0.0
 
 
 def _may_be_second_response(answered: PendingRequest | None, unit: int, pdu: bytes) -> bool:
@@ -137,7 +165,7 @@ def _fitting_response_cost(
 ) -> CostParts:
     """The cost of a response that fits the pending request."""
     silence_ns, is_echo = at_ns - pending.awaited_from_ns, pdu == pending.pdu
-    by_time = _lateness_cost(history, silence_ns, is_echo=is_echo)
+    by_time = _lateness_cost(history, pending, silence_ns, is_echo=is_echo)
     if by_time and _is_only_a_response(history, pending, pending.unit, pdu):
         by_time = 0.0
     if pdu[0] in READ_BITS and not (is_echo or is_padded(pending.pdu, pdu)):
@@ -152,16 +180,36 @@ def _fitting_response_cost(
     before_ns = pending.silence_before_ns
     if not state.direction_known and before_ns and silence_ns > 2 * before_ns:
         by_time += costs.REVERSED_PAIR
+    if not history.trusts_silences:
+        return costs.RESPONSE + history.silent_bits(state, pending), by_time
     return costs.RESPONSE, by_time
 
 
-def _lateness_cost(history: LineHistory, silence_ns: int, *, is_echo: bool) -> float:
+def _lateness_cost(
+    history: LineHistory, pending: PendingRequest, silence_ns: int, *, is_echo: bool
+) -> float:
     """The cost of the silence between a request and its response."""
-    least_ns = LatencyStatistics.MIN_WRITE_NS if is_echo else 0
-    doublings = history.latency.doublings_late(silence_ns, least_ns)
-    if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
+    latency = history.latency
+    if not is_echo:
+        doublings = latency.doublings_late(silence_ns)
+        if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
+            return 0.0
+        return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
+    heard = history.echo_latencies.get((pending.unit, pending.pdu[0]))
+    if heard and heard.has_heard(silence_ns):
         return 0.0
-    most = costs.MAX_ECHO_LATENESS if is_echo else costs.MAX_LATENESS
+    most = costs.MAX_ECHO_LATENESS
+    if history.timeout.is_known:
+        if history.timeout.is_not_over(silence_ns):
+            most = costs.LATE_BEFORE_TIMEOUT
+        if history.timeout.is_doubtful(silence_ns):
+            return costs.NEAR_TIMEOUT
+        if history.timeout.is_over_at(silence_ns):
+            return costs.MAX_ECHO_LATENESS
+    # An echo that is later than any response may be a retry, so it has no margin.
+    doublings = latency.doublings_late(silence_ns, LatencyStatistics.MIN_WRITE_NS)
+    if doublings <= 0.0:
+        return 0.0
     return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, most)
 
 

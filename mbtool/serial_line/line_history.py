@@ -1,14 +1,16 @@
 """What a serial line has shown so far: its requests, its response times, and its repetitions."""
 
-# Bounded: MAX_REQUESTS requests, and at most one entry for each function of each unit.
+# Bounded: MAX_REQUESTS requests, and at most two entries for each function of each unit.
 
 from __future__ import annotations
 
+from math import log2
 from typing import TYPE_CHECKING
 
-from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT
 from mbtool.serial_line import costs
 from mbtool.serial_line.line_statistics import LatencyStatistics, LearnedCost
+from mbtool.serial_line.response_timeout import ResponseTimeout
 
 if TYPE_CHECKING:
     from mbtool.serial_line.bus_state import BusState, PendingRequest
@@ -27,6 +29,14 @@ class LineHistory:
         self.trusts_silences = timed
         """True if silences tell who speaks; False without times or if the adapter merges frames."""
         self.latency = LatencyStatistics()
+        self.timeout = ResponseTimeout()
+        self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
+        """By unit and function, the response time of writes whose response equals the request. In
+        many devices they take longer than reads."""
+        self.unanswered: dict[int, int] = {}
+        """By unit, how many requests in a row had no response."""
+        self.answering: set[int] = set()
+        """The units of which a response was heard that cannot be a request sent again."""
         self.unexplained_silences = LatencyStatistics()
         """The silences between merged frames in which no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
@@ -46,8 +56,25 @@ class LineHistory:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
-    def learn_request(self, state: BusState, unit: int, pdu: bytes, by_form: bool) -> None:
-        """Learn from a request that came in a bus state.
+    def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
+        """The cost, in bits, of supposing that a unit answers which gave no response lately.
+
+        It grows with the number of requests in a row that the unit did not answer. If silences do
+        not tell who speaks, it is higher for a request that equals its response, to a unit that
+        never answered while others did.
+        """
+        unit = pending.unit
+        unanswered = self.unanswered.get(unit, 0)
+        bits = log2(1 + unanswered) if unanswered else 0.0
+        is_known = unit in self.answering or state.is_repeat
+        if self.trusts_silences or is_known or pending.pdu[0] not in ECHOING:
+            return bits
+        return bits + costs.SILENT_UNIT if self.answering else bits
+
+    def learn_request(
+        self, state: BusState, unit: int, pdu: bytes, by_form: bool, start_ns: int
+    ) -> None:
+        """Learn from a request that came in a bus state. Its first byte began at `start_ns`.
 
         `by_form` is True if by its form the frame cannot be a response.
         """
@@ -61,7 +88,10 @@ class LineHistory:
             self.repeat.learn(state.answered.is_same(unit, pdu))
         if by_form:  # Otherwise a response may have been taken for a retry.
             pending = state.pending
-            self.retry.learn(pending is not None and pending.is_same(unit, pdu))
+            is_retry = pending is not None and pending.is_same(unit, pdu)
+            self.retry.learn(is_retry)
+            if is_retry and pending is not None and self.trusts_silences:
+                self.timeout.learn(start_ns - pending.awaited_from_ns)
 
     def learn_latency(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
@@ -75,3 +105,17 @@ class LineHistory:
             self.latency.learn(latency_ns)
         elif latency_ns < LatencyStatistics.MIN_RETRY_NS:  # Otherwise it may have been a retry.
             self.latency.learn_capped(latency_ns)
+
+    def learn_echo(self, answered: PendingRequest, latency_ns: int) -> None:
+        """Learn how long a slave took to echo a request, once the next frame shows that it did."""
+        key = answered.unit, answered.pdu[0]
+        self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
+
+    def learn_answer(self, unit: int) -> None:
+        """Learn that a unit has answered, by a response that cannot be a request sent again."""
+        self.answering.add(unit)
+        self.unanswered.pop(unit, None)
+
+    def learn_no_answer(self, unit: int) -> None:
+        """Learn that a request to a unit had no response."""
+        self.unanswered[unit] = self.unanswered.get(unit, 0) + 1

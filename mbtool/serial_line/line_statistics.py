@@ -88,6 +88,9 @@ class LatencyStatistics:
     """A response is late when it takes a fifth longer (2 ** 0.25) than the longest response
     time."""
 
+    NEARLY = 1.05
+    """A response is as late as one heard before if it takes at most 5 % longer."""
+
     def __init__(self) -> None:
         self._heard = 0
         self._longest_ns = float(self.MIN_NS)
@@ -105,6 +108,10 @@ class LatencyStatistics:
     def is_known(self) -> bool:
         """True if ENOUGH_RESPONSES were heard to know the longest response time."""
         return self._heard >= self.ENOUGH_RESPONSES
+
+    def has_heard(self, latency_ns: int) -> bool:
+        """True if some response took as long, or nearly."""
+        return self._heard > 0 and latency_ns <= self._longest_ns * self.NEARLY
 
     def doublings_late(self, silence_ns: int, least_ns: int = 0) -> float:
         """The binary logarithm of a silence divided by the longest response time.

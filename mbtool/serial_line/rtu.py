@@ -23,8 +23,10 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind
-from mbtool.framing.rtu_lengths import MIN_FRAME, why_skipped
+from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.functions import ECHOING
+from mbtool.serial_line.adapter_echo import AdapterEcho
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
@@ -43,6 +45,13 @@ HOLD_NS = 300_000_000
 MAX_SILENCES = 16
 """After so many silences the bytes held are decided, though a frame may be incomplete. A frame
 delivered in pieces of 32 bytes has 8 silences."""
+
+UNSURE = 0.79
+"""The most confidence of a frame that is ambiguous: just below `SURE`."""
+
+LONG_NOISE = 2 * WINDOW
+"""After so many bytes without a frame, a full window is searched only if a frame with a correct CRC
+begins in it: no damaged frame would mean anything."""
 
 _MAX_GLUED = 2**-0.8
 """If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
@@ -75,6 +84,7 @@ class RtuSplitter:
         self._model = bus_model or BusModel(timed=timed)
         self._fast_path = FastPath(self._model, speaker, WINDOW)
         self._statistics = LineStatistics(timed=timed)
+        self._echo = AdapterEcho()
         self._data = b""
         self._times: list[int] = []
         self._decided_size = 0
@@ -83,6 +93,8 @@ class RtuSplitter:
         """How many silences of t3.5 there were since bytes were last given out."""
         self._silences_at: list[int] = []
         """The offsets of the bytes held that have a silence of t3.5 before them."""
+        self._noise_size = 0
+        """How many bytes in a row belong to no frame."""
         self._was_noise = False
         """True if the bytes skipped last were all noise of a change of direction."""
         self._last_end: tuple[int, Verdict] | None = None
@@ -178,19 +190,42 @@ class RtuSplitter:
         self._emit_certain_frames(events, True)
         is_to_wait = may_continue and not must_decide
         if self._data and not (
-            is_to_wait and self._fast_path.is_incomplete(self._data, self._silences_at)
+            is_to_wait
+            and (
+                self._echo.awaits(self._data)
+                or self._fast_path.is_incomplete(self._data, self._silences_at)
+            )
         ):
             self._search(events, may_continue=may_continue, must_decide=must_decide)
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Emit the frames at the front of the buffer that are beyond doubt, without the search."""
-        while len(self._data) >= MIN_FRAME and (
-            frame := self._fast_path.frame(
-                self._data, self._times[0] - self._character_ns, burst_over
-            )
-        ):
+        while len(self._data) >= MIN_FRAME:
+            if self._echo.last and self._take_copy(events):
+                continue
+            start_ns = self._times[0] - self._character_ns
+            frame = self._fast_path.frame(self._data, start_ns, burst_over)
+            if frame is None:
+                return
             self._emit_frame(*frame, events)
+
+    def _take_copy(self, events: list[Adu | Skipped]) -> bool:
+        """Give out the copy of the last request, if an adapter that echoes added one."""
+        last = self._echo.last
+        if not last or self._last_end is None or not self._data.startswith(last):
+            return False
+        size, first_ns = len(last), self._times[0]
+        is_heard = self._timed and self._model.history.trusts_silences
+        is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
+        # A longer frame may begin with the same bytes.
+        is_glued &= len(self._data) == size or self._is_silent(size)
+        if not self._echo.takes_copy(glued=is_glued):
+            return False
+        raw = self._data[:size]
+        self._remove(size, Verdict.GLUED)
+        events.append(Skipped(first_ns, EventKind.ECHO, self._echo.said(), raw))
+        return True
 
     def _search(
         self,
@@ -205,6 +240,9 @@ class RtuSplitter:
         `keep` is how many of the last bytes stay undecided.
         """
         end = len(self._data)
+        if keep and self._noise_size >= LONG_NOISE and not has_frame(self._data, self._roles):
+            self._emit_skipped(end - keep, events)
+            return
         window = ByteWindow(
             self._data,
             self._times[:],
@@ -223,6 +261,13 @@ class RtuSplitter:
                 break
             if segment.kind is SegmentKind.FRAME:
                 self._emit_frame(size, self._classified(segment), events)
+                if self._take_copy(events):
+                    # The search took the copy for a frame, so what it says of the rest is wrong.
+                    if self._data:
+                        self._search(
+                            events, may_continue=may_continue, must_decide=must_decide, keep=keep
+                        )
+                    return
             else:
                 start_ns, end_ns = self._times[0] - self._character_ns, self._times[size - 1]
                 self._emit_skipped(size, events)
@@ -267,16 +312,25 @@ class RtuSplitter:
     ) -> None:
         """Append the frame at the front to `events`, remove its bytes, and learn from it."""
         raw = self._data[:size]
+        self._noise_size = 0
         times = self._times
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
         before_ns = None if self._last_end is None else max(start_ns - self._last_end[0], 0)
         is_even = end_ns - start_ns == size * self._character_ns
         longest_ns = 0 if is_even else self._longest_silence_ns(size)
-        verdicts = self._verdicts(size, before_ns, longest_ns, classification)
         unit, pdu = raw[0], raw[1:-2]
+        confidence = classification.confidence
+        if pdu[0] in ECHOING and self._speaker is None and (self._model.may_be_reversed(start_ns)):
+            confidence = min(confidence, UNSURE)
+        verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
         self._learn(before_ns, longest_ns)
         if self._speaker is None:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
+            if classification.direction is Direction.REQUEST:
+                is_certain = classification.by is DirectionBy.FORM
+                self._echo.hear_request(raw, is_certain=is_certain)
+            else:
+                self._echo.hear_response()
         self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(
@@ -286,7 +340,7 @@ class RtuSplitter:
                 transport=Transport.RTU,
                 direction=classification.direction,
                 direction_by=classification.by,
-                confidence=classification.confidence,
+                confidence=confidence,
                 unit=unit,
                 pdu=pdu,
                 raw=raw,
@@ -316,7 +370,7 @@ class RtuSplitter:
             statistics.split.learn(longest_ns >= self._t3_5_ns)
 
     def _verdicts(
-        self, size: int, before_ns: int | None, longest_ns: int, classification: Classification
+        self, size: int, before_ns: int | None, longest_ns: int, confidence: float
     ) -> tuple[Verdict, ...]:
         """The verdicts on the frame at the front."""
         verdicts = []
@@ -331,12 +385,13 @@ class RtuSplitter:
                 verdicts.append(Verdict.T1_5_BROKEN)
         elif self._is_behind_noise:
             verdicts.append(Verdict.NOISE_BEFORE)
-        if classification.confidence < SURE:
+        if confidence < SURE:
             verdicts.append(Verdict.AMBIGUOUS)
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
         """Give out skipped bytes: a frame with a wrong CRC as one event, others one burst each."""
+        self._noise_size += size
         while size:
             cut = size
             kind, reason, check = why_skipped(self._data[:size], self._roles)

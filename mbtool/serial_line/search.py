@@ -167,9 +167,12 @@ class PathSearch:
         silent = self._window.silences[offset]
         likely = [path for path in paths if silent or self._may_begin_frame(path, offset)]
         unknown = list(self._candidates.unknown_frames(offset)) if likely and not frames else []
-        start_cost = 0.0 if silent else self._statistics.glue.bits
+        glued_cost = 0.0 if silent else self._statistics.glue.bits
         for path in paths:
             state = path.state
+            start_cost = glued_cost
+            if self._is_silence_hidden(path, offset):
+                start_cost = min(glued_cost, costs.GLUED)
             is_damage = path.skipped >= LONG_SKIP and not self._is_speaker_known
             if is_damage and not state.follows_damage:
                 state = state.after_damage()
@@ -182,6 +185,12 @@ class PathSearch:
                 self._add_damaged(offset, path, state, start_cost, is_frame=bool(frames))
             self._add_incomplete(offset, path, state, start_cost, is_frame=bool(frames or unknown))
             self._add_skipped(offset, path, bool(frames), bool(unknown))
+
+    def _is_silence_hidden(self, path: Path, offset: int) -> bool:
+        """True if a path ends with a few stray bytes, which have a silence before them."""
+        return 0 < path.skipped < LONG_SKIP and (
+            path.skipped > offset or self._window.silences[offset - path.skipped]
+        )
 
     def _may_begin_frame(self, path: Path, offset: int) -> bool:
         """True if a frame probably begins at an offset: after another one, or because it is due."""

@@ -118,14 +118,16 @@ def retried(after_ns: int, stray: bytes = b"") -> Adu:
 
 
 @pytest.mark.parametrize("stray", [b"", b"\xff"])
-def test_each_doubling_of_the_silence_before_a_retry_makes_it_three_bits_surer(
+def test_each_doubling_of_the_silence_before_a_retry_makes_it_surer(
     stray: bytes,
 ) -> None:
-    retries = [retried(silence_ms * MS, stray) for silence_ms in (64, 80, 128)]
+    """The echo is later, and fewer masters have a timeout that short."""
+    retries = [retried(silence_ms * MS, stray) for silence_ms in (110, 120, 130)]
     assert [one.direction for one in retries] == [REQUEST] * 3
     first, second, third = (bits_of(one.confidence) for one in retries)
-    assert third - first == pytest.approx(costs.LATE_PER_DOUBLING)
-    assert second - first == pytest.approx(costs.LATE_PER_DOUBLING * log2(80 / 64))
+    per_doubling = costs.LATE_PER_DOUBLING + costs.SHORT_TIMEOUT
+    assert third - first == pytest.approx(per_doubling * log2(130 / 110))
+    assert second - first == pytest.approx(per_doubling * log2(120 / 110))
 
 
 def test_frame_that_only_the_search_finds_is_told_by_the_same_rules() -> None:
@@ -140,7 +142,7 @@ def test_frame_that_only_the_search_finds_is_told_by_the_same_rules() -> None:
 def test_echo_that_begins_within_a_second_is_a_sure_response(
     after_ns: int, is_sure: bool, stray: bytes
 ) -> None:
-    sent = polled(latency_ns=950 * MS).frame(WRITE, 30 * MS)
+    sent = polled(latency_ns=1050 * MS).frame(WRITE, 30 * MS)
     sent.frame(stray + WRITE, after_ns - len(stray) * CHARACTER)
     adu = adus(heard(sent))[-1]
     assert (adu.direction, adu.direction_by) == (RESPONSE, DirectionBy.PENDING)

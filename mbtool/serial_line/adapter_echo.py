@@ -1,0 +1,95 @@
+"""Recognises an adapter that hears what it sends, so that each request comes twice."""
+
+# The second copy follows the request within a character or so. No master repeats a request without
+# a silence of t3.5, so one such copy of a request that cannot be a response by its form is enough,
+# if silences are heard and no request has come once before. Where silences are not heard, a copy
+# may be a retry: then several requests in a row must have come twice.
+#
+# Holds the last request only.
+
+from __future__ import annotations
+
+ENOUGH_COPIES = 3
+"""So many requests in a row must come twice if silences are not heard, or if a request has come
+once."""
+ENOUGH_SINGLE = 3
+"""After so many requests in a row without a copy, the adapter does not echo any more."""
+ECHOES = "this adapter echoes what it sends: the second copy of each request is no request"
+ECHO = "the adapter's echo of the request before"
+
+
+class AdapterEcho:
+    """Finds the copies of requests that an adapter adds to what it hears."""
+
+    __slots__ = (
+        "_copies", "_has_single", "_is_certain", "_is_copied", "_singles", "echoes", "last",
+        "reason",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.echoes = False
+        """True if the adapter echoes."""
+        self.reason = ECHOES
+        """What is to be said of the next copy: at first, that this adapter echoes."""
+        self.last = b""
+        """The last frame if that was a request and no copy of it has come; otherwise empty."""
+        self._is_certain = False
+        """True if that request cannot be a response by its form."""
+        self._is_copied = False
+        """True if that request came twice, and no other frame has come since."""
+        self._copies = 0
+        """How many requests in a row came twice and were answered."""
+        self._singles = 0
+        """How many requests in a row came once."""
+        self._has_single = False
+        """True if a request has ever come once."""
+
+    def awaits(self, data: bytes) -> bool:
+        """True if `data`, the bytes held, may become the copy of the last request."""
+        return self.echoes and self.last.startswith(data)
+
+    def takes_copy(self, *, glued: bool) -> bool:
+        """Take the last request once more; True if that is its copy, and not a frame.
+
+        `glued` is True if silences are heard and none stands between the two.
+        """
+        is_enough = self._copies >= ENOUGH_COPIES or (glued and not self._has_single)
+        if not self.echoes and not (self._is_certain and is_enough):
+            return False
+        self.echoes = True
+        self._singles, self.last = 0, b""
+        return True
+
+    def said(self) -> str:
+        """What to say of a copy; it says only once that the adapter echoes."""
+        reason, self.reason = self.reason, ECHO
+        return reason
+
+    def hear_request(self, raw: bytes, *, is_certain: bool) -> None:
+        """Take a request; `is_certain` is True if by its form it cannot be a response."""
+        if self.last == raw and is_certain and not self.echoes:
+            self._is_copied, self.last = True, b""
+            return
+        if self._is_copied:
+            self._is_copied, self._copies = False, 0
+        if self.last:
+            self._end_single()
+        self.last, self._is_certain = raw, is_certain
+
+    def hear_response(self) -> None:
+        """Take a response."""
+        if self._is_copied:
+            self._is_copied, self._copies = False, self._copies + 1
+        if self.last:
+            self._end_single()
+            self.last = b""
+
+    def _end_single(self) -> None:
+        """Count the last request as one without a copy."""
+        if not (self._is_certain or self.echoes):
+            return
+        self._has_single = True
+        self._copies = 0
+        self._singles += 1
+        if self.echoes and self._singles >= ENOUGH_SINGLE:
+            self.echoes, self.reason = False, ECHOES

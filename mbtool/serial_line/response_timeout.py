@@ -1,0 +1,72 @@
+"""The master's response timeout on a serial line: told by the user, or learned from its retries."""
+
+# A write of one value equals its response, so by its form a second one may be a retry or the
+# response. A retry of a read can be nothing else. The master waits as long before the one retry as
+# before the other, so the retries of reads tell what the silences before writes mean.
+#
+# Bounded: SAMPLES waits.
+
+from __future__ import annotations
+
+from collections import deque
+
+SAMPLES = 16
+"""How many of the last waits count."""
+MARGIN = 0.05
+"""A wait may differ from those heard by half of their spread, and by 5 % of the shortest, divided
+by their number."""
+DOUBTFUL_MARGIN = 0.4
+"""A wait that is shorter by up to 40 % of the shortest, divided by their number, is doubtful."""
+GIVEN_MARGIN = 0.1
+"""A wait may differ from a timeout that the user names by 10 %: timers are late, and so are
+adapters."""
+TRIMMED = 8
+"""One in 8 of the shortest, and of the longest waits, does not count."""
+
+
+class ResponseTimeout:
+    """How long the master waits for a response before it repeats a request, in ns."""
+
+    __slots__ = ("_is_given", "_range", "_running_until_ns", "_waits")
+
+    def __init__(self, given_ns: int | None = None) -> None:
+        """`given_ns` is the timeout that the user names; None if it has to be learned."""
+        self._waits: deque[int] = deque(maxlen=SAMPLES)
+        self._is_given = given_ns is not None
+        self._range: tuple[float, float] | None = None
+        """The shortest and the longest wait that may end in a retry; None while unknown."""
+        self._running_until_ns = 0.0
+        """After a shorter wait than this, in ns, the timeout is certainly not over."""
+        if given_ns is not None:
+            self._running_until_ns = given_ns * (1 - GIVEN_MARGIN)
+            self._range = given_ns * (1 - GIVEN_MARGIN), given_ns * (1 + GIVEN_MARGIN)
+
+    @property
+    def is_known(self) -> bool:
+        """True if the user named the timeout, or a retry was heard."""
+        return self._range is not None
+
+    def learn(self, wait_ns: int) -> None:
+        """Take the wait before a frame that by its form is a retry."""
+        if self._is_given:
+            return
+        self._waits.append(wait_ns)
+        waits = sorted(self._waits)
+        trimmed = len(waits) // TRIMMED
+        shortest, longest = waits[trimmed], waits[-1 - trimmed]
+        spread, unit = longest - shortest, shortest / len(waits)
+        margin = spread / 2 + MARGIN * unit
+        self._range = shortest - margin, longest + margin
+        self._running_until_ns = shortest - max(spread / 2 + DOUBTFUL_MARGIN * unit, margin)
+
+    def is_not_over(self, wait_ns: int) -> bool:
+        """True if the timeout is known and the master is still waiting after `wait_ns`."""
+        return wait_ns < self._running_until_ns
+
+    def is_doubtful(self, wait_ns: int) -> bool:
+        """True if the timeout may be over after `wait_ns`, or not."""
+        return self._range is not None and self._running_until_ns <= wait_ns < self._range[0]
+
+    def is_over_at(self, wait_ns: int) -> bool:
+        """True if the timeout is known and ends after about `wait_ns`."""
+        return self._range is not None and self._range[0] <= wait_ns <= self._range[1]
