@@ -134,18 +134,18 @@ def delivered(wire: Wire, column: Column) -> list[Read]:
         case Column.BYTES:
             return [(data[at : at + 1], times[at]) for at in range(len(data))]
         case Column.POLLED:
-            return list(_by_timer(data, times, POLL_NS, len(data)))
+            return list(by_timer(data, times, POLL_NS, len(data)))
         case Column.FTDI:
-            return list(_by_timer(data, times, FTDI_TIMER_NS, FTDI_BYTES))
+            return list(by_timer(data, times, FTDI_TIMER_NS, FTDI_BYTES))
         case Column.BURST_32:
-            return list(_by_count(data, times, 32))
+            return list(by_count(data, times, 32))
         case Column.BURST_62:
-            return list(_by_count(data, times, 62))
+            return list(by_count(data, times, 62))
         case Column.NO_TIMES:
-            return list(_untimed(data, times[0] if times else 0, wire.line))
+            return list(untimed(data, times[0] if times else 0, wire.line))
 
 
-def _by_timer(data: bytes, times: list[int], period_ns: int, most: int) -> Iterator[Read]:
+def by_timer(data: bytes, times: list[int], period_ns: int, most: int) -> Iterator[Read]:
     """A timer that runs from one delivery to the next; a full buffer does not wait for it."""
     if not data:
         return
@@ -163,7 +163,7 @@ def _by_timer(data: bytes, times: list[int], period_ns: int, most: int) -> Itera
         yield data[begin:], tick_ns
 
 
-def _by_count(data: bytes, times: list[int], size: int) -> Iterator[Read]:
+def by_count(data: bytes, times: list[int], size: int) -> Iterator[Read]:
     """So many bytes at once, whatever silences are between them; less only after a long wait."""
     begin = 0
     for at, time_ns in enumerate(times):
@@ -177,7 +177,7 @@ def _by_count(data: bytes, times: list[int], size: int) -> Iterator[Read]:
         yield data[begin:], times[begin] + BURST_FLUSH_NS
 
 
-def _untimed(data: bytes, start_ns: int, line: SerialFormat) -> Iterator[Read]:
+def untimed(data: bytes, start_ns: int, line: SerialFormat) -> Iterator[Read]:
     """As from a file of bytes: one after the other, a character time each."""
     for begin in range(0, len(data), FILE_READ):
         piece = data[begin : begin + FILE_READ]

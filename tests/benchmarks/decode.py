@@ -25,7 +25,6 @@ from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignmen
 from mbtool.logs import LogReader, LogWriter, transaction_to_jsonl
 from mbtool.modbus import Transaction, encode_pdu, mbap_adu
 from mbtool.packets import TcpReassembler, read_capture
-from mbtool.views.cells import day, transaction_row
 from mbtool.views.transaction_table import TransactionTable
 from tests.packets.building import Talk, pcap
 
@@ -173,8 +172,7 @@ def tabled(transactions: Sequence[NamedTransaction]) -> list[str]:
     file = io.StringIO()
     table = TransactionTable(Console(file=file, width=160))
     for number, one in enumerate(transactions, start=1):
-        row = transaction_row(number, one, ASSIGNMENTS.profile_for(one))
-        table.add(row, day(one.start_ns))
+        table.add(number, one, ASSIGNMENTS.profile_for(one))
     table.flush()
     return file.getvalue().splitlines()
 

@@ -5,6 +5,9 @@ Traffic whose truth is known (bus_traffic.py) is damaged, delivered as adapters 
 adapter and one damage, for this decoder and for the peers that are installed (line_peers.py), all
 on the same bytes.
 
+With --plants it measures lines as they are found in practice (plants/): units that do not respond,
+adapters that echo, two masters, noise of any value. Their truth says also what nobody can know.
+
 The traffic comes from several lines, each with its own seed, units and poll list, so that none
 decides the figures alone. Rates are the machine's; all else depends on the arguments only.
 """
@@ -31,6 +34,8 @@ from tests.benchmarks.adapters import Column, Damage, Read, Wire, damaged, deliv
 from tests.benchmarks.bus_traffic import LINE, bus_traffic
 from tests.benchmarks.figures import SURE, Figures, Heard, figures
 from tests.benchmarks.line_peers import installed
+from tests.benchmarks.plants import report as plants_report
+from tests.benchmarks.plants.peers import plant_decoders
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -203,6 +208,12 @@ def _megabytes(rate: float | None) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     options = _options()
     asked = options.parse_args(arguments)
+    if asked.plants:
+        decoders_of_plants = plant_decoders(peers=asked.peers)
+        if not list(plants_report.chosen(asked.cell)):
+            options.error(f"--cell {asked.cell}: no plant or no adapter has such a name")
+        plants_report.main(asked, decoders_of_plants)
+        return
     columns, damages = list(Column), list(Damage)
     if asked.cell:
         column, _, damage = asked.cell.partition("/")
@@ -260,6 +271,7 @@ def _options() -> argparse.ArgumentParser:
         help="say of the first N of each cell what is missing, false or wrong",
     )
     parser.add_argument("--json", action="store_true", help="a line of JSON for each cell")
+    plants_report.add_options(parser)
     return parser
 
 

@@ -12,6 +12,11 @@
 # goes to a server's framer, which finds requests, and to a client's, which finds responses. What
 # both find counts as ambiguous.
 #
+# "pymodbus searched" is the same classes, tried at every byte of all that was heard, as a careful
+# user would build a listener from them. A frame is where a class knows the length and the CRC is
+# right; of two the longer one. The search goes on behind it. It needs no times. Nothing in pymodbus
+# joins requests and responses.
+#
 # modbus-sniffer (PyPI) decodes what came between two silences. It needs Python 3.12.
 
 from __future__ import annotations
@@ -26,6 +31,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Direction
+from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.modbus.adu_bytes import crc
 from tests.benchmarks.adapters import Column
 from tests.benchmarks.figures import Heard
@@ -53,6 +59,7 @@ def installed() -> tuple[dict[str, Peer], list[str]]:
     for name, usable, peer in (
         ("tshark", shutil.which("tshark") is not None, tshark),
         ("pymodbus", _module("pymodbus.framer") is not None, pymodbus),
+        ("pymodbus searched", _module("pymodbus.framer") is not None, pymodbus_searched),
         ("modbus-sniffer", _module("modbus_sniffer.serial_snooper") is not None, modbus_sniffer),
     ):
         if usable:
@@ -176,6 +183,49 @@ def pymodbus(wire: Wire, reads: Sequence[Read], column: Column) -> Heard:
     seconds = time.process_time() - begin
     frames = [(offset, raw, each) for (offset, raw), each in sorted(directions.items(), key=_place)]
     return Heard(frames=frames, seconds=seconds)
+
+
+def pymodbus_searched(wire: Wire, reads: Sequence[Read], column: Column) -> Heard:
+    del wire, column
+    from pymodbus import pymodbus_apply_logging_config
+    from pymodbus.pdu import DecodePDU
+
+    pymodbus_apply_logging_config("CRITICAL")
+    decoders = ((DecodePDU(True), Direction.REQUEST), (DecodePDU(False), Direction.RESPONSE))
+    heard = Heard()
+    data = b"".join(data for data, _ in reads)
+    begin = time.process_time()
+    offset = 0
+    while offset + MIN_FRAME <= len(data):
+        rest = data[offset : offset + MAX_RTU_ADU]
+        found = [(_pymodbus_size(decoder, rest), direction) for decoder, direction in decoders]
+        size = max(size for size, _ in found)
+        if size == 0:
+            offset += 1
+            continue
+        directions = [direction for each, direction in found if each == size]
+        direction = directions[0] if len(directions) == 1 else None
+        heard.frames.append((offset, rest[:size], direction))
+        offset += size
+    heard.seconds = time.process_time() - begin
+    return heard
+
+
+def _pymodbus_size(decoder: Any, rest: bytes) -> int:
+    """The size of the frame at the front for one end of the line, 0 if there is none."""
+    from pymodbus.framer import FramerRTU
+
+    size = 0
+    # Its classes index what may not be there, and raise for what has no known length.
+    with contextlib.suppress(Exception):
+        pdu_class = decoder.lookupPduClass(rest)
+        size = pdu_class.calculateRtuFrameSize(rest) if pdu_class else 0
+    if not MIN_FRAME <= size <= len(rest):
+        return 0
+    received = int.from_bytes(rest[size - 2 : size], "big")
+    if not FramerRTU.check_CRC(rest[: size - 2], received):
+        return 0
+    return size if decoder.decode(rest[1 : size - 2]) is not None else 0
 
 
 def _place(item: tuple[tuple[int, bytes], Direction | None]) -> int:

@@ -7,9 +7,9 @@
     --json, --markdown   in place of the table
 
 Each numeric constant of mbtool/serial_line is made smaller and larger, one at a time, and the line
-benchmark (line.py) runs on the same traffic as without the change. The table shows by how much the
-counts differ, added up over all adapters and damages. A constant whose row says "nothing changes"
-decides nothing on this traffic.
+benchmark (line.py) runs on the same traffic as without the change: with damages, and with plants.
+The table shows by how much the counts differ, added up over all adapters, damages and plants. A
+constant whose row says "nothing changes" decides nothing on this traffic.
 
 Constants are found in the sources: upper-case names of modules and classes whose value is a number,
 or a tuple of numbers, each of which is varied alone. What is computed from another constant follows
@@ -48,14 +48,8 @@ if TYPE_CHECKING:
 ROOM = "mbtool/serial_line"
 NOT_MEASURED = {"ascii": "reads Modbus ASCII", "settings_fit": "finds the settings of a line"}
 """Modules that the line benchmark does not run, with what they do."""
-COUNTS = {
-    "found": "found",
-    "false": "false",
-    "wrong": "wrong",
-    "ambiguous": "ambiguous",
-    "transactions": "transactions_right",
-}
-"""The columns of the table, and which figures of the line benchmark they add up."""
+COUNTS = ("found", "false", "wrong", "ambiguous", "transactions")
+"""The columns of the table: frames, except for transactions that are told rightly."""
 LIMIT_FACTOR, LIMIT_S = 5, 60.0
 """A variant may take LIMIT_FACTOR times as long as no change, and LIMIT_S more."""
 
@@ -184,25 +178,49 @@ class Bench:
     def _counts(self, limit_s: float | None) -> Counts | None:
         total = dict.fromkeys(COUNTS, 0)
         for seed in self._seeds:
-            command = [sys.executable, "-m", "tests.benchmarks.line", "--json", "--no-peers"]
-            command += ["--transactions", str(self._transactions), "--seed", str(seed)]
-            try:
-                done = subprocess.run(
-                    command,
-                    cwd=self._copy.root,
-                    env={**os.environ, "PYTHONPATH": str(self._copy.root)},
-                    capture_output=True,
-                    text=True,
-                    timeout=limit_s,
-                    check=True,
-                )
-            except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
-                return None
-            for line in done.stdout.splitlines():
-                cell = json.loads(line)
-                for name, figure in COUNTS.items():
-                    total[name] += cell[figure]
+            for kind in ([], ["--plants"]):
+                cells = self._cells(seed, kind, limit_s)
+                if cells is None:
+                    return None
+                for cell in cells:
+                    for name, count in counts_of(cell).items():
+                        total[name] += count
         return total
+
+    def _cells(
+        self, seed: int, kind: list[str], limit_s: float | None
+    ) -> list[dict[str, Any]] | None:
+        """The cells of one run of the line benchmark; None if it fails."""
+        command = [sys.executable, "-m", "tests.benchmarks.line", "--json", "--no-peers", *kind]
+        command += ["--transactions", str(self._transactions), "--seed", str(seed)]
+        try:
+            done = subprocess.run(
+                command,
+                cwd=self._copy.root,
+                env={**os.environ, "PYTHONPATH": str(self._copy.root)},
+                capture_output=True,
+                text=True,
+                timeout=limit_s,
+                check=True,
+            )
+        except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
+            return None
+        return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def counts_of(cell: dict[str, Any]) -> Counts:
+    """The columns of the table for one cell of the line benchmark, with a damage or of a plant."""
+    if "plant" not in cell:
+        return {name: cell[name] for name in COUNTS[:-1]} | {
+            "transactions": cell["transactions_right"]
+        }
+    return {
+        "found": cell["frames_found"],
+        "false": cell["frames_false"],
+        "wrong": cell["sure_amiss"],
+        "ambiguous": cell["frames_told"] - cell["sure"] - cell["likely"],
+        "transactions": cell["right"],
+    }
 
 
 def measured(

@@ -10,7 +10,7 @@ from mbtool.core import SerialFormat
 from tests.benchmarks.adapters import Column, Damage, Wire, damaged, delivered
 from tests.benchmarks.bus_traffic import bus_traffic
 from tests.benchmarks.figures import Figures, figures
-from tests.benchmarks.line_peers import bursts, pymodbus, tshark
+from tests.benchmarks.line_peers import bursts, pymodbus, pymodbus_searched, tshark
 
 if TYPE_CHECKING:
     from tests.benchmarks.line_peers import Peer
@@ -29,6 +29,15 @@ def test_reads_are_joined_until_a_silence() -> None:
 def test_pymodbus_finds_frames_and_loses_what_is_behind_them() -> None:
     one = heard_by(pymodbus, Column.FTDI)
     assert 0 < one.found < one.frames
+    assert one.transactions is None
+
+
+@pytest.mark.parametrize("column", [Column.BYTES, Column.NO_TIMES])
+def test_pymodbus_searched_finds_nearly_every_frame_but_not_user_defined_functions(
+    column: Column,
+) -> None:
+    one = heard_by(pymodbus_searched, column)
+    assert 0.9 * one.frames < one.found < one.frames
     assert one.transactions is None
 
 

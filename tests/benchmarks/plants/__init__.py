@@ -1,0 +1,1 @@
+"""RS-485 lines with exact truth, made from the specification and from practice."""
