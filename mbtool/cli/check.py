@@ -53,6 +53,15 @@ def check(
             "one counts.",
         ),
     ] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--limit",
+            metavar="CODE=NUMBER/TIME",
+            help="How many cases within which time are an attack or a scan: SEC-201=20/60s. The "
+            "time is in ms, s, min or h. docs/findings.md lists the defaults. Repeatable.",
+        ),
+    ] = None,
     format_: Annotated[
         CheckFormat | None,
         typer.Option(
@@ -87,10 +96,12 @@ def check(
         told_as_lost,
     )
     from mbtool.cli.talk import interruptible
+    from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
 
     options = source.read(device, raw=raw, silences=silences)
-    run = CheckRun(files, options, CodeFilter.parse(select or (), ignore or ()))
+    codes = CodeFilter.parse(select or (), ignore or ())
+    run = CheckRun(files, options, codes, SecurityLimits.parse(limit or ()))
     run.demand_codes()
     demand_other_file(files, output)
     path = named_file(output)

@@ -9,20 +9,10 @@ from mbtool.devices.loading import (
     profile_from_json,
     profile_to_json,
 )
-from mbtool.devices.model import (
-    Access,
-    Area,
-    ByteOrder,
-    Exceptions,
-    FunctionRule,
-    Point,
-    PointType,
-    Profile,
-    Timing,
-    WordOrder,
-)
+from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.naming import Namer
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.profile_checks import finding_text
 from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema

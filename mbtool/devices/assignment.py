@@ -125,8 +125,12 @@ def parse_who(text: str) -> Who:
 class Assignments:
     """The profiles that the user assigned to slaves."""
 
-    def __init__(self, assignments: Iterable[Assignment] = ()) -> None:
+    def __init__(
+        self, assignments: Iterable[Assignment] = (), applied: set[Who] | None = None
+    ) -> None:
         """Raises UsageError if one WHO has two profiles, or two profiles have one name."""
+        self.applied = set() if applied is None else applied
+        """Who of the assignments was found so far."""
         # The first assignment that matches a slave must be the most specific one.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
         self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
@@ -157,6 +161,15 @@ class Assignments:
     def __iter__(self) -> Iterator[Assignment]:
         """Each assignment, the most specific first."""
         return iter(self._assignments)
+
+    @property
+    def remarks(self) -> list[str]:
+        """A line for each assignment that has fitted no slave so far."""
+        return [
+            f"--device {one.who}={one.profile.name}: has no effect, as no such slave is there"
+            for one in self._assignments
+            if one.who not in self.applied
+        ]
 
     @property
     def profiles(self) -> list[Profile]:
@@ -192,6 +205,7 @@ class Assignments:
     def _find(self, destination: str | None, unit: int) -> Profile | None:
         for each in self._assignments:
             if each.who.fits_slave(destination, unit):
+                self.applied.add(each.who)
                 return each.profile
         return None
 

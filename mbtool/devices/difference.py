@@ -51,5 +51,6 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     p: float | None = None
     """The probability that chance alone causes such a difference, 0 to 1; None if it was not
     computed."""
-    alike: int = 0
-    """How many other requests with this function have a changed latency, too."""
+    alike: list[str] = []
+    """Other requests with this function whose latencies changed by about the same factor in the
+    same direction: the addresses of each, in the vendor's notation."""

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mbtool.devices.model import Exceptions, Point, PointType, Profile, Radix, Timing
+from mbtool.devices.model import Exceptions, Point, Profile, Radix, Timing
+from mbtool.devices.point_types import PointType
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

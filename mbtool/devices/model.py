@@ -13,6 +13,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import READ_LIMIT, exception_name
 from mbtool.modbus.tables import Table
@@ -168,6 +169,26 @@ class FunctionRule(_Part, frozen=True, kw_only=True):
     title: Annotated[str | None, _about("The vendor's name for the vendor's own function.")] = None
     answer: Annotated[AnswerWord | None, _about("The response to the vendor's function.")] = None
     answers: Annotated[bool, _about("False if the device gives no response.")] = True
+    echoes: Annotated[bool, _about("True if the response to it repeats the request.")] = False
+    doubtful: Annotated[
+        bool, _about("True if the limit is uncertain: a larger quantity is only a note.")
+    ] = False
+    value: Annotated[
+        ExceptionCode | None,
+        _about("For a wrong quantity, byte count or value, if the function differs."),
+    ] = None
+    documented: Annotated[
+        list[ExceptionCode] | None,
+        _about("Every exception code in the manual for this function, if they differ."),
+    ] = None
+
+
+class ExceptionCause(StrEnum):
+    """What is wrong with a request that a device refuses."""
+
+    FUNCTION = "function"
+    ADDRESS = "address"
+    VALUE = "value"
 
 
 class Exceptions(_Part, frozen=True, kw_only=True):
@@ -179,6 +200,9 @@ class Exceptions(_Part, frozen=True, kw_only=True):
     documented: Annotated[list[ExceptionCode], _about("Every exception code in the manual.")] = (
         msgspec.field(default_factory=lambda: [1, 2, 3])
     )
+    causes: Annotated[
+        list[ExceptionCause], _about("The wrongs of a request whose code the manual states.")
+    ] = []
     texts: Annotated[Texts, _about("Meanings that differ from the standard's.")] = {}
 
 
@@ -190,90 +214,6 @@ class Timing(_Part, frozen=True, kw_only=True):
     request_interval: Annotated[
         str | None, _about("The shortest silence from a response to the next request.")
     ] = None
-
-
-class PointType(StrEnum):
-    """How a point's value is encoded in its registers or bits."""
-
-    BIT = "bit"
-    UINT16 = "uint16"
-    INT16 = "int16"
-    BCD16 = "bcd16"
-    """Four decimal digits of four bits each."""
-    HEX16 = "hex16"
-    """A code that the manual writes in hexadecimal."""
-    OCTETS = "octets"
-    """Two octets of an IP address; the first one is in the high byte."""
-    UINT32 = "uint32"
-    INT32 = "int32"
-    BCD32 = "bcd32"
-    FLOAT32 = "float32"
-    UINT64 = "uint64"
-    INT64 = "int64"
-    FLOAT64 = "float64"
-    STRING = "string"
-    """Two characters in each register; the first one is in the high byte."""
-    FLAGS = "flags"
-    """A register whose bits have names."""
-    BIT_FIELD = "bit-field"
-    """A register with one bit for each channel."""
-    NIBBLE_FIELD = "nibble-field"
-    """A register with four bits for each channel."""
-
-    @property
-    def words(self) -> int:
-        """How many addresses a value takes; 0 for a string, which has its own `length`."""
-        return 0 if self is PointType.STRING else _WORDS.get(self, 1)
-
-    @property
-    def channel_bits(self) -> int:
-        """How many bits a field has for each channel; 0 for other types."""
-        return {PointType.BIT_FIELD: 1, PointType.NIBBLE_FIELD: 4}.get(self, 0)
-
-    @property
-    def whole_numbers(self) -> range | None:
-        """The numbers that an integer type can hold; None for other types."""
-        return _RANGES.get(self)
-
-    @property
-    def is_number(self) -> bool:
-        """True if the value is a quantity, which can have a scale and a unit."""
-        return self in _RANGES or self in (PointType.FLOAT32, PointType.FLOAT64)
-
-
-_WORDS = {
-    PointType.UINT32: 2,
-    PointType.INT32: 2,
-    PointType.BCD32: 2,
-    PointType.FLOAT32: 2,
-    PointType.UINT64: 4,
-    PointType.INT64: 4,
-    PointType.FLOAT64: 4,
-}
-_RANGES = {
-    PointType.UINT16: range(1 << 16),
-    PointType.INT16: range(-(1 << 15), 1 << 15),
-    PointType.BCD16: range(10**4),
-    PointType.UINT32: range(1 << 32),
-    PointType.INT32: range(-(1 << 31), 1 << 31),
-    PointType.BCD32: range(10**8),
-    PointType.UINT64: range(1 << 64),
-    PointType.INT64: range(-(1 << 63), 1 << 63),
-}
-
-
-class WordOrder(StrEnum):
-    """Which register of a value of several registers comes first."""
-
-    HIGH_FIRST = "high-first"
-    LOW_FIRST = "low-first"
-
-
-class ByteOrder(StrEnum):
-    """Which byte of a register comes first; the high one in the standard."""
-
-    HIGH_FIRST = "high-first"
-    LOW_FIRST = "low-first"
 
 
 class Point(_Part, frozen=True, kw_only=True):
@@ -388,6 +328,9 @@ class Profile(_Part, frozen=True, kw_only=True):
     last_unit: Annotated[
         Annotated[int, Meta(ge=1, le=255)] | None, _about("Highest unit on a serial line.")
     ] = None
+    complete_areas: Annotated[
+        bool, _about("True if every address of its areas exists in every such device.")
+    ] = False
     any_unit: Annotated[bool, _about("True if it responds to every unit number in Modbus/TCP.")] = (
         False
     )
@@ -398,6 +341,18 @@ class Profile(_Part, frozen=True, kw_only=True):
     def rule(self, function: int) -> FunctionRule | None:
         """The rule for a function; None if the device does not have it."""
         return self.functions.get(f"{function:02X}")
+
+    def value_exception(self, function: int) -> int:
+        """The exception code of a function for a wrong quantity, byte count or value."""
+        rule = self.rule(function)
+        return self.exceptions.value if rule is None or rule.value is None else rule.value
+
+    def documented_exceptions(self, function: int) -> list[int]:
+        """Every exception code that the manual lists for a function."""
+        rule = self.rule(function)
+        if rule is None or rule.documented is None:
+            return self.exceptions.documented
+        return rule.documented
 
     def in_mode(self, transport: Transport) -> Profile:
         """The profile for one transport. In ASCII mode, functions have their limits for ASCII."""

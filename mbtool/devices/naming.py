@@ -12,15 +12,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from mbtool.devices.assignment import Assignments
 from mbtool.devices.identity import answer_word, identity_points
-from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, PointType, Profile
+from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, Profile
 from mbtool.devices.named_transaction import NamedTransaction, PointValue
+from mbtool.devices.point_types import PointType
 from mbtool.devices.profile_checks import (
     Ranges,
     data_finding,
@@ -28,12 +30,15 @@ from mbtool.devices.profile_checks import (
     fixed_data,
     has_other_data,
     request_findings,
+    unit_finding,
     value_finding,
     value_ranges,
     values_outside,
+    written_by_17h,
 )
 from mbtool.devices.references import write_reference
-from mbtool.devices.standard_checks import form_codes
+from mbtool.devices.response_checks import response_findings
+from mbtool.devices.standard_checks import LAST_UNIT, form_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
@@ -98,6 +103,8 @@ class _Meaning:
     read: tuple[tuple[int, PointInstance], ...] = ()
     answer: PointInstance | None = None
     """The word in the response to a vendor's own function, as a point; None for other functions."""
+    answer_texts: Mapping[int, str] = field(default_factory=dict)
+    """The meanings of the word in `answer`."""
     findings: tuple[str, ...] = ()
 
 
@@ -113,7 +120,10 @@ class _Vocabulary:
         """The points by their table and by whether a request writes them; sorted by address."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         """The first address of each point in `_points`, in the same order."""
-        self._cache: dict[tuple[int | None, ...], _Meaning] = {}
+        self._cache: dict[tuple[object, ...], _Meaning] = {}
+        own = profile.last_unit if profile is not None else None
+        self._last_unit = LAST_UNIT if own is None else own
+        """The highest unit that a slave with this profile has on a serial line."""
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
         if profile is not None:
@@ -152,12 +162,18 @@ class _Vocabulary:
         findings = [*meaning.findings] if has_request else []
         findings += form_codes(transaction)
         profile = self.profile
+        if transaction.unit > self._last_unit and transaction.transport.is_serial:
+            findings.append(unit_finding(profile, transaction.unit))
         if profile is not None:
             fixed = self._fixed_data.get(transaction.function)
             if fixed is not None and has_request and has_other_data(transaction, fixed):
                 findings.append(data_finding(profile, transaction.function))
+            if transaction.response_raw is not None:
+                findings += response_findings(profile, transaction, findings)
             if transaction.exception is not None:
-                undocumented = exception_finding(profile, transaction.exception)
+                undocumented = exception_finding(
+                    profile, transaction.function, transaction.exception
+                )
                 findings += [undocumented] if undocumented is not None else []
             if self._ranges and transaction.request_values and meaning.written and points:
                 written = points
@@ -184,6 +200,7 @@ class _Vocabulary:
             transaction.quantity,
             transaction.write_address,
             0 if transaction.write_address is None else len(transaction.request_values or ()),
+            written_by_17h(transaction),
         )
         meaning = self._cache.get(key)
         if meaning is None:
@@ -198,20 +215,23 @@ class _Vocabulary:
         findings = tuple(request_findings(self.profile, transaction))
         title: str | None = None
         answer: PointInstance | None = None
+        texts: Mapping[int, str] = {}
         if self.profile is not None:
             rule = self.profile.rule(function)
             if rule is not None:
                 title = rule.title
-                answer = _answer_point(rule.answer, function) if rule.answer is not None else None
+                if rule.answer is not None:
+                    answer, texts = _answer_point(rule.answer, function), rule.answer.texts
         known = FUNCTIONS.get(function)
         if known is None or known.table is None or address is None:
-            return _Meaning(title, answer=answer, findings=findings)
+            return _Meaning(title, answer=answer, answer_texts=texts, findings=findings)
         writes = known.writes and function != READ_AND_WRITE
         reference = write_reference(self.profile, known.table, address, quantity, writing=writes)
         points = self._points_in(known.table, address, max(quantity or 1, 1), writing=writes)
         if function == READ_AND_WRITE and transaction.write_address is not None:
             start, count = transaction.write_address, len(transaction.request_values or ())
-            written = write_reference(self.profile, known.table, start, count, writing=True)
+            said = transaction.written_quantity
+            written = write_reference(self.profile, known.table, start, said, writing=True)
             return _Meaning(
                 title,
                 reference=f"{reference}, write {written}",
@@ -271,7 +291,7 @@ def _answer_point(answer: AnswerWord, function: int) -> PointInstance:
         name=answer.name,
         table=Table.HOLDING_REGISTERS,  # Any table: the word has no address.
         address=0,
-        type=PointType.UINT16,
+        type=PointType.HEX16 if answer.texts else PointType.UINT16,  # 0099H, if it has no text
         texts=answer.texts,
     )
     return PointInstance(point, 0, f"{function:02X}H")
@@ -288,7 +308,9 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     if meaning.answer is not None:
         word = answer_word(transaction)
         if word is not None:
-            points.append(meaning.answer.value([word]))
+            answer = meaning.answer.value([word])
+            text = meaning.answer_texts.get(word, answer.text)
+            points.append(msgspec.structs.replace(answer, text=text))
     if transaction.function in (REPORT_SERVER_ID, ENCAPSULATED):
         points += identity_points(transaction)
     return points

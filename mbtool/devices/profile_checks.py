@@ -11,7 +11,7 @@ import msgspec
 
 from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.checking.rules import DeviceCode, rule_of
-from mbtool.devices.standard_checks import is_quantity_wrong, request_codes
+from mbtool.devices.standard_checks import LAST_UNIT, is_quantity_wrong, request_codes
 from mbtool.devices.values import point_instances
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 from mbtool.modbus.pdu import whole_pdu
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from mbtool.devices.named_transaction import PointValue
     from mbtool.modbus.tables import Table
     from mbtool.modbus.transaction import Transaction
+
+_WRITE_QUANTITY = slice(7, 9)
+"""Where the PDU of a request with function 17H has the quantity that it writes."""
 
 Ranges = dict[str, tuple[float | None, float | None]]
 """The least and the greatest value of points, by the point's name; None where there is no limit."""
@@ -41,6 +44,19 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return f"the device has no {function_name(number)}"
         case "Q":
             return _limit_text(profile.rule(number) if profile is not None else None)
+        case "L":
+            limit = profile.rule(number) if profile is not None else None
+            return f"{_limit_text(limit)}, which is doubtful"
+        case "U":
+            last = profile.last_unit if profile is not None else None
+            return "the device cannot have this unit" if last is None else f"units are 1 to {last}"
+        case "C":
+            return f"exception {number:02X} is for another cause"
+        case "R":
+            own = profile.rule(number) if profile is not None else None
+            return "the response has another form" if own is None else _form_text(own)
+        case "M":
+            return "the manual does not list this code"
         case "A":
             verb = "write" if function is not None and function.writes else "read"
             return f"not an address that one can {verb}"
@@ -62,8 +78,8 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
 def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
     """Give the finding codes for the function, the addresses and the quantities of a request."""
     function = transaction.function
-    written = _written_by_17h(transaction)
-    standard = request_codes(function, transaction.address, transaction.quantity, written)
+    written = written_by_17h(transaction)
+    standard = list(request_codes(function, transaction.address, transaction.quantity, written))
     if profile is None:
         yield from standard
         return
@@ -73,7 +89,8 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
         yield f"{prefix}-F{function}"
         return
     if _is_quantity_wrong(rule, transaction, written):
-        yield f"{prefix}-Q{function}"
+        is_doubtful = rule.doubtful and not any(code == "MB-104" for code in standard)
+        yield f"{prefix}-{'L' if is_doubtful else 'Q'}{function}"
     elif rule.limit is None:
         # MB-106, a range beyond FFFFH, is left out: such a range is also outside the device's
         # areas, so it gets a code with the letter A.
@@ -83,9 +100,11 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
         yield f"{prefix}-{letter}{function}"
 
 
-def exception_finding(profile: Profile, exception: int) -> str | None:
-    """The finding code for an exception that is not in the device's manual; None if it is there."""
-    if exception in profile.exceptions.documented:
+def exception_finding(profile: Profile, function: int, exception: int) -> str | None:
+    """The finding code for an exception that the device's manual does not list for the function;
+    None if it does.
+    """
+    if exception in profile.documented_exceptions(function):
         return None
     return f"{finding_prefix(profile)}-E{exception}"
 
@@ -136,6 +155,30 @@ def data_finding(profile: Profile, function: int) -> str:
     return f"{finding_prefix(profile)}-D{function}"
 
 
+def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
+    """First address and quantity of the registers that a function 17H writes; None for other
+    functions.
+
+    The quantity is that of the request's field, also if the values do not agree with it.
+    """
+    if transaction.write_address is None:
+        return None
+    if transaction.write_quantity is not None:
+        return transaction.write_address, transaction.write_quantity
+    quantity = len(transaction.request_values or ())  # In a log without the field.
+    pdu = whole_pdu(transaction.transport, transaction.request_raw)
+    if pdu is not None and len(pdu) >= _WRITE_QUANTITY.stop:
+        quantity = int.from_bytes(pdu[_WRITE_QUANTITY])
+    return transaction.write_address, quantity
+
+
+def unit_finding(profile: Profile | None, unit: int) -> str:
+    """The finding code for a unit that a slave cannot have on a serial line."""
+    if profile is None or profile.last_unit is None or unit > LAST_UNIT:
+        return "MB-108"
+    return f"{finding_prefix(profile)}-U{unit}"
+
+
 def finding_prefix(profile: Profile) -> str:
     return profile.finding_prefix or profile.name.upper()
 
@@ -160,6 +203,13 @@ def _limit_text(rule: FunctionRule | None) -> str:
     if rule.limit is None:
         return f"at most {rule.write_limit} are written"
     return f"at most {rule.limit} are read and {rule.write_limit} written"
+
+
+def _form_text(rule: FunctionRule) -> str:
+    """The form of the response that the manual states for a function."""
+    if not rule.answers:
+        return "the manual states no response"
+    return "the manual states two bytes" if rule.answer is not None else "it is not as sent"
 
 
 def _address_letter(
@@ -198,13 +248,6 @@ def holds_read_only_point(profile: Profile, table: Table, span: range) -> bool:
         if point.allows(writing=True):
             read_only -= point.all_addresses
     return bool(read_only)
-
-
-def _written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
-    """First address and quantity of the registers that a function 17H writes."""
-    if transaction.write_address is None:
-        return None
-    return transaction.write_address, len(transaction.request_values or ())
 
 
 def _with_only(profile: Profile, point: Point) -> Profile:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mbtool.devices.model import PointType, Profile
+from mbtool.devices.model import Profile
+from mbtool.devices.point_types import PointType
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.transaction import Transaction
 
+LAST_UNIT = 247
+"""The highest unit on a serial line; 248 to 255 are reserved (Serial Line 2.2)."""
+
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}

@@ -18,6 +18,7 @@ from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, function_name
 
 if TYPE_CHECKING:
+    from mbtool.devices.model import FunctionRule
     from mbtool.modbus.tables import Table
 
 _MAX_CODE = 0xFF
@@ -129,8 +130,28 @@ def _validate_functions(profile: Profile, file: str) -> None:
             errors.wrong(
                 "ascii_limit", "the device is on no ASCII line; add 'ascii' to the transports"
             )
+        _validate_codes(profile, rule, code, errors)
         if rule.answer is not None and not rule.answers:
             errors.wrong("answers", "false, but 'answer' says what it answers; leave one out")
+
+
+def _validate_codes(profile: Profile, rule: FunctionRule, code: int, errors: PartErrors) -> None:
+    known, own = profile.exceptions.documented, profile.documented_exceptions(code)
+    for each in rule.documented or ():
+        if each not in known:
+            listed = ", ".join(map(str, known)) or "there are none"
+            errors.wrong(
+                "documented",
+                f"{each} is not among the documented codes of the device ({listed}); add it to "
+                "'documented' of [exceptions]",
+            )
+    if profile.value_exception(code) not in own and (rule.value or rule.documented) is not None:
+        listed = ", ".join(map(str, own)) or "there are none"
+        errors.wrong(
+            "value",
+            f"{profile.value_exception(code)} is not among the documented codes of the function "
+            f"({listed}); give another",
+        )
 
 
 def _meant_in_decimal(profile: Profile, digits: str, limit: int) -> str:

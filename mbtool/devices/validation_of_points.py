@@ -7,7 +7,8 @@ import re
 from typing import NoReturn
 
 from mbtool.core.errors import ProfileError
-from mbtool.devices.model import WORD_BITS, Point, PointType, WordOrder
+from mbtool.devices.model import WORD_BITS, Point
+from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.devices.values import PointInstance
 
 _PLACEHOLDER = re.compile(r"\{(n|reference)\}")

@@ -16,8 +16,9 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
 
 from mbtool.core.errors import UsageError
-from mbtool.devices.model import WORD_BITS, Access, ByteOrder, Point, PointType, WordOrder
+from mbtool.devices.model import WORD_BITS, Access, Point
 from mbtool.devices.named_transaction import PointValue
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.references import write_reference
 
 if TYPE_CHECKING:

@@ -16,11 +16,13 @@ from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.devices import Namer, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
-from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES
+from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -83,15 +85,22 @@ class CheckRun:
     """One pass over some files: checks them and counts the findings."""
 
     def __init__(
-        self, paths: Sequence[str], options: ReadingOptions, codes: CodeFilter | None = None
+        self,
+        paths: Sequence[str],
+        options: ReadingOptions,
+        codes: CodeFilter | None = None,
+        limits: SecurityLimits | None = None,
     ) -> None:
         self._codes = codes or CodeFilter()
+        self._limits = limits or SecurityLimits()
         self.reading = Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
         self._checker: Checker | None = None
         """Checks the capture that is being read."""
+        self._lines: UnreadableLines | None = None
+        """Notices which serial lines of this capture cannot be read."""
         self._namer: Namer | None = None
         """Names the transactions of a log again, by today's profiles; None where no log is read."""
         self._captures = 0
@@ -140,18 +149,32 @@ class CheckRun:
     def _begin_capture(self) -> None:
         reading = self.reading
         self._captures = reading.captures
+        self._lines = UnreadableLines(lambda link: reading.line_of(link))
         self._namer = Namer(reading.assignments) if reading.is_log else None
-        self._checker = Checker(CaptureContext(reading.assignments, self._format_of, self._ports))
+        self._checker = Checker(
+            CaptureContext(
+                reading.assignments,
+                self._format_of,
+                reading.exact_times.is_exact,
+                self._ports,
+                self._limits,
+            )
+        )
 
     def _end_capture(self) -> Iterator[FileFinding]:
+        lines, self._lines = self._lines, None
+        if lines is not None:
+            unreadable = lines.unreadable()
+            yield from self._chosen(event_finding("RTU-204", *each) for each in unreadable)
         checker, self._checker = self._checker, None
         if checker is not None:
             yield from self._chosen(checker.close())
             self._remarks += checker.remarks
 
     def _check(self, record: Record) -> Iterator[FileFinding]:
-        if self._checker is None:
+        if self._checker is None or self._lines is None:
             return
+        self._lines.note(record)
         if not isinstance(record, WireEvent):
             self.transactions += 1
             self._hints.note(record)

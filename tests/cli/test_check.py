@@ -48,6 +48,33 @@ def test_what_is_ignored_is_no_answer_of_no(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out.startswith("FT1A-A3 ")
 
 
+def test_a_limit_says_from_where_on_something_is_a_scan(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    nearly = str(FOLDER / "findings" / "SEC-202-nearly.pcap")
+    assert run(["check", nearly]) == exit_codes.DONE
+    limits = ["--limit", "sec-202=9/1min", "--limit", "SEC-201=2/5s"]
+    assert run(["check", nearly, *limits]) == exit_codes.NO
+    assert capsys.readouterr().out == (
+        "SEC-202  warning  9 times  2026-01-01 00:00:00.004  10.0.0.2\n"
+        "    10.0.0.1 asks 9 units of 10.0.0.2:502 and polls none of them: 1, 2, 3, ...\n"
+    )
+    assert run(["check", nearly, *limits, "--ignore", "SEC"]) == exit_codes.DONE
+
+
+def test_attacks_are_in_documents(tmp_path: Path) -> None:
+    shows = str(FOLDER / "findings" / "SEC-201.pcap")
+    assert run(["check", shows, "-o", str(tmp_path / "x.json")]) == exit_codes.NO
+    (finding,) = json.loads((tmp_path / "x.json").read_text())["findings"]
+    assert (finding["code"], finding["count"], finding["severity"]) == ("SEC-201", 10, "warning")
+    assert finding["source"].startswith("10.0.0.9:")
+    assert "unit" not in finding
+    assert run(["check", shows, "-o", str(tmp_path / "x.sarif")]) == exit_codes.NO
+    (run_,) = json.loads((tmp_path / "x.sarif").read_text())["runs"]
+    (result,) = run_["results"]
+    assert (result["ruleId"], result["occurrenceCount"]) == ("SEC-201", 10)
+
+
 @pytest.mark.parametrize(("name", "key"), [("x.json", "findings"), ("x.sarif", "runs")])
 def test_the_name_of_the_output_says_the_format(
     name: str, key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -93,6 +120,10 @@ def test_a_cut_capture_leaves_a_whole_document(
         ([SHOWS, "-o", SHOWS], "is an input and would be overwritten"),
         ([SHOWS, SHOWS], "named twice"),
         ([SHOWS, "--device", "5"], "device '5'"),
+        ([SHOWS, "--limit", "SEC-201=20"], "--limit: 'SEC-201=20' is no limit; write CODE=NUMBER/"),
+        ([SHOWS, "--limit", "SEC-9=1/1s"], "--limit: 'SEC-9' has no limit; those that have: SEC-"),
+        ([SHOWS, "--limit", "SEC-201=0/1s"], "the number is from 1 to 4096"),
+        ([SHOWS, "--limit", "SEC-201=9/2d"], "--limit: 'SEC-201=9/2d' is no limit"),
         ([LOG, "--link", "rtu"], "--link is not for a log"),
     ],
 )

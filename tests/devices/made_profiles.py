@@ -12,16 +12,14 @@ from mbtool.devices.model import (
     AnswerWord,
     Area,
     BehaviourName,
-    ByteOrder,
     Exceptions,
     FunctionRule,
     Point,
-    PointType,
     Profile,
     Radix,
     Timing,
-    WordOrder,
 )
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table

@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,11 +17,14 @@ from mbtool.devices.loading import (
     profile_from_json,
     profile_to_json,
 )
-from mbtool.devices.model import PointType, Profile
 from mbtool.devices.naming import Namer
+from mbtool.devices.point_types import PointType
 from mbtool.devices.wording import describe
 from tests.devices.pump import PUMP
 from tests.devices.transactions import transaction
+
+if TYPE_CHECKING:
+    from mbtool.devices.model import Profile
 
 
 def _load(folder: Path, text: str, name: str = "pump.toml") -> Profile:

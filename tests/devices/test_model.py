@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.loading import load_profile
-from mbtool.devices.model import Access, Area, Exceptions, Point, PointType, Radix
+from mbtool.devices.model import Access, Area, Exceptions, Point, Radix
+from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import Table
 
 

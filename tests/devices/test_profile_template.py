@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.loading import load_profile
-from mbtool.devices.model import PointType
+from mbtool.devices.point_types import PointType
 from mbtool.devices.profile_template import name_for, starting_profile
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from mbtool.devices.model import (
     Exceptions,
     FunctionRule,
     Point,
-    PointType,
     Profile,
     Timing,
 )
+from mbtool.devices.point_types import PointType
 from mbtool.devices.validation import validate
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.tables import Table
@@ -208,6 +208,23 @@ def test_text_of_an_exception_that_is_not_documented_is_refused() -> None:
         "exceptions.texts",
         "17 (0x11) is not among the documented codes (1, 2, 3); add it there",
     )
+
+
+def test_a_function_lists_only_codes_of_the_device_and_gives_only_codes_that_it_lists() -> None:
+    def problem(**rule: Any) -> tuple[str, str]:
+        return _problem(_profile(functions={"01": FunctionRule(**rule)}))
+
+    validate(_profile(functions={"01": FunctionRule(value=2, documented=[1, 2])}), "pump.toml")
+    assert problem(value=2, documented=[1, 2, 9]) == (
+        "functions.01.documented",
+        "9 is not among the documented codes of the device (1, 2, 3); add it to 'documented' of "
+        "[exceptions]",
+    )
+    assert problem(documented=[1, 2]) == (
+        "functions.01.value",
+        "3 is not among the documented codes of the function (1, 2); give another",
+    )
+    assert problem(value=9)[0] == "functions.01.value"
 
 
 def test_same_addresses_in_two_tables_are_no_overlap() -> None:

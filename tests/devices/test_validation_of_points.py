@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 
 from mbtool.core.errors import ProfileError
-from mbtool.devices.model import ByteOrder, Point, PointType, WordOrder
+from mbtool.devices.model import Point
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.validation_of_points import PartErrors, validate_point
 from mbtool.modbus.tables import Table
 

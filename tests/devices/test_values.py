@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from mbtool.core import UsageError
 from mbtool.devices.loading import load_profile
-from mbtool.devices.model import Access, ByteOrder, Point, PointType, WordOrder
+from mbtool.devices.model import Access, Point
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.values import (
     _MAX_CACHED,
     PointInstance,

@@ -67,6 +67,8 @@ WRONG = [
      "points \"Speed\".scale: expected a number, not '0.1'"),
     ('source = "its manual"', 'source = "its manual"\nany_unit = "yes"',
      "any_unit: expected true or false, not 'yes'"),
+    ('source = "its manual"', 'source = "its manual"\ncomplete_areas = "all"',
+     "complete_areas: expected true or false, not 'all'"),
     ('["rtu"]', '"rtu"', "transports: expected a list, for example ['rtu'], not 'rtu'"),
     ('source = "its manual"', 'source = "its manual"\nnotes = "n"',
      "notes: expected a list, for example ['n'], not 'n'"),
@@ -393,9 +395,10 @@ finding_prefix = "P"
 model_code = 1
 last_unit = 99
 any_unit = true
+complete_areas = true
 notes = ["a note"]
-functions = { 03 = { limit = 16, ascii_limit = 8, data = "00", title = "t", answers = true }, 17 = { write_limit = 9 }, 42 = { answer = { name = "c", texts = { 1 = "x" } } } }
-exceptions = { function = 1, address = 2, value = 3, documented = [1, 2, 3], texts = { 2 = "x" } }
+functions = { 03 = { limit = 16, ascii_limit = 8, data = "00", title = "t", answers = true, echoes = true, doubtful = true, value = 3, documented = [3] }, 17 = { write_limit = 9 }, 42 = { answer = { name = "c", texts = { 1 = "x" } } } }
+exceptions = { function = 1, address = 2, value = 3, documented = [1, 2, 3], causes = ["value"], texts = { 2 = "x" } }
 timing = { t1_5 = "1ms", t3_5 = "28bits", request_interval = "5ms" }
 areas = [{ name = "d", table = "holding_registers", first = 0, last = 9, access = "rw", prefix = "D", base = 1, radix = "hex", width = 2, suffix = "H" }]
 points = [

@@ -17,6 +17,7 @@ from mbtool.core import Packet, SerialFormat
 from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.packets.segment import ACK, RST
 from tests.packets.building import MASTER, SLAVE, End, Talk, packet, pcap
+from tests.uart import on_the_wire
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,6 +32,7 @@ USER0, RTAC, RAW_IP = 147, 250, 101
 NANOSECONDS = 0xA1B23C4D
 
 TOUCH = ("--device", "1=idec-ft1a-touch")
+LT830 = ("--device", "2=chino-lt830")
 SMARTAXIS = ("--device", "8=idec-ft1a-smartaxis")
 PATIENT = ("--device", f"8={FOLDER / 'slave-of-smartaxis.toml'}")
 FA3 = ("--device", f"{SLAVE}=fa3-at1m8x")
@@ -109,29 +111,32 @@ class Net:
         )
         return self
 
-    def open(self, port: int = 49152) -> Talk:
-        talk = Talk(End(MASTER, port, 1000), End(SLAVE, 502, 5000))
+    def open(self, port: int = 49152, *, master: str = MASTER, slave: str = SLAVE) -> Talk:
+        talk = Talk(End(master, port, 1000), End(slave, 502, 5000))
         for one in talk.handshake():
             self.add(one)
         return talk
 
-    def ask(self, talk: Talk, pdu: str, *, number: int | None = None, protocol: int = 0) -> Net:
+    def ask(
+        self, talk: Talk, pdu: str, *, number: int | None = None, protocol: int = 0, unit: int = 1
+    ) -> Net:
         if number is None:
             self.ids = number = self.ids + 1
-        return self.add(talk.request(_adu(number, pdu, protocol)))
+        return self.add(talk.request(_adu(number, pdu, protocol, unit)))
 
-    def answer(self, talk: Talk, pdu: str, *, number: int | None = None) -> Net:
-        return self.add(talk.response(_adu(self.ids if number is None else number, pdu)))
+    def answer(self, talk: Talk, pdu: str, *, number: int | None = None, unit: int = 1) -> Net:
+        number = self.ids if number is None else number
+        return self.add(talk.response(_adu(number, pdu, unit=unit)))
 
-    def asked(self, talk: Talk, request: str = READ, answer: str = VALUE) -> Net:
-        return self.ask(talk, request).answer(talk, answer)
+    def asked(self, talk: Talk, request: str = READ, answer: str = VALUE, *, unit: int = 1) -> Net:
+        return self.ask(talk, request, unit=unit).answer(talk, answer, unit=unit)
 
     def file(self) -> bytes:
         return pcap(self.packets, magic=NANOSECONDS)
 
 
-def _adu(number: int, pdu: str, protocol: int = 0) -> bytes:
-    whole = mbap_adu(number, 1, bytes.fromhex(pdu))
+def _adu(number: int, pdu: str, protocol: int = 0, unit: int = 1) -> bytes:
+    whole = mbap_adu(number, unit, bytes.fromhex(pdu))
     return whole[:2] + protocol.to_bytes(2, "big") + whole[4:]
 
 
@@ -238,6 +243,21 @@ def stray(*, is_between: bool) -> bytes:
     return bus.send(b"\x00\xff\x55", after_ms=50).asked().file()
 
 
+def misheard(polls: int) -> bytes:
+    """A line at 9600 baud, as a port at 19200 baud hears it."""
+    frames = [rtu_adu(1, bytes.fromhex(pdu)) for pdu in (READ, VALUE)] * polls
+    bus, begun = Bus(), False
+    for one in on_the_wire(frames, replace(LINE, baud=9600)).heard(LINE):
+        end_ns = START_NS + round(one.end_ns)
+        data = bytes([one.value])
+        if begun and end_ns - bus.now_ns < 5 * MS:
+            last = bus.packets.pop()
+            data = last.data + data
+        begun, bus.now_ns = True, end_ns
+        bus.put(data)
+    return bus.file()
+
+
 def driver(event: int) -> bytes:
     bus = Bus(link_type=RTAC).asked()
     bus.now_ns += 50 * MS
@@ -334,6 +354,26 @@ def initial_setting(completed: int) -> bytes:
     return net.asked(talk, "05 0009 0000", "05 0009 0000").file()
 
 
+def applied(*, is_applied: bool) -> bytes:
+    net = Net()
+    talk = net.open()
+    net.asked(talk, "06 0102 005C", "06 0102 005C").wait(20)
+    if is_applied:
+        net.asked(talk, "05 0009 FF00", "05 0009 FF00").wait(20)
+        net.asked(talk, "02 0009 0001", "02 01 01").wait(20)
+        net.asked(talk, "05 0009 0000", "05 0009 0000").wait(20)
+    return net.asked(talk, "04 0002 0001", "04 02 2EE0").file()
+
+
+def checked_alive(*, unanswered: int) -> bytes:
+    net = Net()
+    talk = net.open()
+    net.asked(talk)
+    for _ in range(unanswered):
+        net.wait(10_000).add(talk.at(talk.slave, talk.slave.sequence - 1))
+    return net.wait(10_000).add(talk.send(talk.slave, flags=RST | ACK)).file()
+
+
 def tripped(*, recovers: bool) -> bytes:
     net = Net()
     talk = net.open()
@@ -378,7 +418,32 @@ CASES = (
         FA3,
     ),
     Case("FA3-D67", exchange("43 01", "C3 03"), exchange("43 00", "43 00"), FA3),
-    Case("FT1A-E3", on_a_line(1, READ, "83 03"), on_a_line(1, READ, "83 02"), TOUCH),
+    Case(
+        "FT1A-E3",
+        on_a_line(1, READ, "83 03"),
+        on_a_line(1, "03 1000 0001", "83 02"),
+        (*TOUCH, "--ignore", "FT1A-A"),
+    ),
+    Case(
+        "LT830-L1",
+        on_a_line(2, "01 0064 0002", "01 01 01"),
+        on_a_line(2, "01 0064 0001", "01 01 01"),
+        LT830,
+    ),
+    Case(
+        "SMARTAXIS-C3",
+        on_a_line(8, "03 07D0 0001", "83 03"),
+        on_a_line(8, "03 07CF 0001", "83 02"),
+        (*SMARTAXIS, "--ignore", "SMARTAXIS-A"),
+    ),
+    Case("FA3-R67", exchange("43 00", "43 01"), exchange("43 00", "43 00"), FA3),
+    Case("FA3-M66", exchange("42 00", "42 0099"), exchange("42 00", "42 0016"), FA3),
+    Case(
+        "LT830-U100",
+        on_a_line(100, READ, VALUE),
+        on_a_line(99, READ, VALUE),
+        ("--device", "all=chino-lt830"),
+    ),
     # Requests.
     Case(
         "MB-101",
@@ -395,6 +460,7 @@ CASES = (
     ),
     Case("MB-106", exchange("03 FFFF 0002", "83 02"), exchange("03 FFFE 0002", "83 02")),
     Case("MB-107", exchange("00 00", "80 01"), exchange("7F 00", "FF 01")),
+    Case("MB-108", on_a_line(248, READ, VALUE), on_a_line(247, READ, VALUE)),
     # Answers.
     Case(
         "MB-201", exchange("06 0001 1234", "06 0001 1235"), exchange("06 0001 1234", "06 0001 1234")
@@ -434,6 +500,7 @@ CASES = (
     Case("RTU-201", lambda: damaged(is_damaged=True), lambda: damaged(is_damaged=False)),
     Case("RTU-202", lambda: stray(is_between=True), lambda: stray(is_between=False)),
     Case("RTU-203", lambda: driver(0x07), lambda: driver(0x00)),
+    Case("RTU-204", lambda: misheard(polls=12), lambda: misheard(polls=1)),
     Case("RTU-301", lambda: paced(3.0), lambda: paced(6.0), PATIENT),
     Case("RTU-302", lambda: broadcast(wait_ms=40), lambda: broadcast(wait_ms=120)),
     # Connections.
@@ -461,13 +528,23 @@ CASES = (
         frozenset({"FA3-X3"}),
     ),
     Case("FA3-X5", lambda: initial_setting(0), lambda: initial_setting(1), FA3),
+    Case("FA3-X6", lambda: applied(is_applied=False), lambda: applied(is_applied=True), FA3),
+    Case("FA3-X7", lambda: checked_alive(unanswered=3), lambda: checked_alive(unanswered=2), FA3),
     Case("WAGO-X1", lambda: tripped(recovers=False), lambda: tripped(recovers=True), WAGO),
 )
 
 
+def all_cases() -> tuple[Case, ...]:
+    """The cases of all codes."""
+    # The cases of attacks and scans are made with the classes of this module.
+    from tests.golden.security_captures import SECURITY_CASES
+
+    return (*CASES, *SECURITY_CASES)
+
+
 def files() -> Iterable[tuple[str, bytes]]:
     """Each file's name and bytes."""
-    for case in CASES:
+    for case in all_cases():
         yield f"{case.code}.pcap", case.shows()
         yield f"{case.code}-nearly.pcap", case.nearly()
 

@@ -37,7 +37,11 @@ def test_a_capture_decodes_to_its_expected_lines(
     "log", [path for path in CAPTURES if path.suffix == ".mcap"], ids=lambda path: path.name
 )
 def test_the_evidence_of_a_log_decodes_to_what_was_logged(log: Path, tmp_path: Path) -> None:
-    assert decode(log, tmp_path, "--raw") == decode(log, tmp_path)
+    """All but the confidence, which is that of the decoder that made the log."""
+    anew, logged = (decode(log, tmp_path, *options) for options in (["--raw"], []))
+    # The logs were made before there was the field write_quantity.
+    older = [re.sub(r'"write_quantity":\d+,', "", line) for line in anew]
+    assert list(map(without_confidence, older)) == list(map(without_confidence, logged))
 
 
 @each_capture
@@ -82,6 +86,10 @@ def decode(
     answer = run([*arguments, "-o", str(out)])
     assert answer in (exit_codes.DONE, exit_codes.UNREADABLE) if code is None else answer == code
     return out.read_text().splitlines() if out.exists() else []
+
+
+def without_confidence(line: str) -> dict[str, Any]:
+    return {key: value for key, value in json.loads(line).items() if key != "confidence"}
 
 
 def answered(lines: list[str]) -> list[str]:

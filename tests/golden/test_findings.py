@@ -28,7 +28,7 @@ from mbtool.workflows.shared.reading import ReadingOptions
 from tests.cases.worked_examples import WorkedExample, worked_examples
 from tests.devices.transactions import transaction_of
 from tests.feeding import START_NS, Line, feed_all
-from tests.golden.findings_captures import CASES, Case, files
+from tests.golden.findings_captures import Case, all_cases, files
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
@@ -52,6 +52,7 @@ LINE = "rtu@9600-8N1"
 LINES = {"brainchild-io-16do.bytes.csv": "rtu@19200-8E1"}
 NEED_A_LINE = (".bytes.csv", ".bus.bin")
 
+CASES = all_cases()
 each_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.code)
 
 

@@ -23,7 +23,7 @@ from tests.logs.samples import changed, records_of
 from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from mbtool.core import Packet
@@ -37,6 +37,7 @@ LINE = SerialLink("/dev/rs485", SerialFormat())
 READ = bytes.fromhex("03 0000 0002")  # read holding registers, address 0, quantity 2
 VALUES = bytes.fromhex("03 04 1234 5678")  # four bytes, two registers
 WRITE = bytes.fromhex("06 0010 0007")  # write single register, address 16, value 7
+ONE = bytes.fromhex("03 02 0001")  # two bytes, one register with the value 1
 REFUSED = bytes.fromhex("83 02")  # exception response to 03, illegal data address
 
 CONNECTION = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 502), 1)
@@ -53,7 +54,7 @@ def exchange(at_ms: int, request: bytes = READ, response: bytes = VALUES) -> lis
 
 
 def relayed(
-    at_ms: int,
+    at_ms: float,
     direction: Direction,
     pdu: bytes,
     *,
@@ -62,7 +63,7 @@ def relayed(
 ) -> Chunk:
     """A Modbus/TCP ADU that a tap passed on."""
     return Chunk(
-        ts_ns=START_NS + at_ms * MS,
+        ts_ns=START_NS + round(at_ms * MS),
         link=connection.link,
         data=mbap_adu(number, 1, pdu),
         direction=direction,
@@ -73,11 +74,20 @@ def relayed(
 
 def captured(exchanges: int = 3) -> list[Packet]:
     """The packets of a TCP connection with so many reads of holding registers."""
+    return _connection([(READ, VALUES)] * exchanges)
+
+
+def capture_of(exchanges: Sequence[tuple[bytes, bytes]]) -> bytes:
+    """A pcap file with one TCP connection: requests, each with its response."""
+    return pcap(_connection(exchanges))
+
+
+def _connection(exchanges: Sequence[tuple[bytes, bytes]]) -> list[Packet]:
     talk = Talk()
     packets = talk.handshake()
-    for number in range(exchanges):
-        packets.append(talk.request(mbap_adu(number, 1, READ)))
-        packets.append(talk.response(mbap_adu(number, 1, VALUES)))
+    for number, (request, response) in enumerate(exchanges):
+        packets.append(talk.request(mbap_adu(number, 1, request)))
+        packets.append(talk.response(mbap_adu(number, 1, response)))
     return [*packets, *talk.goodbye()]
 
 
@@ -107,6 +117,28 @@ def damaged(path: Path, flushes: Sequence[Sequence[Chunk]], number: int) -> Path
     data = path.read_bytes()
     offset, size = records_of(data, Opcode.CHUNK)[number]
     path.write_bytes(changed(data, offset + 9 + size - 20))
+    return path
+
+
+def polling_log(path: Path, latencies_ms: Mapping[int, float], polls: int = 30) -> Path:
+    """A log of a tap: reads of one holding register at each address, with these median latencies.
+
+    The latencies of a request vary by 4 % around the median.
+    """
+    decoder = Decoder(Namer())
+    with LogWriter(path, capture={}) as log:
+        for number in range(polls):
+            for place, (address, median_ms) in enumerate(sorted(latencies_ms.items())):
+                at_ms = number * 1000 + place * 100
+                late_ms = median_ms * (1 + (number % 5 - 2) / 50)
+                read = bytes([3, *address.to_bytes(2, "big"), 0, 1])
+                for chunk in (
+                    relayed(at_ms, Direction.REQUEST, read, number=at_ms & 0xFFFF),
+                    relayed(at_ms + late_ms, Direction.RESPONSE, ONE, number=at_ms & 0xFFFF),
+                ):
+                    log.write(chunk)
+                    for record in decoder.feed(chunk):
+                        log.write(record)
     return path
 
 

@@ -19,7 +19,8 @@ from mbtool.workflows.replay_master import MasterOptions, MasterRun, Report, jun
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.packets.building import pcap
 from tests.slave.scripted import Scripted
-from tests.workflows.evidence import READ, VALUES, capture_file, captured
+from tests.views.junit_rules import demand_junit
+from tests.workflows.evidence import READ, VALUES, WRITE, capture_file, capture_of, captured
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,7 +77,7 @@ def test_wrong_answers_are_told_in_json_and_as_junit(capture: Path) -> None:
     assert (root.get("tests"), root.get("failures")) == ("2", "2")
     failures = {case.get("name"): case.findtext("failure") for case in root}
     assert failures == {
-        f"03 read holding {SAME}": "3 of 3 answers not as recorded",
+        f"03 read holding {SAME}": "3 of 3 answers not as recorded; other values in holding 1",
         "value of holding 1": "recorded 22136, answered 1",
     }
 
@@ -94,7 +95,54 @@ def test_a_request_of_which_some_answers_differ_fails_in_junit(capture: Path) ->
     answers = iter((VALUES, OTHER_VALUES, VALUES))
     report = _report(_run(capture), lambda _, __: Response(next(answers)))
     failures = [case.findtext("failure") for case in ElementTree.fromstring(junit(report))]
-    assert failures == ["1 of 3 answers not as recorded", "recorded 22136, answered 1 (1 of 3)"]
+    assert failures == [
+        "1 of 3 answers not as recorded; other values in holding 1",
+        "recorded 22136, answered 1 (1 of 3)",
+    ]
+
+
+def test_junit_has_what_ci_servers_need_of_every_case(tmp_path: Path) -> None:
+    """Writes of several values and requests without registers have names of their own, too."""
+    path = tmp_path / "a.pcap"
+    requests = [
+        READ,
+        WRITE,
+        WRITE[:-1] + b"\x08",
+        b"\x07",
+        b"\x11",
+        b"\x08\0\0\0\1",
+        b"\x08\0\0\0\2",
+    ]
+    path.write_bytes(capture_of([(pdu, VALUES if pdu == READ else pdu) for pdu in requests]))
+    report = _report(
+        _run(path), lambda _, pdu: Response(OTHER_VALUES if pdu == READ else b"\x86\x02")
+    )
+    suite = ElementTree.fromstring(junit(report))
+    demand_junit(suite)
+    assert sorted((case.get("classname"), case.get("name")) for case in suite) == [
+        ("unit 1", "03 read holding holding 0..1"),
+        ("unit 1", "06 write register holding 16"),
+        ("unit 1", "07 read exc status 07"),
+        ("unit 1", "08 diagnostics 08 00 00 00 01"),
+        ("unit 1", "08 diagnostics 08 00 00 00 02"),
+        ("unit 1", "11 report server id 11"),
+        ("unit 1", "value of holding 1"),
+    ]
+    assert all(
+        float(case.get("time") or 0) > 0 for case in suite if "value" not in str(case.get("name"))
+    )
+
+
+def test_a_slave_that_cannot_be_reached_is_an_error_in_both_reports(capture: Path) -> None:
+    report = _run(capture).play(parse_link("tcp:127.0.0.1:1"))
+    assert (report.requests, report.differences) == (0, [])
+    assert "does a slave listen there" in (report.problem or "")
+    assert json.loads(msgspec.json.encode(report))["problem"] == report.problem
+    suite = ElementTree.fromstring(junit(report))
+    demand_junit(suite)
+    (case,) = suite
+    assert (case.get("classname"), case.get("name")) == ("link", "tcp:127.0.0.1:1")
+    assert case.findtext("error") == report.problem
 
 
 def test_silence_is_a_difference(capture: Path) -> None:
@@ -130,10 +178,21 @@ def test_registers_can_be_ignored_or_learned(capture: Path) -> None:
     assert (report.differences, report.learned) == ([], ["holding 1"])
 
 
-def test_late_answers_can_count(capture: Path) -> None:
+def test_late_answers_can_count(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(8))
+    run = _run(path, tolerance=Tolerance(share=0.0))
+    report = _report(run, lambda _, __: Response(VALUES, 30_000_000))
+    (found,) = report.differences
+    assert (found.kind.value, report.uncompared_latencies) == ("latency", 0)
+    (case,) = ElementTree.fromstring(junit(report))
+    assert (case.findtext("failure") or "").startswith("recorded 1 ms, p95 1 ms, answered 3")
+
+
+def test_a_few_late_answers_do_not_count_and_that_is_said(capture: Path) -> None:
     run = _run(capture, tolerance=Tolerance(share=0.0))
-    (found,) = _report(run, lambda _, __: Response(VALUES, 30_000_000)).differences
-    assert found.kind.value == "latency"
+    report = _report(run, lambda _, __: Response(VALUES, 30_000_000))
+    assert (report.differences, report.uncompared_latencies) == ([], 1)
 
 
 def test_recorded_times_are_kept(capture: Path) -> None:

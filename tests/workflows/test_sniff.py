@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from collections import Counter
 from contextlib import suppress
 from functools import partial
 from threading import Thread
@@ -13,6 +14,7 @@ from unittest.mock import Mock
 import pytest
 
 from mbtool.core import (
+    Direction,
     Endpoint,
     EventKind,
     LinkError,
@@ -27,10 +29,12 @@ from mbtool.core import (
     WireEvent,
     parse_link,
 )
+from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.logs import LogReader
 from mbtool.logs.opening import create_log
+from mbtool.modbus import Outcome, Verdict, encode_pdu, mbap_adu
 from mbtool.sources.serial_capture import SerialSource
 from mbtool.sources.tap import TapSource
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -87,6 +91,51 @@ def test_hears_a_relay_and_logs_it(bench: Bench, tmp_path: Path) -> None:
         list(log.items())
         assert log.closed
         assert log.capture["discarded_packets"] == log.capture["discarded_bytes"] == "0"
+
+
+def test_requests_over_the_limit_are_told_as_such_and_not_as_unanswered() -> None:
+    """A master sends all its requests before the slave answers, through a tap with sockets."""
+    count = 4 * MAX_OPEN_REQUESTS
+    requests, responses = (
+        [mbap_adu(at, 1, encode_pdu(3, direction, **fields(at))) for at in range(count)]
+        for direction, fields in (
+            (Direction.REQUEST, lambda at: {"address": at, "quantity": 1}),
+            (Direction.RESPONSE, lambda at: {"values": (at,)}),
+        )
+    )
+    remarks: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        tap = TapLink(ANY, Endpoint(*server.getsockname()))
+        with _sniffer(tap, on_remark=remarks.append) as sniffer:
+            (source,) = sniffer.sources
+            assert isinstance(source, TapSource)
+            listening = (source.endpoint.host, source.endpoint.port)
+            with socket.create_connection(listening, PATIENCE_S) as master:
+                slave, _ = server.accept()
+                with slave:
+                    master.sendall(b"".join(requests))
+                    _read(slave, sum(map(len, requests)))
+                    slave.sendall(b"".join(responses))
+                    _read(master, sum(map(len, responses)))
+                records = _run(sniffer, 2 * count - MAX_OPEN_REQUESTS)
+    dropped = count - MAX_OPEN_REQUESTS
+    done = _transactions(records)
+    assert Counter((one.outcome, one.request_raw is None, *one.verdicts) for one in done) == {
+        (Outcome.NOT_CAPTURED, False, Verdict.OVER_LIMIT): dropped,
+        (Outcome.NOT_CAPTURED, True, Verdict.OVER_LIMIT): dropped,
+        (Outcome.OK, False): MAX_OPEN_REQUESTS,
+    }
+    assert all([one.address] == one.response_values for one in done if one.outcome is Outcome.OK)
+    assert remarks == [
+        f"{dropped} requests not joined with the answer: "
+        f"more than {MAX_OPEN_REQUESTS} were open at once"
+    ]
+
+
+def _read(connection: socket.socket, count: int) -> None:
+    connection.settimeout(PATIENCE_S)
+    while count:
+        count -= len(connection.recv(min(count, 1 << 16)))
 
 
 def test_the_log_is_begun_before_a_tap_lets_anybody_in(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from mbtool.core import SerialFormat
 from mbtool.devices.assignment import Assignments
+from mbtool.devices.checking.security_limits import SecurityLimits
 
 
 def _no_line(_: str) -> SerialFormat | None:
@@ -20,5 +21,9 @@ class CaptureContext:
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line
     """Returns the settings of a serial link; None if the times of the link's bytes are unknown."""
+    has_exact_times: Callable[[str], bool] = lambda _: False
+    """True for a serial link if the time of every byte is exact, as a logic analyser gives it."""
     ports: frozenset[int] | None = None
     """TCP ports that should carry Modbus; None for all ports."""
+    limits: SecurityLimits = field(default_factory=SecurityLimits)
+    """The limits of the rules about attacks and scans."""

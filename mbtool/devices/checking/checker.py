@@ -20,6 +20,7 @@ from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
 from mbtool.devices.checking.responses import ResponseRules
+from mbtool.devices.checking.security import SecurityRules
 from mbtool.devices.checking.transactions import TransactionRules
 from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.modbus.adu import Verdict
@@ -39,10 +40,11 @@ class Checker:
         self._transactions = TransactionRules()
         self._responses = ResponseRules()
         self._polls = PollRules()
-        self._lines = LineRules()
+        self._lines = LineRules(self._context.has_exact_times)
         self._connections = ConnectionRules(self._context.ports)
         self._fa3 = Fa3Rules()
         self._wago = WagoRules()
+        self._security = SecurityRules(self._context.limits)
         self._ambiguous = 0
         self.remarks: list[str] = []
         """Sentences for the user that are no findings, such as how many transactions are ambiguous.
@@ -65,6 +67,7 @@ class Checker:
         yield from self._connections.close()
         yield from self._lines.close()
         yield from self._polls.close()
+        yield from self._security.close()
         if self._ambiguous:
             self.remarks.append(
                 f"{self._ambiguous} transactions are ambiguous; their contents were not checked"
@@ -90,6 +93,8 @@ class Checker:
             yield from self._connections.transaction(one)
         if format_ is not None or not is_serial:
             self._polls.transaction(one)
+        if not is_ambiguous:
+            self._security.transaction(one, profile)
         if profile is not None and not is_ambiguous:
             if is_fa3(profile):
                 yield from self._fa3.transaction(one, profile)
@@ -101,6 +106,7 @@ class Checker:
         if not event.source and not event.destination:
             yield from self._lines.event(event)
             return
+        self._security.event(event)
         at_fa3 = any(map(is_fa3, self._context.assignments.profiles_at(event.destination)))
         if at_fa3:
             yield from self._fa3.event(event)

@@ -7,6 +7,8 @@
 #           41H, remote reset: no response, the module closes the connection     FA3-X3
 #           and accepts no connection for the next 2 s                           FA3-X4
 #     10.5  to apply settings: set Y9, wait until X9 is 1, clear Y9              FA3-X5
+#           conversion starts with the settings when Y9 is set                   FA3-X6
+#     10.3  a master that answers no alive check is disconnected, alarm 0E30H    FA3-X7
 #
 # The names of the two flags are those in the profiles. On the digital modules, Y9 is an output, and
 # there is no such handshake.
@@ -17,6 +19,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -37,12 +40,21 @@ if TYPE_CHECKING:
 
     from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.modbus.functions import Function
 
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
 RESET_NS = 2_000_000_000
 """How long a module accepts no connection after a remote reset, in ns."""
 
+MIN_UNANSWERED = 3
+"""The default of 00F4H, the number of alive checks after which a module disconnects."""
+
+_SETTINGS = range(0x0102, 0x0144)
+"""The settings of the analog modules that take effect with Y9, in the holding registers."""
+_VALUES = range(0x02, 0x0A)
+"""The values of the eight channels: RWr2 to RWr9, RWw2 to RWw9."""
+_UNANSWERED = re.compile(r"^connection closed: reset.*, the last (\d+) unanswered$")
 _REMOTE_RESET = 0x41
 _REQUEST_FLAG = "Initial data setting request flag"
 _COMPLETION_FLAG = "Initial data setting completion flag"
@@ -66,10 +78,12 @@ class _Module:
     """True from the write that sets the request flag, Y9, to the write that clears it."""
     is_completed: bool = False
     """True if the completion flag, X9, was read as 1 since Y9 was set."""
+    has_new_settings: bool = False
+    """True from a write of settings to the next write that sets Y9, or to the finding."""
 
 
 class Fa3Rules:
-    """Finds FA3-X1 to FA3-X5 in the records of FA3 modules."""
+    """Finds FA3-X1 to FA3-X7 in the records of FA3 modules."""
 
     def __init__(self) -> None:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
@@ -89,6 +103,7 @@ class Fa3Rules:
                 module, at_ns, transaction_finding("FA3-X4", transaction, text)
             )
         yield from _handshake(module, transaction)
+        yield from _unapplied(module, transaction, profile)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Check the next event of an FA3 module, and give the findings that are certain now."""
@@ -99,6 +114,7 @@ class Fa3Rules:
             case EventKind.OPENED:
                 yield from self._opened(module, event)
             case EventKind.CLOSED:
+                yield from _alive_check(event)
                 module.connections.pop(event.source, None)
                 if event.source == module.reset_by:
                     module.reset_ns, module.reset_by = event.ts_ns, None
@@ -175,6 +191,42 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
                 "FA3-X5", transaction, "Y9 is cleared before X9 was seen to be on"
             )
         module.is_requested = False
+
+
+def _unapplied(
+    module: _Module, transaction: NamedTransaction, profile: Profile
+) -> Iterator[Finding]:
+    """Give FA3-X6 if values are read or written after settings without Y9 between."""
+    known = FUNCTIONS.get(transaction.function)
+    if known is None or transaction.address is None or transaction.outcome is not Outcome.OK:
+        return
+    span = range(transaction.address, transaction.address + (transaction.quantity or 1))
+    if known.writes and known.table is Table.HOLDING_REGISTERS and _overlap(span, _SETTINGS):
+        module.has_new_settings = any(point.name == _REQUEST_FLAG for point in profile.points)
+    elif known.writes and known.table is Table.COILS and module.is_requested:
+        module.has_new_settings = False
+    elif module.has_new_settings and _is_of_values(known, span):
+        module.has_new_settings = False
+        text = f"{request_text(transaction)}, but Y9 was not set since settings were written"
+        yield transaction_finding("FA3-X6", transaction, text)
+
+
+def _is_of_values(function: Function, span: range) -> bool:
+    if function.table is Table.INPUT_REGISTERS or function.writes:
+        return function.table is not Table.COILS and _overlap(span, _VALUES)
+    return False
+
+
+def _overlap(one: range, other: range) -> bool:
+    return one.start < other.stop and other.start < one.stop
+
+
+def _alive_check(event: WireEvent) -> Iterator[Finding]:
+    """Give FA3-X7 if a connection was reset after keep-alive probes without an answer."""
+    match = _UNANSWERED.search(event.message)
+    if match is not None and int(match[1]) >= MIN_UNANSWERED:
+        text = f"a reset after {match[1]} alive checks without an answer; the alarm is 0E30H"
+        yield event_finding("FA3-X7", event, text)
 
 
 def is_fa3(profile: Profile) -> bool:

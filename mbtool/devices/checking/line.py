@@ -1,19 +1,9 @@
 """The rules for serial lines: silences, damage, the master's pace, and broadcasts."""
 
 # MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
-# RTU-101..103      silences: one finding for each unit and kind, with a count
-# RTU-104           one finding for a line, in place of RTU-101..103, RTU-301 and RTU-302
-#
-# A serial adapter may collect bytes and deliver them in blocks. Then many transactions of a line
-# seem to have no silence between frames, or silences inside them, and the times say nothing about
-# the line. RTU-104 reports that once, in place of all findings about silences. A line needs at
-# least MIN_TRANSACTIONS transactions for RTU-104.
-#
-# A busy computer sometimes reads late, which looks the same: on healthy lines, up to 16 % of the
-# transactions had such a silence (measured). A fault of the line affects many transactions of one
-# unit. So RTU-101..103 are only reported for a unit if at least MIN_SILENCES of its transactions
-# have such a silence, and these are at least the share MIN_SILENCES_SHARE of all its transactions.
-# Otherwise a remark tells how many there are.
+# RTU-101..104      silences, by silences.py
+# RTU-201..203      damage
+# RTU-301, RTU-302  the master's pace; not where RTU-104 says that the times tell nothing
 #
 # A capture may begin and end inside a frame, so bytes before the first frame of a line and after
 # its last one are no finding.
@@ -22,14 +12,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, Silence, WireEvent
+from mbtool.core import EventKind, SerialFormat, Silence, WireEvent
 from mbtool.core.wording import counted, milliseconds
 from mbtool.devices.checking.finding import Finding, event_finding, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.silences import LineSilences, silence_before
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Verdict
@@ -38,9 +28,8 @@ from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-    from mbtool.core import SerialFormat
     from mbtool.devices.model import Profile
 
 TURNAROUND_NS = 100_000_000
@@ -48,21 +37,6 @@ TURNAROUND_NS = 100_000_000
 usual."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
 """A response that begins at most this long after a broadcast is a response to the broadcast."""
-MIN_TRANSACTIONS = 8
-ADAPTER_SHARE = 0.25
-"""The share of a line's transactions, 0 to 1, that must be glued or split before the adapter is
-said to deliver bytes in blocks. Glued: no silence between frames; split: a silence inside one."""
-MIN_SILENCES = 3
-MIN_SILENCES_SHARE = 0.2
-"""The least share of a unit's transactions, 0 to 1, that must have a wrong silence for a finding.
-It is above the 16 % that late reads were measured to cause."""
-
-_SILENCES = {
-    Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),
-    Verdict.SPLIT: ("RTU-102", "a silence of t3.5 or longer inside a frame"),
-    Verdict.GLUED: ("RTU-103", "less than t3.5 of silence between frames"),
-}
-_BLOCK_SIGNS = frozenset((Verdict.SPLIT, Verdict.GLUED))
 _DIAGNOSTICS = 0x08
 
 
@@ -80,19 +54,13 @@ class _Cases:
 
 @dataclass(slots=True)
 class _Line:
-    transactions: int = 0
-    in_blocks: int = 0
-    """How many transactions are glued (no silence between frames) or split (a silence inside
-    one)."""
-    of_unit: Counter[int] = field(default_factory=Counter)
-    """How many transactions each unit has."""
-    silences: dict[tuple[Verdict, int], _Cases] = field(default_factory=dict)
-    """The transactions with a wrong silence, by the kind of silence and the unit; at most 256
-    units."""
+    silences: LineSilences = field(default_factory=LineSilences)
     pace: dict[tuple[str, int], _Cases] = field(default_factory=dict)
     """The requests that came too soon, by code (RTU-301, RTU-302) and unit; at most 256 units."""
     stray: WireEvent | None = None
     """The unreadable bytes after the last frame. They are a finding if another frame follows."""
+    format: SerialFormat | None = None
+    """The settings of the line; None if the times of its bytes are unknown."""
     end_ns: int | None = None
     """When the last frame ended, in ns."""
     broadcast: NamedTransaction | None = None
@@ -102,7 +70,9 @@ class _Line:
 class LineRules:
     """Checks records of serial lines. Findings with counts come at the end of the capture."""
 
-    def __init__(self) -> None:
+    def __init__(self, has_exact_times: Callable[[str], bool] = lambda _: False) -> None:
+        """`has_exact_times` is True for a link if the time of every byte is exact."""
+        self._has_exact_times = has_exact_times
         self._lines: LruDict[str, _Line] = LruDict(_Line)
         self.remarks: list[str] = []
         """Sentences about wrong silences that are too few for a finding; complete after `close`."""
@@ -116,13 +86,12 @@ class LineRules:
         checked.
         """
         line = self._lines[transaction.link]
-        line.transactions += 1
-        line.of_unit[transaction.unit] += 1
+        line.silences.note(transaction, format_, line.end_ns)
+        line.format = format_ or line.format
         is_ambiguous = Verdict.AMBIGUOUS in transaction.verdicts
         if line.stray is not None:
             yield event_finding("RTU-202", line.stray)
             line.stray = None
-        self._note_silences(line, transaction)
         broadcast = line.broadcast
         if broadcast is not None and not is_ambiguous and _responds_to(broadcast, transaction):
             yield transaction_finding(
@@ -148,7 +117,7 @@ class LineRules:
                 yield event_finding("RTU-201", event, f"{event.message}: {_bytes(event.raw)}")
             case EventKind.LINE_ERROR:
                 yield event_finding("RTU-203", event)
-            case EventKind.SKIPPED if line.transactions:
+            case EventKind.SKIPPED if line.silences.transactions:
                 if line.stray is not None:
                     yield event_finding("RTU-202", line.stray)
                 line.stray = event
@@ -163,45 +132,16 @@ class LineRules:
     def close(self) -> Iterator[Finding]:
         """Give the findings with counts, at the end of the capture."""
         for link, line in self._lines.items():
-            share = line.in_blocks / max(line.transactions, 1)
-            if share >= ADAPTER_SHARE and line.transactions >= MIN_TRANSACTIONS:
-                first = next(
-                    one.first for (sign, _), one in line.silences.items() if sign in _BLOCK_SIGNS
-                )
-                yield transaction_finding(
-                    "RTU-104",
-                    first,
-                    f"in {line.in_blocks} of {line.transactions} transactions frames are glued or "
-                    "torn; of silences nothing can be said",
-                )
+            silences = line.silences
+            if line.format is not None and self._has_exact_times(link):
+                yield from silences.exact_findings(line.format)
+            elif silences.are_in_blocks:
+                yield silences.block_finding()
                 continue
-            yield from self._silences(link, line)
+            else:
+                yield from silences.findings(self.remarks, line.format)
             for (code, _), cases in line.pace.items():
                 yield _summary(code, cases, _pace_text(code, cases))
-
-    def _silences(self, link: str, line: _Line) -> Iterator[Finding]:
-        few: Counter[str] = Counter()
-        for (sign, unit), cases in line.silences.items():
-            code, text = _SILENCES[sign]
-            total = line.of_unit[unit]
-            if cases.number >= MIN_SILENCES and cases.number >= MIN_SILENCES_SHARE * total:
-                yield _summary(code, cases, f"{text} in {cases.number} of {total} transactions")
-            else:
-                few[text] += cases.number
-        self.remarks += [
-            f"{link}: {text} in {number} of {line.transactions} transactions; "
-            "so few are probably late reads, and no fault of the line"
-            for text, number in few.items()
-        ]
-
-    def _note_silences(self, line: _Line, transaction: NamedTransaction) -> None:
-        if not transaction.verdicts:
-            return
-        for sign in _SILENCES:
-            if sign in transaction.verdicts:
-                key = (sign, transaction.unit)
-                line.silences.setdefault(key, _Cases(transaction)).number += 1
-        line.in_blocks += not _BLOCK_SIGNS.isdisjoint(transaction.verdicts)
 
     def _note_pace(
         self,
@@ -210,13 +150,9 @@ class LineRules:
         profile: Profile | None,
         format_: SerialFormat,
     ) -> None:
-        end_ns, request_ns = line.end_ns, transaction.request_ns
-        if end_ns is None or request_ns is None or transaction.request_raw is None:
+        silence_ns = silence_before(transaction, format_, line.end_ns)
+        if silence_ns is None:
             return
-        silence_ns = request_ns - len(transaction.request_raw) * format_.character_ns - end_ns
-        if silence_ns < 0 and request_ns < end_ns:  # The clock was set back.
-            return
-        silence_ns = max(silence_ns, 0)
         if line.broadcast is not None and silence_ns < TURNAROUND_NS:
             _add_pace(line, "RTU-302", transaction, silence_ns, "100 ms")
         required = profile.timing.request_interval if profile is not None else None

@@ -49,11 +49,14 @@ class Rule:
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE
 _MANUAL = "manual of the device, as its profile has it"
 _FA3 = "manual of the FA3 modules"
+_SECURITY = "ours, to find attacks; no document asks for it"
 
 _ROWS = (
     # Rules of devices' manuals.
     ("F", _E, "The device's manual does not list the function.", _MANUAL),
     ("Q", _E, "The quantity is 0 or more than the device's manual allows for the function.",
+     _MANUAL),
+    ("L", _N, "The quantity is more than a doubtful figure of the device's manual allows.",
      _MANUAL),
     ("A", _E, "The function addresses what the device's manual does not have.", _MANUAL),
     ("W", _E, "The function writes where the device's manual lets a master only read.", _MANUAL),
@@ -61,6 +64,10 @@ _ROWS = (
      _MANUAL),
     ("V", _W, "A value is written that is outside the range in the device's manual.", _MANUAL),
     ("E", _W, "The device gave an exception code that its manual does not list.", _MANUAL),
+    ("C", _E, "The device gave an exception code that its manual has for another cause.", _MANUAL),
+    ("R", _E, "The response has another form than the device's manual states.", _MANUAL),
+    ("M", _W, "The response has a code that the device's manual does not list.", _MANUAL),
+    ("U", _E, "The unit is none that the device's manual allows.", _MANUAL),
     # Rules about requests.
     ("MB-101", _E, "A request's byte count does not agree with its quantity, or with its bytes.",
      "Application Protocol 6.11, 6.12, 6.17"),
@@ -75,6 +82,7 @@ _ROWS = (
      "Application Protocol 4.4, 7"),
     ("MB-107", _E, "A request has function code 00H, or one from 80H on, which mark exceptions.",
      "Application Protocol 4.1"),
+    ("MB-108", _E, "A unit above 247 is on a serial line.", "Serial Line 2.2"),
     # Rules about responses.
     ("MB-201", _E, "A write's answer does not repeat its request.",
      "Application Protocol 6.5, 6.6, 6.11, 6.12, 6.16"),
@@ -105,6 +113,8 @@ _ROWS = (
     ("RTU-201", _W, "The CRC or LRC of a frame is wrong.", "Serial Line 2.5.1.2, 2.5.2.2"),
     ("RTU-202", _W, "Bytes on the line are no frame.", "Serial Line 2.5.1.1"),
     ("RTU-203", _W, "The port's driver heard damaged characters.", "Serial Line 2.5.1, 2.5.2"),
+    ("RTU-204", _E, "Little or nothing of a line can be read: its settings are probably wrong.",
+     "Serial Line 2.5.1, 2.5.2"),
     ("RTU-301", _W, "A request follows sooner than the device's manual has a master wait.",
      _MANUAL),
     ("RTU-302", _N, "After a broadcast the master waits less than 100 ms.",
@@ -119,6 +129,17 @@ _ROWS = (
     ("TCP-201", _W, "A connection to a Modbus port carries another protocol.", "TCP/IP guide 4.2"),
     ("TCP-202", _W, "Bytes in a Modbus/TCP connection are no ADU.", "TCP/IP guide 3.1.3"),
     ("TCP-203", _W, "A TCP retransmission has other bytes than the first copy.", "RFC 9293, 3.8.1"),
+    # Rules about attacks and scans.
+    ("SEC-101", _W, "A second master writes to a slave.", _SECURITY),
+    ("SEC-102", _W, "A master writes to a slave more often than plants do.", _SECURITY),
+    ("SEC-103", _W, "A command stops or restarts a device.",
+     "Application Protocol 6.8.1; published analyses of function 5AH"),
+    ("SEC-201", _W, "A host asks many addresses, and polls none of them.", _SECURITY),
+    ("SEC-202", _W, "A master asks many units, and polls none of them.", _SECURITY),
+    ("SEC-203", _W, "A master asks a unit for many functions that it does not have.", _SECURITY),
+    ("SEC-204", _W, "A unit refuses a master many different registers.", _SECURITY),
+    ("SEC-205", _N, "A host that is new on the network reads the identification of a slave.",
+     "Application Protocol 6.13, 6.21; manual of the FA3 modules, 10.4, function 42H"),
     # Rules for single families of devices.
     ("FA3-X1", _E, "The protocol id is not 0, and an FA3 module gives no answer at all.",
      f"{_FA3}, 10.4, message format"),
@@ -130,6 +151,10 @@ _ROWS = (
      f"{_FA3}, 10.4, function 41H"),
     ("FA3-X5", _W, "The initial data setting is out of order: Y9 on, then X9 seen on, then Y9 off.",
      f"{_FA3}, 10.5"),
+    ("FA3-X6", _W, "Values are read or written after settings, but Y9 did not put them in force.",
+     f"{_FA3}, 10.5"),
+    ("FA3-X7", _W, "A reset after alive checks that got no answer: the master or network fails.",
+     f"{_FA3}, 10.3"),
     ("WAGO-X1", _W, "One exception 04 after another: the coupler's watchdog has run out.",
      "manual of the WAGO 750, watchdog"),
 )  # fmt: skip

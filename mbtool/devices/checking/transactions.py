@@ -10,10 +10,18 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.rules import DeviceCode
-from mbtool.devices.profile_checks import finding_text, request_data, value_ranges, values_outside
+from mbtool.devices.profile_checks import (
+    finding_text,
+    request_data,
+    value_ranges,
+    values_outside,
+    written_by_17h,
+)
 from mbtool.devices.references import is_neutral
+from mbtool.devices.response_checks import right_exceptions
 from mbtool.devices.standard_checks import padding_of, request_form, response_form
 from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS, WRITE_LIMIT_17H, short_name
+from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
@@ -39,7 +47,10 @@ class TransactionRules:
         self._ranges: dict[str, Ranges] = {}
 
     def check(self, transaction: NamedTransaction, profile: Profile | None) -> Iterator[Finding]:
-        """Give a finding for each code in the transaction, which was named with `profile`."""
+        """Give a `Finding` for each finding code in a transaction.
+
+        `profile` is the one that its values were named with; None if there is none.
+        """
         for code in transaction.findings:
             yield transaction_finding(code, transaction, self._message(code, transaction, profile))
 
@@ -64,6 +75,8 @@ class TransactionRules:
             return f"{request_text(transaction)}: {_wrong_quantity(transaction)}"
         if code == "MB-106":
             return f"{request_text(transaction)}: {_range_too_long(transaction)}"
+        if code == "MB-108":
+            return f"{request_text(transaction)}: unit {transaction.unit}, 247 is the last"
         if code == "MB-107":
             return f"a request with function {transaction.function:02X}H"
         return f"{request_text(transaction)}: {finding_text(code, profile)}"
@@ -76,6 +89,16 @@ class TransactionRules:
             return text
         if letter == "Q":
             return f"{request_text(transaction)}: {_quantities(transaction)}, {text}"
+        if letter == "L":
+            return f"{request_text(transaction)}: {_quantities(transaction)}, {text}"
+        if letter == "U":
+            return f"{request_text(transaction)} of unit {transaction.unit}: {text}"
+        if letter == "C" and profile is not None:
+            return f"{request_text(transaction)}: {_wrong_exception(transaction, profile)}"
+        if letter in ("R", "M"):
+            pdu = whole_pdu(transaction.transport, transaction.response_raw) or b""
+            data = pdu.hex(" ").upper()
+            return f"answer to {request_text(transaction)}: {data}, {text}"
         if letter == "D":
             data = (request_data(transaction) or b"").hex(" ").upper() or "none"
             return f"{request_text(transaction)}: data {data}, {text}"
@@ -109,10 +132,18 @@ def request_text(transaction: NamedTransaction) -> str:
     return f"{name} {transaction.reference}"
 
 
+def _wrong_exception(transaction: NamedTransaction, profile: Profile) -> str:
+    given = transaction.exception or 0
+    right = right_exceptions(profile, transaction, transaction.findings)
+    stated = " or ".join(f"{code:02X} ({profile.exception_name(code)})" for code in right)
+    stated = f"the manual has {stated}" if right else "nothing is wrong with the request"
+    return f"exception {given:02X} ({profile.exception_name(given)}), but {stated}"
+
+
 def _quantities(transaction: NamedTransaction) -> str:
     if transaction.write_address is None:
         return f"quantity {transaction.quantity}"
-    return f"reads {transaction.quantity}, writes {len(transaction.request_values or ())}"
+    return f"reads {transaction.quantity}, writes {_written(transaction)}"
 
 
 def _wrong_quantity(transaction: NamedTransaction) -> str:
@@ -120,12 +151,16 @@ def _wrong_quantity(transaction: NamedTransaction) -> str:
     quantity = transaction.quantity
     if known is not None and quantity is not None and not 1 <= quantity <= known.limit:
         return f"quantity {quantity}, the standard allows 1 to {known.limit}"
-    written = len(transaction.request_values or ())
-    return f"writes {written} registers, the standard allows 1 to {WRITE_LIMIT_17H}"
+    return f"writes {_written(transaction)} registers, the standard allows 1 to {WRITE_LIMIT_17H}"
+
+
+def _written(transaction: NamedTransaction) -> int:
+    """How many registers a function 17H writes."""
+    return (written_by_17h(transaction) or (0, 0))[1]
 
 
 def _range_too_long(transaction: NamedTransaction) -> str:
     address, quantity = transaction.address or 0, transaction.quantity or 0
     if address + quantity <= ADDRESSES:
-        address, quantity = transaction.write_address or 0, len(transaction.request_values or ())
+        address, quantity = written_by_17h(transaction) or (0, 0)
     return f"{quantity} from {address:04X}H on, the last address is FFFFH"

@@ -21,16 +21,8 @@ import msgspec
 from mbtool.core.wording import counted
 from mbtool.devices.drafting.guesses import Guess, guess_registers
 from mbtool.devices.dumping import dump_profile
-from mbtool.devices.model import (
-    Access,
-    Area,
-    Exceptions,
-    FunctionRule,
-    Point,
-    PointType,
-    Profile,
-    WordOrder,
-)
+from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile
+from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.devices.references import write_reference
 from mbtool.devices.validation import validate
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name

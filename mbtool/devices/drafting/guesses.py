@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from mbtool.devices.model import PointType, WordOrder
+from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.modbus.functions import READ_LIMIT
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.importing.columns import SYNONYMS, Meaning
-from mbtool.devices.model import WordOrder
+from mbtool.devices.point_types import WordOrder
 from mbtool.modbus.tables import Table
 
 

@@ -12,7 +12,8 @@ import msgspec
 
 from mbtool.devices.importing.rows import ListRow
 from mbtool.devices.importing.spellings import HIGH_LOW, TypeSpelling
-from mbtool.devices.model import Area, Point, PointType, WordOrder
+from mbtool.devices.model import Area, Point
+from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:

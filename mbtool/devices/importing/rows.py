@@ -29,7 +29,8 @@ from mbtool.devices.importing.cells import (
 from mbtool.devices.importing.columns import Meaning
 from mbtool.devices.importing.options import Scaling
 from mbtool.devices.importing.spellings import Order, TypeSpelling, parse_order, parse_type
-from mbtool.devices.model import Access, ByteOrder, PointType
+from mbtool.devices.model import Access
+from mbtool.devices.point_types import ByteOrder, PointType
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from mbtool.devices.model import ByteOrder, PointType, WordOrder
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 
 HIGH_LOW = (WordOrder.HIGH_FIRST, ByteOrder.HIGH_FIRST)  # ABCD
 LOW_HIGH = (WordOrder.LOW_FIRST, ByteOrder.HIGH_FIRST)  # CDAB

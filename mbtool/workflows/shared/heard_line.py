@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import Chunk
+from mbtool.core import Chunk, SerialFormat
 from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from collections.abc import Set as AbstractSet
 
-    from mbtool.core import LineSettings, SerialFormat
+    from mbtool.core import LineSettings
 
 
 def serial_types(line: LineSettings | None) -> AbstractSet[int]:
@@ -62,3 +63,17 @@ class HeardLine:
             f"{self.name}: {self._overlaps} of {self._pieces} packets overlap "
             f"at {self._format.baud} baud: is the rate right?"
         )
+
+
+def heard_remarks(heard: Sequence[HeardLine], *, is_named: bool) -> list[str]:
+    """Lines for the user: which files were read with the usual settings, unless the user named
+    others, and at which the rate seems wrong.
+    """
+    remarks = []
+    names = [one.name for one in heard if one.has_bytes]
+    if names and not is_named:
+        first, *others = names
+        said = f"{first} and {len(others)} more" if others else first
+        usual = SerialFormat()
+        remarks.append(f"{said}: taken as {usual}; name the line with --link rtu@{usual}")
+    return remarks + [one.doubt for one in heard if one.doubt is not None]

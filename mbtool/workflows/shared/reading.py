@@ -47,8 +47,10 @@ from mbtool.packets import serial_pieces
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
-from mbtool.workflows.shared.heard_line import HeardLine, serial_types
+from mbtool.workflows.shared.exact_times import ExactTimes
+from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
+from mbtool.workflows.shared.missing_parts import MissingParts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -56,6 +58,7 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Evidence, Record
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.sources.files import CaptureFile
+    from mbtool.workflows.shared.unreadable_lines import LineOf
 
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
 _UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
@@ -79,6 +82,8 @@ class ReadingOptions:
     t1_5: Silence | None = None
     """The longest silence inside a frame (t1.5), in place of that of the line's settings."""
     t3_5: Silence | None = None
+    response_timeout: Silence | None = None
+    """How long the master of a serial line waits before it repeats a request; None: learned."""
     raw: bool = False
     """True to decode the packets and bytes of a log again."""
 
@@ -109,6 +114,7 @@ class Reading:
         """The message of the first event about data that cannot be decoded."""
         self._heard: list[HeardLine] = []
         """The bytes of each file that does not tell the baud rate at which they were heard."""
+        self._missing = MissingParts()
         self._unclosed_logs: list[str] = []
         self._broken: list[InputError] = []
         """The errors of files that are cut or damaged."""
@@ -123,6 +129,8 @@ class Reading:
         self._any_port = options.any_port
         self.assignments = options.assignments
         """The profiles in use: those of the user, and those of the log that is being read."""
+        self.exact_times = ExactTimes()
+        """Which serial links have an exact time for every byte; complete at the end of a file."""
         self.captures = 0
         """How many captures ended before the last record; all parts of a capture count as one."""
         self.file = ""
@@ -131,6 +139,8 @@ class Reading:
         """True if the last record was taken from a log without being decoded again."""
         self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
         """Settings of a serial link, by its name; None if the times of its bytes are unknown."""
+        self.line_of: LineOf = lambda _: None
+        """A serial link, by its name; None if it is not known."""
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
@@ -177,19 +187,15 @@ class Reading:
     @property
     def remarks(self) -> list[str]:
         """What a user should know of the files beside their records, a line each."""
-        remarks = []
-        heard_names = [heard.name for heard in self._heard if heard.has_bytes]
-        if heard_names and self._options.line is None:
-            first, *others = heard_names
-            names = f"{first} and {len(others)} more" if others else first
-            usual = SerialFormat()
-            remarks.append(f"{names}: taken as {usual}; name the line with --link rtu@{usual}")
-        remarks += [heard.doubt for heard in self._heard if heard.doubt is not None]
+        remarks = heard_remarks(self._heard, is_named=self._options.line is not None)
+        remarks += self._missing.remarks
         kinds = self._kinds
         if self._options.raw and kinds and CaptureKind.MCAP not in kinds:
             remarks.append("--raw has no effect: it is for logs (.mcap), and there is none")
         if self._options.line is not None and set() < kinds <= PACKET_KINDS and not self._heard:
             remarks.append("--link has no effect: these are packets of a network")
+        if self._has_found and self._is_complete:
+            remarks += self._options.assignments.remarks
         broken = [str(error) for error in self._broken[1:]]  # The first is raised.
         return remarks + self._misordered + self._unclosed_logs + broken
 
@@ -231,6 +237,7 @@ class Reading:
         """Give all transactions and events, file by file."""
         for record in self._records():
             self._has_found = True
+            self._missing.note_record(record)
             self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
             if isinstance(record, WireEvent) and record.kind in _UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
@@ -278,13 +285,17 @@ class Reading:
         else:
             yield from self._decoder.feed(gap)
 
+    def _timing(self, assignments: Assignments) -> LineTiming:
+        options = self._options
+        return LineTiming(assignments, options.t1_5, options.t3_5, options.response_timeout)
+
     def _own_decoder(self) -> Decoder:
         """A decoder for a file that does not describe its links."""
         options = self._options
         return Decoder(
             Namer(options.assignments),
             line=options.line,
-            timing=LineTiming(options.assignments, options.t1_5, options.t3_5),
+            timing=self._timing(options.assignments),
             ports=options.ports or (DEFAULT_PORT,),
             rtu_ports=options.rtu_ports,
             any_port=options.any_port,
@@ -294,8 +305,10 @@ class Reading:
     def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
         yield from self._end_capture()
         line, pieces = capture.serial(self._options.line)
+        if capture.kind is CaptureKind.BYTE_TIMES:
+            pieces = self.exact_times.noted(pieces, line.format)
         decoder = self._decoder = self._own_decoder()
-        self.format_of = decoder.format_of
+        self.format_of, self.line_of = decoder.format_of, decoder.line_of
         decoder.begin_line(line.on(capture.link))
         for piece in pieces:
             self._items += 1
@@ -346,7 +359,9 @@ class Reading:
             if self._decoder is None:
                 self._decoder = begin()
                 self.format_of = self._decoder.format_of
+                self.line_of = self._decoder.line_of
             self._items += 1
+            self._missing.note_item(item)
             self._seam.note(item)
             yield from self._decoder.feed(item)
 
@@ -379,10 +394,10 @@ class Reading:
         if self._options.raw:
             self.assignments = all_assignments(log, self._options.assignments)
             yield from self._decoded_again(log)
-        elif self._options.t1_5 is not None or self._options.t3_5 is not None:
+        elif self._timing(self.assignments).is_given:
             raise UsageError(
                 f"{capture.name}: a log holds what was decoded when it was made; "
-                "--t1-5 and --t3-5 need --raw, which decodes it again"
+                "--t1-5, --t3-5 and --response-timeout need --raw, which decodes it again"
             )
         else:
             part = Part.of_log(log)
@@ -397,9 +412,10 @@ class Reading:
             lines: dict[str, SerialLink] = {}
             with suppress(UsageError):
                 lines = serial_lines(log)
+            self.line_of = lines.get
             timing = LineTiming(self.assignments)
             self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
-            yield from log_records(log.items(), self._options.assignments)
+            yield from log_records(self._missing.noted(log.items()), self._options.assignments)
         if not log.closed:
             end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
             end = end if log.end_ns else "holds nothing"
@@ -421,7 +437,7 @@ class Reading:
             return Decoder(
                 Namer(self.assignments),
                 lines=lines,
-                timing=LineTiming(self.assignments, options.t1_5, options.t3_5),
+                timing=self._timing(self.assignments),
                 ports=ports,
                 rtu_ports=rtu_ports,
                 any_port=self._any_port,

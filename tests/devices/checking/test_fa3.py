@@ -115,6 +115,43 @@ def test_settings_take_effect_by_y9_then_x9_then_y9() -> None:
     assert codes(x9(1), asked, cleared) == ["FA3-X5"]
 
 
+SET_INPUTS = ("06 0102 005C", "06 0102 005C")
+READ_INPUTS = ("04 0002 0002", "04 04 0001 0002")
+
+
+def test_settings_without_y9_are_found_when_values_are_used() -> None:
+    written, read = said(*SET_INPUTS), said(*READ_INPUTS)
+    assert found(written, read) == [
+        ("FA3-X6", "read input RWr2..RWr3, but Y9 was not set since settings were written")
+    ]
+    assert codes(written, read, read) == ["FA3-X6"]
+    assert codes(written, said(Y9_ON, Y9_ON), x9(1), said(Y9_OFF, Y9_OFF), read) == []
+    assert codes(said(Y9_ON, Y9_ON), x9(1), said(Y9_OFF, Y9_OFF), written, read) == ["FA3-X6"]
+    assert codes(said(SET_INPUTS[0], "86 02"), read) == []
+    assert codes(read) == []
+    assert codes(written, said("04 0000 0002", "04 04 0000 0000")) == []  # The alarm.
+
+
+def test_settings_of_an_output_without_y9_are_found() -> None:
+    written = said(*SET_INPUTS, profile="fa3-at1m8y")
+    value = said("06 0002 0E10", "06 0002 0E10", profile="fa3-at1m8y")
+    assert codes(written, value, profile="fa3-at1m8y") == ["FA3-X6"]
+    digital = said(*SET_INPUTS, profile="fa3-th1m16y")
+    assert codes(digital, value, profile="fa3-th1m16y") == []
+
+
+def test_a_reset_after_three_unanswered_alive_checks_is_found() -> None:
+    def ended(text: str) -> list[tuple[str, str]]:
+        return found(event(EventKind.CLOSED, message=f"connection closed: {text}"))
+
+    assert ended("reset, 4 keep-alive probes, the last 3 unanswered") == [
+        ("FA3-X7", "a reset after 3 alive checks without an answer; the alarm is 0E30H")
+    ]
+    assert ended("reset, 4 keep-alive probes, the last 2 unanswered") == []
+    assert ended("finished, 3 keep-alive probes, the last 3 unanswered") == []
+    assert ended("reset, 3 keep-alive probes") == []
+
+
 def test_a_handshake_without_its_beginning_is_no_finding() -> None:
     assert codes(said(Y9_OFF, Y9_OFF)) == []
     refused = said(Y9_ON, "85 02")

@@ -53,6 +53,15 @@ def test_a_finding_of_the_standard_has_its_figures(
     assert messages(request_, answer) == [(code, message)]
 
 
+def test_the_write_quantity_of_17h_is_the_field_not_the_number_of_values() -> None:
+    """2112H registers with a byte count of 2."""
+    what = "read/write holding 3..4, write holding 14..8479"
+    assert messages("17 0003 0002 000E 2112 02 00FF", "97 03") == [
+        ("MB-104", f"{what}: writes 8466 registers, the standard allows 1 to 121"),
+        ("MB-101", f"{what}: 1 registers for a quantity of 8466"),
+    ]
+
+
 @pytest.mark.parametrize(
     ("device", "request_", "answer", "code", "message"),
     [

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.drafting.guesses import Guess, guess_registers
-from mbtool.devices.model import PointType, WordOrder
 from mbtool.devices.observed_slave import Samples
+from mbtool.devices.point_types import PointType, WordOrder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.importing.areas import MAX_HOLE, make_areas
 from mbtool.devices.importing.points import RowPoint, make_points
-from mbtool.devices.model import Access, PointType
+from mbtool.devices.model import Access
+from mbtool.devices.point_types import PointType
 from tests.devices.importing.listing import locate
 
 if TYPE_CHECKING:

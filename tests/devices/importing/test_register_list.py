@@ -23,7 +23,8 @@ from mbtool.devices.importing.register_list import (
 )
 from mbtool.devices.importing.report import MAX_PROBLEMS
 from mbtool.devices.loading import load_profile
-from mbtool.devices.model import Access, ByteOrder, Point, PointType, Radix, WordOrder
+from mbtool.devices.model import Access, Point, Radix
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.modbus.tables import Table
 
 EUROPEAN = """\

@@ -14,7 +14,8 @@ from mbtool.devices.importing.register_list import (
     ImportedList,
     import_register_list,
 )
-from mbtool.devices.model import Access, Point, PointType, WordOrder
+from mbtool.devices.model import Access, Point
+from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.modbus.tables import Table
 
 WORD_SWAPPED = """\

@@ -1,0 +1,122 @@
+"""The rules about what a master orders: too many writes, and commands that stop a device."""
+
+# SEC-102  a master writes to one slave, or on one line, more often than a plant needs
+# SEC-103  a command that stops or restarts a device: diagnostics (08) with sub-function 1 or 4, and
+#          function 5AH, in which Schneider's programming software speaks with its controllers
+#
+# Function 5AH has no public specification. After the function code comes a session key and then a
+# command. The numbers of those that read, or that hold and end a session, are known from analyses
+# that were published (Kaspersky ICS CERT, "The secrets of Schneider Electric's UMAS protocol");
+# plants use these also in operation. Every other command counts as one that stops the device:
+# start and stop, the load of a program, and commands that are not known.
+#
+# Memory: a window (sliding_window.py) of each of the MAX_WRITERS masters and slaves that wrote
+# last, and of each source of commands.
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mbtool.devices.checking.finding import transaction_finding
+from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.security_cases import (
+    master_text,
+    place_text,
+)
+from mbtool.devices.checking.sliding_window import SlidingWindow
+from mbtool.devices.checking.transactions import request_text
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.pdu import whole_pdu
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.security_cases import SecurityCases
+    from mbtool.devices.checking.security_limits import SecurityLimit, SecurityLimits
+    from mbtool.devices.named_transaction import NamedTransaction
+
+MAX_WRITERS = 256
+
+_DIAGNOSTICS = 0x08
+_STOPPING_DIAGNOSTICS = {  # Application Protocol V1.1b3, 6.8.1
+    0x01: "restart communications",
+    0x04: "force listen only mode",
+}
+_UMAS = 0x5A
+_UMAS_COMMAND = 2
+"""Where the command is in the PDU, after the function code and the session key."""
+_UMAS_HARMLESS = frozenset((
+    0x01, 0x02, 0x03, 0x04, 0x06, 0x0A,  # opens a session, reads the identity, echoes
+    0x10, 0x11, 0x12,  # takes, releases and keeps the right to change the device
+    0x20, 0x22, 0x23, 0x24, 0x25, 0x26,  # reads memory; reads and writes variables; their names
+    0x30, 0x31, 0x32, 0x39,  # reads the program, and data of the network
+    0x50, 0x58, 0x70, 0x71, 0x73,  # monitors, checks; reads and writes inputs and outputs
+))  # fmt: skip
+_UMAS_NAMES = {
+    0x33: "begin to load a program",
+    0x34: "load a part of a program",
+    0x35: "end loading a program",
+    0x40: "start",
+    0x41: "stop",
+}
+
+
+class CommandRules:
+    """Finds SEC-102 and SEC-103, which are given at the end of the capture."""
+
+    def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
+        self._cases = cases
+        self._on_network = _windows(limits.write_flood)
+        self._on_line = _windows(limits.line_write_flood)
+        self._commands = _windows(limits.stop_command)
+
+    def transaction(self, transaction: NamedTransaction, source: str, slave: str) -> None:
+        """Take the next transaction with a request into account."""
+        known = FUNCTIONS.get(transaction.function)
+        if known is not None and known.writes:
+            self._note_write(transaction, source, slave)
+        command = stop_command(transaction)
+        if command is not None:
+            self._note_command(transaction, source, command)
+
+    def _note_write(self, transaction: NamedTransaction, source: str, slave: str) -> None:
+        windows = self._on_line if transaction.transport.is_serial else self._on_network
+        window = windows[source, slave]
+        counted = window.add(transaction.start_ns)
+        if counted:
+            text = (
+                f"{master_text(transaction)} writes {{count}} times to {place_text(transaction)}, "
+                f"for example {request_text(transaction)}"
+            )
+            finding = transaction_finding("SEC-102", transaction, text, ts_ns=window.first_ns)
+            self._cases.add(source, replace(finding, function=None, reference=None), counted)
+
+    def _note_command(self, transaction: NamedTransaction, source: str, command: str) -> None:
+        window = self._commands[source, ""]
+        counted = window.add(transaction.start_ns)
+        if counted:
+            text = f"{master_text(transaction)} tells {{examples}}"
+            finding = transaction_finding("SEC-103", transaction, text, ts_ns=window.first_ns)
+            example = f"unit {transaction.unit} of {place_text(transaction)} to {command}"
+            self._cases.add(source, finding, counted, [example])
+
+
+def stop_command(transaction: NamedTransaction) -> str | None:
+    """The command of a request that stops or restarts a device; None for other requests."""
+    if transaction.function == _DIAGNOSTICS:
+        name = _STOPPING_DIAGNOSTICS.get(transaction.sub_function or 0)
+        return None if name is None else f"{name} (08/{transaction.sub_function:04X})"
+    if transaction.function != _UMAS:
+        return None
+    pdu = whole_pdu(transaction.transport, transaction.request_raw)
+    if pdu is None:
+        return None  # The capture cut the request, so the command is unknown.
+    if len(pdu) <= _UMAS_COMMAND:
+        return "do what function 5AH says without a command"
+    command = pdu[_UMAS_COMMAND]
+    if command in _UMAS_HARMLESS:
+        return None
+    return f"{_UMAS_NAMES.get(command, 'carry out an unknown command')} (5AH/{command:02X})"
+
+
+def _windows(limit: SecurityLimit) -> LruDict[tuple[str, str], SlidingWindow]:
+    return LruDict(lambda: SlidingWindow(limit), MAX_WRITERS)

@@ -1,0 +1,177 @@
+"""The rules about hosts that are not the usual masters: a second writer, a late identification."""
+
+# SEC-101  a second master writes to a slave. Of two hosts that ask one slave, the first is the one
+#          that came earlier. The later one is the second master in two cases: it came when the
+#          first had asked the slave for at least the limit's time; or both write, within that time
+#          of each other. If both came at about the same time and only one writes, nobody knows
+#          which one was there first.
+# SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
+#          modules), and was not heard within the limit's time from the beginning of the capture.
+#          Masters of the plant are heard then; one that restarts later is still known.
+#
+# Hosts are told apart by their addresses, without ports. So nothing is found on serial lines, or
+# between masters that share an address.
+#
+# Memory: the MAX_MASTERS hosts heard last of each slave (lru_dict.py); MAX_HOSTS hosts of the first
+# minutes (if there are as many, there is no SEC-205), and as many that came later.
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from mbtool.devices.checking.finding import transaction_finding
+from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.security_limits import SecurityLimit
+from mbtool.devices.checking.sliding_window import SlidingWindow
+from mbtool.devices.checking.transactions import request_text
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.security_cases import SecurityCases
+    from mbtool.devices.checking.security_limits import SecurityLimits
+
+MAX_MASTERS = 16
+MAX_HOSTS = 4096
+
+_READ_DEVICE_IDENTIFICATION = 0x0E
+_READ_MODEL_CODE = 0x42
+_EVER_NS = 1 << 63
+
+
+@dataclass(slots=True)
+class _Master:
+    """A host that asks a slave."""
+
+    host: str
+    first_ns: int
+    last_ns: int
+    predecessor: str | None
+    """A host that had asked the slave for the limit's time when this one came, and still asked.
+
+    None if there was none."""
+    window: SlidingWindow
+    """Its writes as a second master."""
+    uncounted_ns: deque[int]
+    """The times of its last writes that are not in `window`."""
+    last_write: NamedTransaction | None = None
+
+
+class MasterRules:
+    """Finds SEC-101 and SEC-205, which are given at the end of the capture."""
+
+    def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
+        self._cases = cases
+        self._writes = limits.second_writer
+        self._slaves: LruDict[str, dict[str, _Master]] = LruDict(dict)
+        self._first_time_ns = limits.identification.window_ns
+        self._began_ns: int | None = None
+        self._known: set[str] = set()
+        """The hosts that were heard at the beginning of the capture."""
+        late = SecurityLimit(limits.identification.number, _EVER_NS)
+        self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
+        """Those of each host that was not heard at the beginning."""
+
+    def heard(self, host: str, at_ns: int) -> None:
+        """Take into account that a host spoke or opened a connection."""
+        if self._began_ns is None:
+            self._began_ns = at_ns
+        if at_ns - self._began_ns <= self._first_time_ns and len(self._known) < MAX_HOSTS:
+            self._known.add(host)
+
+    def transaction(self, transaction: NamedTransaction, host: str, slave: str) -> None:
+        """Take the next request of a host to a slave on a network into account."""
+        at_ns = transaction.start_ns
+        self.heard(host, at_ns)
+        masters = self._slaves[slave]
+        master = masters.get(host)
+        if master is None:
+            master = self._new_master(masters, host, at_ns)
+        elif at_ns > master.last_ns:
+            master.last_ns = at_ns
+        known = FUNCTIONS.get(transaction.function)
+        if known is not None and known.writes:
+            self._note_write(masters, master, transaction)
+        elif _is_identification(transaction):
+            self._note_identification(transaction, host, slave)
+
+    def _new_master(self, masters: dict[str, _Master], host: str, at_ns: int) -> _Master:
+        since_ns = at_ns - self._writes.window_ns
+        predecessors = (
+            one.host for one in masters.values() if one.first_ns <= since_ns <= one.last_ns
+        )
+        if len(masters) >= MAX_MASTERS:
+            del masters[min(masters, key=lambda one: masters[one].last_ns)]
+        masters[host] = _Master(
+            host,
+            at_ns,
+            at_ns,
+            next(predecessors, None),
+            SlidingWindow(self._writes),
+            deque(maxlen=self._writes.number),
+        )
+        return masters[host]
+
+    def _note_write(
+        self, masters: dict[str, _Master], master: _Master, transaction: NamedTransaction
+    ) -> None:
+        master.last_write = transaction
+        master.uncounted_ns.append(transaction.start_ns)
+        if master.predecessor is not None:
+            self._count(master, master.predecessor)
+        if len(masters) == 1:
+            return
+        for other in masters.values():
+            if other is not master and self._is_near(other.last_write, transaction):
+                first, second = sorted((master, other), key=lambda one: one.first_ns)
+                self._count(second, first.host)
+
+    def _is_near(self, write: NamedTransaction | None, other: NamedTransaction) -> bool:
+        if write is None:
+            return False
+        return abs(write.start_ns - other.start_ns) <= self._writes.window_ns
+
+    def _count(self, second: _Master, first: str) -> None:
+        """Count the writes of a second master."""
+        counted = 0
+        while second.uncounted_ns:
+            counted += second.window.add(second.uncounted_ns.popleft())
+        if counted and second.last_write is not None:
+            write = second.last_write
+            text = (
+                f"{second.host} writes to {write.destination}, which {first} asked before: "
+                f"{request_text(write)}"
+            )
+            finding = transaction_finding("SEC-101", write, text, ts_ns=second.window.first_ns)
+            self._cases.add(second.host, finding, counted)
+
+    def _note_identification(self, transaction: NamedTransaction, host: str, slave: str) -> None:
+        if host in self._known or len(self._known) >= MAX_HOSTS:
+            return
+        window = self._identifications[host]
+        counted = window.add(transaction.start_ns)
+        if counted:
+            text = (
+                f"{host}, which was not heard in the first {self._first_time_ns / 1e9:g} s, reads "
+                "{examples}"
+            )
+            finding = transaction_finding("SEC-205", transaction, text, ts_ns=window.first_ns)
+            example = f"{_function(transaction)} of {slave}"
+            self._cases.add(host, replace(finding, reference=None), counted, [example])
+
+
+def _is_identification(transaction: NamedTransaction) -> bool:
+    function = transaction.function
+    if function == ENCAPSULATED:
+        return transaction.sub_function == _READ_DEVICE_IDENTIFICATION
+    return function in (REPORT_SERVER_ID, _READ_MODEL_CODE)
+
+
+def _function(transaction: NamedTransaction) -> str:
+    """The function, and the MEI type of function 2B: `2B/0E`, `11H`."""
+    if transaction.function == ENCAPSULATED:
+        return f"2B/{transaction.sub_function:02X}"
+    return f"{transaction.function:02X}H"

@@ -1,0 +1,158 @@
+"""The rules about scans: a master that tries out what there is, in place of polling it."""
+
+# SEC-201  a master asks or opens many addresses that it does not poll
+# SEC-202  a master asks many units of one address or line that it does not poll
+# SEC-203  a master asks a unit for many functions that it does not have: the unit refuses them with
+#          exception 01, or neither the standard nor its profile has them
+# SEC-204  a unit refuses a master many addresses, with exception 02 or 03
+#
+# A master that polls may also ask many units and registers, but it asks for them again and again.
+# unpolled.py leaves out what is polled. As that may be known late, the findings come at the end of
+# the capture.
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mbtool.devices.checking.finding import event_finding, transaction_finding
+from mbtool.devices.checking.security_cases import (
+    host_of,
+    master_text,
+    place_text,
+)
+from mbtool.devices.checking.transactions import request_text
+from mbtool.devices.checking.unpolled import OPENED, Unpolled
+from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
+
+if TYPE_CHECKING:
+    from mbtool.core import WireEvent
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.security_cases import SecurityCases
+    from mbtool.devices.checking.security_limits import SecurityLimits
+    from mbtool.devices.model import Profile
+    from mbtool.devices.named_transaction import NamedTransaction
+
+_REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
+
+
+class ScanRules:
+    """Finds SEC-201 to SEC-204, all at the end of the capture."""
+
+    def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
+        self._hosts = Unpolled(limits.host_scan, cases)
+        self._units = Unpolled(limits.unit_scan, cases)
+        self._functions = Unpolled(limits.function_scan, cases)
+        self._registers = Unpolled(limits.register_scan, cases)
+
+    def transaction(
+        self, transaction: NamedTransaction, source: str, slave: str, profile: Profile | None
+    ) -> None:
+        """Take the next transaction with a request into account."""
+        if not self._units.is_polled((source, slave), transaction.unit):
+            self._note_unit(transaction, source, slave)
+        if transaction.exception in _REFUSED_ADDRESS:
+            self._note_register(transaction, source, slave)
+        elif _is_missing(transaction, profile):
+            self._note_function(transaction, source, slave)
+
+    def opened(self, event: WireEvent) -> None:
+        """Take the opening of a connection into account."""
+        source, host = host_of(event.source), host_of(event.destination)
+        self._hosts.note(
+            (source,),
+            host,
+            OPENED,
+            lambda: (host, event_finding("SEC-201", event, _hosts(source))),
+        )
+
+    def close(self) -> None:
+        """Settle what is not known to be polled, at the end of the capture."""
+        for things in (self._hosts, self._units, self._functions, self._registers):
+            things.close()
+
+    def _note_unit(self, transaction: NamedTransaction, source: str, slave: str) -> None:
+        request, is_answered = _request(transaction), transaction.response_raw is not None
+
+        def first_unit() -> tuple[str, Finding]:
+            text = (
+                f"{master_text(transaction)} asks {{count}} units of "
+                f"{place_text(transaction)} and polls none of them: {{examples}}"
+            )
+            return str(transaction.unit), _finding("SEC-202", transaction, text)
+
+        is_polled = self._units.note(
+            (source, slave), transaction.unit, request, first_unit, is_answered=is_answered
+        )
+        if transaction.destination is None:
+            return
+        host = host_of(transaction.destination)
+        if is_polled:
+            self._hosts.set_polled((source,), host)
+            return
+        self._hosts.note(
+            (source,),
+            host,
+            hash((request, transaction.unit)),
+            lambda: (host, _finding("SEC-201", transaction, _hosts(source))),
+            is_answered=is_answered,
+        )
+
+    def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:
+        def first_function() -> tuple[str, Finding]:
+            text = (
+                f"{master_text(transaction)} asks unit {transaction.unit} of "
+                f"{place_text(transaction)} for {{count}} functions that it does not have: "
+                "{examples}"
+            )
+            finding = replace(_finding("SEC-203", transaction, text), unit=transaction.unit)
+            return f"{transaction.function:02X}H", finding
+
+        self._functions.note(
+            (source, slave, transaction.unit),
+            transaction.function,
+            _request(transaction),
+            first_function,
+            is_answered=transaction.response_raw is not None,
+        )
+
+    def _note_register(self, transaction: NamedTransaction, source: str, slave: str) -> None:
+        def first_register() -> tuple[str, Finding]:
+            text = (
+                f"unit {transaction.unit} of {place_text(transaction)} refuses "
+                f"{master_text(transaction)} {{count}} different registers: {{examples}}"
+            )
+            finding = replace(_finding("SEC-204", transaction, text), unit=transaction.unit)
+            return request_text(transaction), finding
+
+        self._registers.note(
+            (source, slave, transaction.unit),
+            (transaction.function, transaction.address),
+            _request(transaction),
+            first_register,
+            is_answered=True,
+        )
+
+
+def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
+    """A finding about several units, functions or registers, so without those of the first."""
+    one = transaction_finding(code, transaction, text)
+    return replace(one, unit=None, function=None, reference=None)
+
+
+def _hosts(source: str) -> str:
+    return f"{source} asks {{count}} addresses and polls none of them: {{examples}}"
+
+
+def _request(transaction: NamedTransaction) -> int:
+    """A number that equal requests to one unit have in common."""
+    return hash((transaction.function, transaction.address, transaction.quantity))
+
+
+def _is_missing(transaction: NamedTransaction, profile: Profile | None) -> bool:
+    """True if the unit refuses the function, or is not expected to have it."""
+    if transaction.exception == ExceptionCode.ILLEGAL_FUNCTION:
+        return True
+    if transaction.function in FUNCTIONS:
+        return False
+    return profile is None or profile.rule(transaction.function) is None

@@ -1,0 +1,57 @@
+"""The rules about attacks and scans, SEC-101 to SEC-205, joined."""
+
+# Each source has one finding for each rule, at the end of the capture, with the number of cases.
+# A source is a host; on a serial line, where masters have no addresses, it is the line. The rules
+# that tell hosts apart (SEC-101, SEC-201, SEC-205) apply to networks only.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices.checking.commands import CommandRules
+from mbtool.devices.checking.masters import MasterRules
+from mbtool.devices.checking.scans import ScanRules
+from mbtool.devices.checking.security_cases import SecurityCases, host_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.security_limits import SecurityLimits
+    from mbtool.devices.model import Profile
+    from mbtool.devices.named_transaction import NamedTransaction
+
+
+class SecurityRules:
+    """Finds SEC-101 to SEC-205. Ambiguous transactions must be left out."""
+
+    def __init__(self, limits: SecurityLimits) -> None:
+        self._cases = SecurityCases()
+        self._masters = MasterRules(limits, self._cases)
+        self._commands = CommandRules(limits, self._cases)
+        self._scans = ScanRules(limits, self._cases)
+
+    def transaction(self, transaction: NamedTransaction, profile: Profile | None) -> None:
+        """Take the next transaction into account."""
+        if transaction.request_raw is None:
+            return
+        slave = transaction.destination
+        if transaction.source is None or slave is None:
+            source = slave = transaction.link
+        else:
+            source = host_of(transaction.source)
+            self._masters.transaction(transaction, source, slave)
+        self._commands.transaction(transaction, source, slave)
+        self._scans.transaction(transaction, source, slave, profile)
+
+    def event(self, event: WireEvent) -> None:
+        """Take the next event of a network into account."""
+        if event.kind is EventKind.OPENED:
+            self._masters.heard(host_of(event.source), event.ts_ns)
+            self._scans.opened(event)
+
+    def close(self) -> Iterator[Finding]:
+        """Give the findings, at the end of the capture."""
+        self._scans.close()
+        yield from self._cases.close()

@@ -1,0 +1,105 @@
+"""The limits of the rules about attacks and scans: a number of cases, and the time for them."""
+
+# The defaults are chosen so that ordinary operation stays below them; docs/findings.md gives the
+# reason of each. What the time of a rule means stands in the module that checks the rule.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import TYPE_CHECKING, Self
+
+from mbtool.core import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+MAX_NUMBER = 4096
+"""The largest number of cases: the rules hold a time for each case."""
+MAX_WINDOW_NS = 24 * 3_600_000_000_000
+
+_SECOND_NS = 1_000_000_000
+_UNITS_NS = {
+    "ms": 1_000_000,
+    "s": _SECOND_NS,
+    "min": 60 * _SECOND_NS,
+    "h": 3600 * _SECOND_NS,
+}
+_PATTERN = re.compile(
+    r"(?P<code>[^=]+)=(?P<number>\d{1,6})/(?P<time>\d{1,8}(?:\.\d{1,3})?) ?(?P<unit>ms|s|min|h)",
+    re.ASCII,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SecurityLimit:
+    """How many cases within which time are a finding."""
+
+    number: int
+    window_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class SecurityLimits:
+    """The limit of each rule about attacks and scans."""
+
+    second_writer: SecurityLimit = SecurityLimit(1, 10 * _SECOND_NS)
+    write_flood: SecurityLimit = SecurityLimit(300, 5 * _SECOND_NS)
+    """On a network."""
+    line_write_flood: SecurityLimit = SecurityLimit(150, 5 * _SECOND_NS)
+    """On a serial line, which is slower: at 9600 baud it can carry about 40 writes a second."""
+    stop_command: SecurityLimit = SecurityLimit(1, 60 * _SECOND_NS)
+    host_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
+    unit_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
+    function_scan: SecurityLimit = SecurityLimit(8, 60 * _SECOND_NS)
+    register_scan: SecurityLimit = SecurityLimit(20, 60 * _SECOND_NS)
+    identification: SecurityLimit = SecurityLimit(1, 300 * _SECOND_NS)
+
+    @classmethod
+    def parse(cls, texts: Iterable[str]) -> Self:
+        """Read texts like `SEC-201=20/60s`; the rules that none of them names keep their default.
+
+        Raises UsageError for a text of another form, and for a rule that is named twice.
+        """
+        limits: dict[str, SecurityLimit] = {}
+        for text in texts:
+            code, limit = _parse(text)
+            for name in _FIELDS[code]:
+                if name in limits:
+                    raise UsageError(f"--limit: {code} is named twice")
+                limits[name] = limit
+        return cls(**limits)
+
+
+_FIELDS = {
+    "SEC-101": ("second_writer",),
+    "SEC-102": ("write_flood", "line_write_flood"),
+    "SEC-103": ("stop_command",),
+    "SEC-201": ("host_scan",),
+    "SEC-202": ("unit_scan",),
+    "SEC-203": ("function_scan",),
+    "SEC-204": ("register_scan",),
+    "SEC-205": ("identification",),
+}
+"""The fields of SecurityLimits that the limit of a code sets."""
+
+
+def _parse(text: str) -> tuple[str, SecurityLimit]:
+    match = _PATTERN.fullmatch(text.strip())
+    if match is None:
+        raise UsageError(
+            f"--limit: {text!r} is no limit; write CODE=NUMBER/TIME, for example SEC-201=20/60s, "
+            "with a time in ms, s, min or h"
+        )
+    code = match["code"].strip().upper()
+    if code not in _FIELDS:
+        codes = ", ".join(_FIELDS)
+        raise UsageError(f"--limit: {match['code']!r} has no limit; those that have: {codes}")
+    number = int(match["number"])
+    if not 1 <= number <= MAX_NUMBER:
+        raise UsageError(f"--limit: {text!r}: the number is from 1 to {MAX_NUMBER}")
+    window_ns = int(Decimal(match["time"]) * _UNITS_NS[match["unit"]])
+    if not _UNITS_NS["ms"] <= window_ns <= MAX_WINDOW_NS:
+        raise UsageError(f"--limit: {text!r}: the time is from 1ms to 24h")
+    return code, SecurityLimit(number, window_ns)

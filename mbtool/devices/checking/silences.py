@@ -1,0 +1,206 @@
+"""The rules about silences inside and between the frames of a line: RTU-101 to RTU-104."""
+
+# How sure a silence is depends on where the times of the bytes come from.
+#
+# Times of an adapter, a driver or packets. A serial adapter may collect bytes and deliver them in
+# blocks. Then many transactions of a line seem to have no silence between frames, or silences
+# inside them, and the times say nothing about the line. RTU-104 reports that once, in place of
+# RTU-101..103. A line needs at least MIN_TRANSACTIONS transactions for RTU-104. A busy computer
+# sometimes reads late, which looks the same: on healthy lines, up to 16 % of the transactions had
+# such a silence (measured). A fault of the line affects many transactions of one unit. So
+# RTU-101..103 are only reported for a unit if at least MIN_SILENCES of its transactions have such a
+# silence, and these are at least the share MIN_SILENCES_SHARE of all its transactions. Otherwise a
+# remark tells how many there are.
+#
+# Exact times of every byte, as of a logic analyser. Each such silence was on the line, so one is
+# enough, however many there are, and there is no RTU-104. RTU-103 says who sent too soon: the slave
+# its answer, or the master its request.
+#
+# Memory: for each line, some numbers for each of at most 256 units.
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from mbtool.devices.checking.finding import Finding, transaction_finding
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.modbus.adu import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.core import SerialFormat
+
+MIN_TRANSACTIONS = 8
+ADAPTER_SHARE = 0.25
+"""The share of a line's transactions, 0 to 1, that must be glued or split before the adapter is
+said to deliver bytes in blocks. Glued: no silence between frames; split: a silence inside one."""
+MIN_SILENCES = 3
+MIN_SILENCES_SHARE = 0.2
+"""The least share of a unit's transactions, 0 to 1, that must have a wrong silence for a finding.
+It is above the 16 % that late reads were measured to cause."""
+
+_SILENCES = {
+    Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),
+    Verdict.SPLIT: ("RTU-102", "a silence of t3.5 or longer inside a frame"),
+    Verdict.GLUED: ("RTU-103", "less than t3.5 of silence between frames"),
+}
+_BLOCK_SIGNS = frozenset((Verdict.SPLIT, Verdict.GLUED))
+_T3_5_CHARACTERS = 3.5
+
+
+@dataclass(slots=True)
+class _Silences:
+    """All transactions of one unit with one kind of wrong silence."""
+
+    first: NamedTransaction
+    number: int = 0
+    least_ns: int | None = None
+    """The shortest silence, in ns, where it is known."""
+
+    def add(self, silence_ns: int | None = None) -> None:
+        self.number += 1
+        if silence_ns is not None:
+            known = silence_ns if self.least_ns is None else self.least_ns
+            self.least_ns = min(silence_ns, known)
+
+
+@dataclass(slots=True)
+class LineSilences:
+    """The wrong silences of one line."""
+
+    transactions: int = 0
+    in_blocks: int = 0
+    """How many transactions are glued (no silence between frames) or split (a silence inside
+    one)."""
+    of_unit: Counter[int] = field(default_factory=Counter)
+    """How many transactions each unit has."""
+    wrong: dict[tuple[Verdict, int], _Silences] = field(default_factory=dict)
+    """The transactions with a wrong silence, by the kind of silence and the unit."""
+    too_soon: dict[tuple[bool, int], _Silences] = field(default_factory=dict)
+    """The transactions whose request (True) or response (False) comes too soon, by unit."""
+
+    def note(
+        self, transaction: NamedTransaction, format_: SerialFormat | None, end_ns: int | None
+    ) -> None:
+        """Take the next transaction of the line; `end_ns` is when the last frame before it
+        ended.
+        """
+        self.transactions += 1
+        self.of_unit[transaction.unit] += 1
+        if not transaction.verdicts:
+            return
+        for sign in _SILENCES:
+            if sign in transaction.verdicts:
+                key = (sign, transaction.unit)
+                self.wrong.setdefault(key, _Silences(transaction)).add()
+        self.in_blocks += not _BLOCK_SIGNS.isdisjoint(transaction.verdicts)
+        if format_ is not None and Verdict.GLUED in transaction.verdicts:
+            self._note_too_soon(transaction, format_, end_ns)
+
+    def _note_too_soon(
+        self, transaction: NamedTransaction, format_: SerialFormat, end_ns: int | None
+    ) -> None:
+        latency_ns = transaction.latency_ns
+        if latency_ns is not None and latency_ns < format_.t3_5_ns:
+            self._add_too_soon(transaction, latency_ns, is_request=False)
+        before_ns = silence_before(transaction, format_, end_ns)
+        # A transaction is glued, too, if only the next request follows it too soon. The length of
+        # its frame does not tell exactly when it began, but well enough to exclude that case.
+        if before_ns is not None and before_ns < 2 * format_.t3_5_ns:
+            is_next = latency_ns is None or latency_ns >= format_.t3_5_ns
+            if is_next or before_ns < format_.t3_5_ns:
+                self._add_too_soon(transaction, before_ns, is_request=True)
+
+    def _add_too_soon(
+        self, transaction: NamedTransaction, silence_ns: int, *, is_request: bool
+    ) -> None:
+        key = (is_request, transaction.unit)
+        self.too_soon.setdefault(key, _Silences(transaction)).add(silence_ns)
+
+    @property
+    def are_in_blocks(self) -> bool:
+        """True if so many transactions are glued or torn that an adapter must be the reason."""
+        share = self.in_blocks / max(self.transactions, 1)
+        return share >= ADAPTER_SHARE and self.transactions >= MIN_TRANSACTIONS
+
+    def block_finding(self) -> Finding:
+        """RTU-104, for a line whose silences `are_in_blocks`."""
+        first = next(one.first for (sign, _), one in self.wrong.items() if sign in _BLOCK_SIGNS)
+        return transaction_finding(
+            "RTU-104",
+            first,
+            f"in {self.in_blocks} of {self.transactions} transactions frames are glued or torn; "
+            "of silences nothing can be said",
+        )
+
+    def findings(self, remarks: list[str], format_: SerialFormat | None) -> Iterator[Finding]:
+        """RTU-101 to RTU-103, for times that an adapter made. Adds to `remarks` what falls
+        short.
+        """
+        few: Counter[str] = Counter()
+        for (sign, unit), cases in self.wrong.items():
+            code, text = _SILENCES[sign]
+            total = self.of_unit[unit]
+            if cases.number >= MIN_SILENCES and cases.number >= MIN_SILENCES_SHARE * total:
+                text += f" in {cases.number} of {total} transactions"
+                which = _which_t3_5(format_) if sign is Verdict.GLUED else ""
+                yield _summary(code, cases, text + which)
+            else:
+                few[text] += cases.number
+        remarks += [
+            f"{first.link}: {text} in {number} of {self.transactions} transactions; "
+            "so few are probably late reads, and no fault of the line"
+            for first in [one.first for one in self.wrong.values()][:1]
+            for text, number in few.items()
+        ]
+
+    def exact_findings(self, format_: SerialFormat) -> Iterator[Finding]:
+        """RTU-101 to RTU-103, for exact times of every byte."""
+        for (sign, unit), cases in self.wrong.items():
+            code, text = _SILENCES[sign]
+            if sign is not Verdict.GLUED:
+                total = self.of_unit[unit]
+                yield _summary(code, cases, f"{text} in {cases.number} of {total} transactions")
+        for (is_request, unit), cases in self.too_soon.items():
+            total = self.of_unit[unit]
+            yield _summary("RTU-103", cases, _too_soon_text(is_request, cases, total, format_))
+
+
+def silence_before(
+    transaction: NamedTransaction, format_: SerialFormat, end_ns: int | None
+) -> int | None:
+    """The silence, in ns, from `end_ns` to the request's first byte; None if it is unknown.
+
+    It is reckoned from the request's end and length, so it is exact to a character or so.
+    """
+    request_ns, raw = transaction.request_ns, transaction.request_raw
+    if end_ns is None or request_ns is None or raw is None or request_ns < end_ns:
+        return None  # In the last case, the clock was set back.
+    return max(request_ns - len(raw) * format_.character_ns - end_ns, 0)
+
+
+def _too_soon_text(is_request: bool, cases: _Silences, total: int, format_: SerialFormat) -> str:
+    unit = cases.first.unit
+    who = f"the master asks unit {unit}" if is_request else f"unit {unit} answers"
+    least_ns = cases.least_ns or 0
+    characters = least_ns / format_.character_ns
+    soonest = f"{characters:.1f} characters, {least_ns / 1e6:.2f} ms"
+    text = f"{who} too soon in {cases.number} of {total} transactions, the soonest after {soonest}"
+    return text + _which_t3_5(format_, keeps_characters=characters >= _T3_5_CHARACTERS)
+
+
+def _which_t3_5(format_: SerialFormat | None, *, keeps_characters: bool = False) -> str:
+    """Name the rule that is broken if it is the standard's fixed t3.5, and not 3.5 characters."""
+    if format_ is None or not format_.has_fixed_silences:
+        return ""
+    fixed = f"above 19200 baud the standard fixes t3.5 at {format_.t3_5_ns / 1e6:.2f} ms"
+    kept = "; 3.5 characters, the rule of some manuals, are kept" if keeps_characters else ""
+    return f"; {fixed}{kept}"
+
+
+def _summary(code: str, cases: _Silences, text: str) -> Finding:
+    one = transaction_finding(code, cases.first, text)
+    return replace(one, function=None, reference=None, count=cases.number)

@@ -1,0 +1,72 @@
+"""Counts cases that come close together: at least a number of them within a time."""
+
+# A window is any span of at most the limit's time, its ends included. It is full if it has at least
+# the limit's number of cases. The times may come slightly out of order, because a request without a
+# response is decoded late.
+#
+# Memory: the last times, fewer than KEPT times the limit's number.
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.security_limits import SecurityLimit
+
+KEPT = 4
+
+
+class SlidingWindow:
+    """Counts the cases that are in a full window."""
+
+    __slots__ = ("_counted_to_ns", "_limit", "_times", "first_ns")
+
+    def __init__(self, limit: SecurityLimit) -> None:
+        self._limit = limit
+        self._times: list[int] = []
+        """The times of the last cases, in ns, in order."""
+        self._counted_to_ns: int | None = None
+        """The time of the last case that was counted, in ns."""
+        self.first_ns: int | None = None
+        """The time of the first case in the first full window, in ns; None if none was full."""
+
+    def add(self, at_ns: int) -> int:
+        """Add a case, and return how many cases are counted now that were not counted before.
+
+        That is 0 unless a full window contains the new case.
+        """
+        times, number = self._times, self._limit.number
+        place = bisect_right(times, at_ns)
+        times.insert(place, at_ns)
+        begin = self._full_window(place)
+        if begin is None:
+            counted = 0
+        else:
+            counted = self._count(begin)
+            if self.first_ns is None:
+                self.first_ns = times[begin]
+        if len(times) >= KEPT * number:
+            del times[: -(KEPT // 2) * number]
+        return counted
+
+    def _full_window(self, place: int) -> int | None:
+        """Where the first full window begins that contains the time at `place`."""
+        times, number, window_ns = self._times, self._limit.number, self._limit.window_ns
+        for begin in range(max(0, place - number + 1), min(place, len(times) - number) + 1):
+            if times[begin + number - 1] - times[begin] <= window_ns:
+                return begin
+        return None
+
+    def _count(self, begin: int) -> int:
+        """How many cases of the full window that begins at `begin` were not counted yet."""
+        times, known_ns = self._times, self._counted_to_ns
+        end = begin + self._limit.number
+        if known_ns is None:
+            new = self._limit.number
+        elif times[end - 1] <= known_ns:
+            return 1  # A case out of order, between cases that were counted.
+        else:
+            new = end - bisect_right(times, known_ns, begin, end)
+        self._counted_to_ns = times[end - 1]
+        return new

@@ -1,0 +1,147 @@
+"""Counts what a master asks for, but does not poll: addresses, units, functions, registers."""
+
+# A "thing" is what a rule about scans counts; its "scope" is the source, and the slave and unit in
+# which it is counted. A master polls a thing if it sends the same request to it a second time
+# after an answer, or MAX_ATTEMPTS times after the first without an answer.
+#
+# To tell a repeated request without holding all requests, one request to each thing is remembered:
+# the first, then the ones with the numbers 2, 4, 8 and so on (Brent's cycle detection). So a master
+# that sends several requests in turn is known to poll in the third turn at the latest. The opening
+# of a connection counts as a request, but only until there is another one: a scan may open a
+# connection for each request.
+#
+# Memory: MAX_THINGS things that were not seen to be polled, and as many that were. If there are
+# more, the oldest one of the former is counted as never polled. For each of at most MAX_ENTRIES
+# scopes (lru_dict.py) a window (sliding_window.py), and as many things as the rule's limit says.
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import SlidingWindow
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.security_cases import SecurityCases
+    from mbtool.devices.checking.security_limits import SecurityLimit
+
+MAX_THINGS = 8192
+MAX_ATTEMPTS = 4
+"""So many repeated requests without an answer are a poll. Most masters give up after three."""
+
+OPENED = 0
+"""Stands for the opening of a connection, in place of the hash of a request."""
+
+_Scope = tuple[Hashable, ...]
+_Thing = tuple[_Scope, Hashable]
+
+
+@dataclass(slots=True)
+class _Attempts:
+    """What a master asked of one thing that it is not known to poll."""
+
+    request: int
+    """The hash of the remembered request."""
+    is_answered: bool
+    """True if the remembered request has a response."""
+    text: str
+    """The thing, as an example in a message."""
+    finding: Finding
+    number: int = 1
+    """The number of requests so far."""
+    repeats: int = 0
+    """How often the remembered request was repeated."""
+
+    def is_poll(self, request: int, *, is_answered: bool) -> bool:
+        """Take the next request into account. True if the master is now known to poll."""
+        if request == OPENED and self.request != OPENED:
+            return False
+        if self.request == OPENED and request != OPENED:
+            self.number = 0  # This is the first request.
+        self.number += 1
+        if request != self.request:
+            if self.number & (self.number - 1) == 0:
+                self.request, self.is_answered, self.repeats = request, is_answered, 0
+            return False
+        if self.is_answered:
+            return True
+        self.repeats += 1
+        self.is_answered = is_answered
+        return self.repeats >= MAX_ATTEMPTS
+
+
+class _UnpolledThings:
+    """The things of one scope that are not polled, and how close together they come."""
+
+    def __init__(self, limit: SecurityLimit) -> None:
+        self.window = SlidingWindow(limit)
+        self.recent: deque[_Attempts] = deque(maxlen=limit.number)
+
+
+class Unpolled:
+    """Counts the things of one rule. The cases go to `cases`, at the end of the capture."""
+
+    def __init__(self, limit: SecurityLimit, cases: SecurityCases) -> None:
+        self._cases = cases
+        self._attempts: OrderedDict[_Thing, _Attempts] = OrderedDict()
+        self._polled: dict[_Thing, None] = {}
+        """The things that are known to be polled, the oldest first."""
+        self._scans: LruDict[_Scope, _UnpolledThings] = LruDict(lambda: _UnpolledThings(limit))
+
+    def is_polled(self, scope: _Scope, item: Hashable) -> bool:
+        """True if a thing is known to be polled."""
+        return (scope, item) in self._polled
+
+    def set_polled(self, scope: _Scope, item: Hashable) -> None:
+        """Leave a thing out, because the master polls it."""
+        self._attempts.pop((scope, item), None)
+        self._polled[scope, item] = None
+        if len(self._polled) > MAX_THINGS:
+            del self._polled[next(iter(self._polled))]
+
+    def note(
+        self,
+        scope: _Scope,
+        item: Hashable,
+        request: int,
+        describe: Callable[[], tuple[str, Finding]],
+        *,
+        is_answered: bool = False,
+    ) -> bool:
+        """Take a request to a thing into account. True if the thing is now known to be polled.
+
+        The first item of the scope is the source. `describe` is called for the first request to a
+        thing; it returns the thing as an example, and the finding if it is the first of a scan.
+        """
+        thing = (scope, item)
+        if thing in self._polled:
+            return True
+        attempts = self._attempts.get(thing)
+        if attempts is None:
+            self._attempts[thing] = _Attempts(request, is_answered, *describe())
+            if len(self._attempts) > MAX_THINGS:
+                self._settle(*self._attempts.popitem(last=False))
+        elif attempts.is_poll(request, is_answered=is_answered):
+            self.set_polled(scope, item)
+            return True
+        return False
+
+    def close(self) -> None:
+        """Count all things that are not known to be polled, at the end of the capture."""
+        left, self._attempts = self._attempts, OrderedDict()
+        for thing, attempts in sorted(left.items(), key=lambda one: one[1].finding.ts_ns):
+            self._settle(thing, attempts)
+
+    def _settle(self, thing: _Thing, attempts: _Attempts) -> None:
+        scope = thing[0]
+        scan = self._scans[scope]
+        scan.recent.append(attempts)
+        counted = scan.window.add(attempts.finding.ts_ns)
+        if counted:
+            first = scan.recent[-min(counted, len(scan.recent))]
+            texts = [one.text for one in scan.recent]
+            self._cases.add(str(scope[0]), first.finding, counted, texts)

@@ -1,0 +1,89 @@
+"""How the value of a point is encoded in its registers or bits."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class PointType(StrEnum):
+    """How a point's value is encoded in its registers or bits."""
+
+    BIT = "bit"
+    UINT16 = "uint16"
+    INT16 = "int16"
+    BCD16 = "bcd16"
+    """Four decimal digits of four bits each."""
+    HEX16 = "hex16"
+    """A code that the manual writes in hexadecimal."""
+    OCTETS = "octets"
+    """Two octets of an IP address; the first one is in the high byte."""
+    UINT32 = "uint32"
+    INT32 = "int32"
+    BCD32 = "bcd32"
+    FLOAT32 = "float32"
+    UINT64 = "uint64"
+    INT64 = "int64"
+    FLOAT64 = "float64"
+    STRING = "string"
+    """Two characters in each register; the first one is in the high byte."""
+    FLAGS = "flags"
+    """A register whose bits have names."""
+    BIT_FIELD = "bit-field"
+    """A register with one bit for each channel."""
+    NIBBLE_FIELD = "nibble-field"
+    """A register with four bits for each channel."""
+
+    @property
+    def words(self) -> int:
+        """How many addresses a value takes; 0 for a string, which has its own `length`."""
+        return 0 if self is PointType.STRING else _WORDS.get(self, 1)
+
+    @property
+    def channel_bits(self) -> int:
+        """How many bits a field has for each channel; 0 for other types."""
+        return {PointType.BIT_FIELD: 1, PointType.NIBBLE_FIELD: 4}.get(self, 0)
+
+    @property
+    def whole_numbers(self) -> range | None:
+        """The numbers that an integer type can hold; None for other types."""
+        return _RANGES.get(self)
+
+    @property
+    def is_number(self) -> bool:
+        """True if the value is a quantity, which can have a scale and a unit."""
+        return self in _RANGES or self in (PointType.FLOAT32, PointType.FLOAT64)
+
+
+_WORDS = {
+    PointType.UINT32: 2,
+    PointType.INT32: 2,
+    PointType.BCD32: 2,
+    PointType.FLOAT32: 2,
+    PointType.UINT64: 4,
+    PointType.INT64: 4,
+    PointType.FLOAT64: 4,
+}
+_RANGES = {
+    PointType.UINT16: range(1 << 16),
+    PointType.INT16: range(-(1 << 15), 1 << 15),
+    PointType.BCD16: range(10**4),
+    PointType.UINT32: range(1 << 32),
+    PointType.INT32: range(-(1 << 31), 1 << 31),
+    PointType.BCD32: range(10**8),
+    PointType.UINT64: range(1 << 64),
+    PointType.INT64: range(-(1 << 63), 1 << 63),
+}
+
+
+class WordOrder(StrEnum):
+    """Which register of a value of several registers comes first."""
+
+    HIGH_FIRST = "high-first"
+    LOW_FIRST = "low-first"
+
+
+class ByteOrder(StrEnum):
+    """Which byte of a register comes first; the high one in the standard."""
+
+    HIGH_FIRST = "high-first"
+    LOW_FIRST = "low-first"

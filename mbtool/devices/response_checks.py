@@ -1,0 +1,119 @@
+"""Checks a slave's response against its device's profile; the results are finding codes."""
+
+# profile_checks.py checks the request. Two rules say when an exception code is wrong:
+#
+#     the request has faults, and the manual states the code of each    another code is wrong
+#     the request has none, and every address of the areas exists       any refusal is wrong
+#
+# What the manual leaves open (Exceptions.causes, Profile.complete_areas) is no finding. Codes other
+# than those for a wrong function, address or value may have reasons that a capture does not show.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction
+from mbtool.devices.model import ExceptionCause
+from mbtool.devices.profile_checks import finding_prefix
+from mbtool.modbus.functions import TABLE_FUNCTIONS
+from mbtool.modbus.pdu import parse_pdu, whole_pdu
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    from mbtool.devices.model import AnswerWord, FunctionRule, Profile
+    from mbtool.modbus.transaction import Transaction
+
+_CAUSES = {
+    "F": ExceptionCause.FUNCTION,
+    "Q": ExceptionCause.VALUE,
+    "D": ExceptionCause.VALUE,
+    "A": ExceptionCause.ADDRESS,
+    "W": ExceptionCause.ADDRESS,
+    "MB-101": ExceptionCause.VALUE,
+    "MB-102": ExceptionCause.VALUE,
+    "MB-103": ExceptionCause.VALUE,
+    "MB-104": ExceptionCause.VALUE,
+    "MB-105": ExceptionCause.VALUE,
+}
+"""The cause of a refusal, by the finding about the request: its code, or a device's letter."""
+_WORD_BYTES = 3
+
+
+def response_findings(
+    profile: Profile, transaction: Transaction, request_codes: Collection[str]
+) -> Iterator[str]:
+    """Give the finding codes of a response; `request_codes` are those of its request."""
+    prefix = finding_prefix(profile)
+    if transaction.exception is not None:
+        if is_wrong_exception(profile, transaction, request_codes):
+            yield f"{prefix}-C{transaction.exception}"
+        return
+    rule = profile.rule(transaction.function)
+    pdu = whole_pdu(transaction.transport, transaction.response_raw)
+    if rule is None or pdu is None:
+        return
+    if _has_other_form(rule, pdu, whole_pdu(transaction.transport, transaction.request_raw)):
+        yield f"{prefix}-R{transaction.function}"
+    elif rule.answer is not None and _is_unknown(rule.answer, pdu):
+        yield f"{prefix}-M{transaction.function}"
+
+
+def is_wrong_exception(
+    profile: Profile, transaction: Transaction, request_codes: Collection[str]
+) -> bool:
+    """True if the manual states another exception code for the request, or none."""
+    given, function = transaction.exception, transaction.function
+    codes = {cause: _code(profile, cause, function) for cause in ExceptionCause}
+    if given not in codes.values() or given not in profile.documented_exceptions(function):
+        return False
+    causes = causes_in(profile, request_codes)
+    if not causes:
+        return profile.complete_areas and _is_well_formed(transaction)
+    is_stated = causes <= set(profile.exceptions.causes)
+    return is_stated and given not in {codes[cause] for cause in causes}
+
+
+def causes_in(profile: Profile, request_codes: Collection[str]) -> set[ExceptionCause]:
+    """The causes for which a device refuses a request with these finding codes."""
+    prefix = f"{finding_prefix(profile)}-"
+    keys = [
+        code.removeprefix(prefix)[0] if code.startswith(prefix) else code for code in request_codes
+    ]
+    return {_CAUSES[key] for key in keys if key in _CAUSES}
+
+
+def right_exceptions(
+    profile: Profile, transaction: Transaction, request_codes: Collection[str]
+) -> list[int]:
+    """The exception codes that the manual states for a request; none for a right request."""
+    causes = causes_in(profile, request_codes)
+    return sorted({_code(profile, cause, transaction.function) for cause in causes})
+
+
+def _code(profile: Profile, cause: ExceptionCause, function: int) -> int:
+    if cause is ExceptionCause.VALUE:
+        return profile.value_exception(function)
+    if cause is ExceptionCause.ADDRESS:
+        return profile.exceptions.address
+    return profile.exceptions.function
+
+
+def _is_well_formed(transaction: Transaction) -> bool:
+    """True for a request that the standard describes; a vendor's own may fail for own reasons."""
+    request = whole_pdu(transaction.transport, transaction.request_raw)
+    if request is None or transaction.function not in TABLE_FUNCTIONS:
+        return False
+    return parse_pdu(request, Direction.REQUEST).problem is None
+
+
+def _is_unknown(answer: AnswerWord, pdu: bytes) -> bool:
+    return bool(answer.texts) and int.from_bytes(pdu[1:]) not in answer.texts
+
+
+def _has_other_form(rule: FunctionRule, pdu: bytes, request: bytes | None) -> bool:
+    if not rule.answers:
+        return True
+    if rule.answer is not None:
+        return len(pdu) != _WORD_BYTES
+    return rule.echoes and request is not None and pdu != request

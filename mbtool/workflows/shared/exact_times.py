@@ -1,0 +1,53 @@
+"""Finds out which serial lines have an exact time for every byte."""
+
+# A file of byte times comes from a logic analyser, whose times are exact, or from a program that
+# noted when it read each byte. On a wire a byte ends no sooner than one character time after the
+# byte before it. A program reads several bytes at once now and then, so that they are nearer. So
+# the times of a line are exact if nearly no byte is nearer than MIN_CHARACTERS.
+#
+# Holds three numbers for each line.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.core import Chunk, SerialFormat
+
+MIN_CHARACTERS = 0.9
+"""The least time from the end of one byte to the end of the next, in character times: senders and
+analysers are a few percent fast or slow."""
+MAX_NEAR_SHARE = 0.01
+"""The largest share of bytes, 0 to 1, that may be nearer: a disturbance may look like a byte."""
+
+
+@dataclass(slots=True)
+class _LineBytes:
+    heard: int = 0
+    near: int = 0
+
+
+class ExactTimes:
+    """The serial lines heard, and which of them have an exact time for every byte."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, _LineBytes] = {}
+
+    def noted(self, pieces: Iterator[Chunk], line: SerialFormat) -> Iterator[Chunk]:
+        """Give the bytes of a line, each of which is a piece, and note how near they are."""
+        least_ns = MIN_CHARACTERS * line.character_ns
+        last_ns = -(1 << 63)
+        for piece in pieces:
+            noted = self._lines.setdefault(piece.link, _LineBytes())
+            noted.heard += 1
+            noted.near += piece.ts_ns - last_ns < least_ns
+            last_ns = piece.ts_ns
+            yield piece
+
+    def is_exact(self, link: str) -> bool:
+        """True if the times of a line are exact, as far as it was heard."""
+        noted = self._lines.get(link)
+        return noted is not None and noted.near <= MAX_NEAR_SHARE * noted.heard

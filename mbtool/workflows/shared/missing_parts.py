@@ -1,0 +1,63 @@
+"""Counts packets that a capture cut, and requests that the decoder dropped."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from mbtool.core import Packet
+from mbtool.core.limits import MAX_OPEN_REQUESTS
+from mbtool.core.wording import counted
+from mbtool.modbus import Transaction, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_Item = TypeVar("_Item")
+
+
+class MissingParts:
+    """Collects what the user must know to understand transactions that are not captured."""
+
+    def __init__(self) -> None:
+        self._cut = 0
+        self._shortest = self._longest = 0
+        """The lengths in bytes of the shortest and the longest packet that is cut."""
+        self._dropped = 0
+
+    def note_item(self, item: object) -> None:
+        """Take the next item of a source; only packets count."""
+        if not isinstance(item, Packet) or item.original_length <= len(item.data):
+            return
+        length = len(item.data)
+        self._shortest = min(self._shortest, length) if self._cut else length
+        self._longest = max(self._longest, length)
+        self._cut += 1
+
+    def noted(self, items: Iterator[_Item]) -> Iterator[_Item]:
+        """Pass items on, and take each."""
+        for item in items:
+            self.note_item(item)
+            yield item
+
+    def note_record(self, record: object) -> None:
+        """Take the next decoded record; only requests that a limit dropped count."""
+        if isinstance(record, Transaction) and Verdict.OVER_LIMIT in record.verdicts:
+            self._dropped += record.request_raw is not None
+
+    @property
+    def remarks(self) -> list[str]:
+        """One line for cut packets, and one for dropped requests; none where there are none.
+
+        All packets that a snapshot length cuts have that length.
+        """
+        remarks = []
+        if self._cut:
+            length = f" (snaplen {self._longest})" if self._shortest == self._longest else ""
+            verb = "is" if self._cut == 1 else "are"
+            remarks.append(f"{counted(self._cut, 'packet')} {verb} cut{length}")
+        if self._dropped:
+            remarks.append(
+                f"{counted(self._dropped, 'request')} not joined with the answer: "
+                f"more than {MAX_OPEN_REQUESTS} were open at once"
+            )
+        return remarks

@@ -1,0 +1,154 @@
+"""Notices serial lines of which little or nothing can be read: their settings are wrong."""
+
+# At a wrong baud rate, and at most wrong parities, a receiver delivers bytes that nobody has sent.
+# Nothing can be known from them, so the remedy is to listen anew with LINK@auto. Bytes of the wrong
+# mode (RTU for ASCII), or of 7 data bits heard as 8, are still there: then the remedy is the
+# setting in which the bytes that could not be read are frames with a correct CRC or LRC
+# (settings_fit.py).
+#
+# A line is unreadable if at least MIN_BYTES of its bytes are in no frame, and less than
+# MAX_READ_SHARE of all are. It is told while it is heard, once SOON_BYTES bytes or SOON_NS have
+# gone by, or at the end.
+#
+# Holds, for each serial line, some numbers and at most SAMPLE_BYTES bytes and one event more.
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, LineSettings, SerialLink, WireEvent
+from mbtool.serial_line.settings_fit import (
+    ENOUGH,
+    ENOUGH_WITHOUT_FRAME,
+    LIKELY_FIT,
+    SettingsScore,
+    SettingsTrial,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+
+MIN_BYTES = ENOUGH_WITHOUT_FRAME
+MAX_READ_SHARE = LIKELY_FIT
+SAMPLE_BYTES = SOON_BYTES = ENOUGH
+SOON_NS = 3_000_000_000
+
+_RTU_DATA_BITS = 8
+_UNREAD = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
+
+LineOf = Callable[[str], SerialLink | None]
+"""Returns the serial line of a link's name; None if it is none, or is not known."""
+
+
+@dataclass(slots=True)
+class _HeardLine:
+    read: int = 0
+    unread: int = 0
+    first: WireEvent | None = None
+    """The first event with bytes that could not be read."""
+    sample: list[WireEvent] = field(default_factory=list)
+    """The first events with such bytes."""
+    is_told: bool = False
+
+    @property
+    def is_unreadable(self) -> bool:
+        total = self.read + self.unread
+        return self.unread >= MIN_BYTES and self.read < MAX_READ_SHARE * total
+
+    def add(self, event: WireEvent) -> None:
+        self.first = self.first or event
+        if self.unread < SAMPLE_BYTES:
+            self.sample.append(event)
+        self.unread += len(event.raw)
+
+
+class UnreadableLines:
+    """Counts the bytes of serial lines that could be read and those that could not."""
+
+    def __init__(self, line_of: LineOf, *, is_live: bool = False) -> None:
+        """`is_live` is True if the lines are heard now, so that their ports can be named."""
+        self._line_of = line_of
+        self._is_live = is_live
+        self._lines: dict[str, _HeardLine] = {}
+
+    def note(self, record: Record) -> str | None:
+        """Take the next record; return a line for the user if its line is unreadable so far.
+
+        That is told once for each line.
+        """
+        if not isinstance(record, WireEvent):
+            if record.transport.is_serial:
+                self._heard(record.link).read += _size(record)
+            return None
+        if record.kind not in _UNREAD or record.source or record.destination:
+            return None
+        heard = self._heard(record.link)
+        heard.add(record)
+        first_ns = heard.first.ts_ns if heard.first is not None else record.ts_ns
+        is_soon = heard.unread >= SOON_BYTES or record.ts_ns - first_ns >= SOON_NS
+        if heard.is_told or not is_soon or not heard.is_unreadable:
+            return None
+        return self._tell(record.link, heard)
+
+    def untold(self) -> Iterator[str]:
+        """A line for the user for each unreadable line that has not been told; at the end."""
+        for link, heard in self._lines.items():
+            if heard.is_unreadable and not heard.is_told:
+                yield self._tell(link, heard)
+
+    def unreadable(self) -> Iterator[tuple[WireEvent, str]]:
+        """The first unreadable bytes of each unreadable line, and what is wrong, with a remedy."""
+        for link, heard in self._lines.items():
+            if heard.first is not None and heard.is_unreadable:
+                yield heard.first, self._text(link, heard)
+
+    def _heard(self, link: str) -> _HeardLine:
+        heard = self._lines.get(link)
+        if heard is None:
+            heard = self._lines[link] = _HeardLine()
+        return heard
+
+    def _tell(self, link: str, heard: _HeardLine) -> str:
+        heard.is_told = True
+        return f"{link}: {self._text(link, heard)}"
+
+    def _text(self, link: str, heard: _HeardLine) -> str:
+        line = self._line_of(link)
+        total = heard.read + heard.unread
+        read = f"only {heard.read}" if heard.read else "none"
+        settings = f" with {line.scheme}@{line.format}" if line is not None else ""
+        port = ",".join(line.ports) if line is not None and self._is_live else "PORT"
+        fit = _fitting(line, heard) if line is not None else None
+        if fit is None:
+            remedy = f"mbtool sniff rtu:{port}@auto finds them by listening, RTU or ASCII"
+        else:
+            mode = "ascii" if fit.settings.ascii else "rtu"
+            remedy = f"{mode}:{port}@{fit.settings.format} fits these bytes ({fit})"
+        return (
+            f"of {total} bytes {read} can be read{settings}, so the settings are probably wrong; "
+            f"{remedy}"
+        )
+
+
+def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
+    """The settings that explain the bytes that could not be read; None if none do."""
+    trial = SettingsTrial(line.format)
+    for event in heard.sample:
+        trial.feed(event.raw, (), event.ts_ns + (len(event.raw) - 1) * line.format.character_ns)
+    trial.advance(1 << 62)
+    best = trial.scores()[0]
+    present = LineSettings(line.format, line.ascii)
+    if not best.is_likely or best.settings == present:
+        return None
+    # With 7 data bits, some RTU frames can be read: those that have no byte above 7FH.
+    is_possible = best.settings.ascii or best.settings.format.data_bits == _RTU_DATA_BITS
+    return best if is_possible else None
+
+
+def _size(transaction: NamedTransaction) -> int:
+    return len(transaction.request_raw or b"") + len(transaction.response_raw or b"")
