@@ -15,8 +15,9 @@ from mbtool.cli.keys import controlled
 from mbtool.cli.output import told_as_lost
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import say
-from mbtool.core import InputError, UsageError
+from mbtool.core import InputError, LinkError, UsageError
 from mbtool.core.wording import counted, milliseconds, plural
+from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
 from mbtool.workflows.replay_master import MasterRun, junit
@@ -34,7 +35,10 @@ _MAX_RANGES_BYTES = 1 << 20
 def play_as_master(
     file: str, to: LinkSpec, options: MasterOptions, report_file: Path | None, learn: Path | None
 ) -> None:
-    """Send the requests, and print which responses differ. Exits with 1 if one does."""
+    """Send the requests, and print which responses differ. Exits with 1 if one does.
+
+    The report is also written if the slave cannot be reached; then LinkError is raised.
+    """
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
     for written in (report_file, learn):
@@ -42,17 +46,20 @@ def play_as_master(
             _demand_writable(written)
     run = MasterRun(file, options, say, with_progress)
     say(_what_is_played(file, run, to, options))
-    if options.rate is not None:
+    if options.rate is not None or options.tolerance is not None:
         run_promptly()
     with controlled() as (keys, stops):
         report = run.play(to, stops=stops, controls=keys)
         was_stopped = stops()
     print_differences(PipeConsole(), report.differences, SIDES)
-    say(_outcome(report))
+    if report.requests or report.problem is None:
+        say(_outcome(report))
     if report_file is not None:
         is_json = report_file.suffix == ".json"
         document = msgspec.json.format(msgspec.json.encode(report), indent=2) if is_json else b""
         _write(report_file, document.decode() + "\n" if is_json else junit(report))
+    if report.problem is not None:
+        raise LinkError(report.problem)
     if learn is not None:
         _add_ranges(learn, report.learned)
     if was_stopped:
@@ -119,6 +126,9 @@ def _outcome(report: Report) -> str:
     text = f"{requests}; {counted(report.different, 'answer', ',')} not as recorded"
     if report.unsolicited:
         text = f"{text}; {report.unsolicited:,} that nobody asked for"
+    if report.uncompared_latencies:
+        few = counted(report.uncompared_latencies, "request", ",")
+        text = f"{text}; latencies of {few} not compared, as fewer than {MIN_VALUES} answers came"
     if report.lateness_p99_ns is not None:
         text = f"{text}; requests left at most {milliseconds(report.lateness_p99_ns)} late (p99)"
     return text

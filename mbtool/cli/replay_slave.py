@@ -44,4 +44,6 @@ def _what_is_played(file: str, run: SlaveRun) -> str:
     count = len(run.recording.answers)
     requests = "1 request" if count == 1 else f"{count:,} different requests"
     units = sorted(run.recording.units)
+    if not units:
+        return f"{file}: {requests}; no intact response to any of them was recorded"
     return f"{file}: {requests} to {plural(len(units), 'unit')} {', '.join(map(str, units))}"

@@ -9,8 +9,9 @@
 #               occur in most captures, so for these the share must differ
 #     value     a register or bit had a value that it did not have in the other capture. Neighbours
 #               that change in both captures are one difference
-#     latency   the latencies of equal requests differ significantly. All such requests of one slave
-#               and function are one difference, shown by the request with the greatest shift
+#     latency   the latencies of equal requests differ significantly. Requests of one slave and
+#               function are one difference if their medians changed by about the same factor
+#               (ALIKE): it shows the times of the one that changed most, and names all
 #
 # The significance level of a whole comparison is ALPHA, divided by the number of tests
 # (Bonferroni). A shift of latencies must also be at least of medium size (significance.py), as with
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING
 from mbtool.core.wording import counted
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
-from mbtool.replay.significance import Shift, rank_sum, same_share
+from mbtool.replay.significance import ALPHA, rank_sum, same_share
 from mbtool.replay.traffic import (
     NO_ANSWER,
     ObservedValues,
@@ -44,7 +45,9 @@ if TYPE_CHECKING:
 
     from mbtool.devices import Profile
 
-ALPHA = 0.01
+ALIKE = 1.25
+"""Requests are one difference if the factors by which their medians changed differ by at most this
+factor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +101,31 @@ def _only_slave(key: SlaveKey, one: SlaveTraffic | None, other: SlaveTraffic | N
         a=_transactions(one.count if one is not None else 0),
         b=_transactions(other.count if other is not None else 0),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _LatencyShift:
+    """A significant change of the latencies of one request."""
+
+    request: RequestKey
+    p: float
+    is_slower: bool
+    a: Side
+    b: Side
+
+    @property
+    def factor(self) -> float:
+        """By what the median is multiplied from a to b, or from b to a if b is faster.
+
+        Medians below 1 ns count as 1 ns: in some captures a response has the time of its request.
+        """
+        before, after = (max(side.median_ns or 0, 1) for side in (self.a, self.b))
+        return after / before if self.is_slower else before / after
+
+    def is_like(self, other: _LatencyShift) -> bool:
+        """True if both changes have the same direction and about the same factor."""
+        factors = sorted((self.factor, other.factor))
+        return self.is_slower == other.is_slower and factors[1] <= factors[0] * ALIKE
 
 
 class _SlaveComparison:
@@ -186,46 +214,62 @@ class _SlaveComparison:
         return min(len(side.registers[key].values) for side in (self._a, self._b)) > 1
 
     def _latencies(self) -> Iterator[Difference]:
-        for _, requests in groupby(self._in_both, key=lambda request: request.function):
-            shifted = [
-                (shift, request)
-                for request in requests
-                for shift in (self._shift(request),)
-                if shift.p < self._alpha and shift.is_medium
-            ]
-            if not shifted:
-                continue
-            shift, request = max(shifted, key=lambda one: abs(one[0].exceeds - 0.5))
-            yield self._difference(
-                request,
-                Kind.LATENCY,
-                latency_side(self._a.requests[request].latencies),
-                latency_side(self._b.requests[request].latencies),
-                shift.p,
-                len(shifted) - 1,
-            )
+        for _, requests in groupby(self._in_both, key=lambda key: (key.function, key.sub_function)):
+            shifts = [shift for key in requests for shift in self._shift(key)]
+            for first, *others in _alike(shifts):
+                named = [_name(one.request, self._a.requests[one.request]) for one in others]
+                yield self._difference(
+                    first.request, Kind.LATENCY, first.a, first.b, first.p, filter(None, named)
+                )
 
-    def _shift(self, request: RequestKey) -> Shift:
-        one, other = self._a.requests[request], self._b.requests[request]
-        return rank_sum(one.latencies.values, other.latencies.values)
+    def _shift(self, request: RequestKey) -> Iterator[_LatencyShift]:
+        """The change of a request's latencies; none if it is not significant or too small."""
+        a, b = (side.requests[request].latencies for side in (self._a, self._b))
+        shift = rank_sum(a.values, b.values)
+        if shift.p < self._alpha and shift.is_medium:
+            is_slower = shift.exceeds > 0.5
+            yield _LatencyShift(request, shift.p, is_slower, latency_side(a), latency_side(b))
 
     def _difference(
-        self, key: RequestKey, kind: Kind, a: Side, b: Side, p: float | None = None, alike: int = 0
+        self,
+        key: RequestKey,
+        kind: Kind,
+        a: Side,
+        b: Side,
+        p: float | None = None,
+        alike: Iterable[str] = (),
     ) -> Difference:
-        """Make the Difference of a request; `alike` is how many others differ in this way."""
+        """Make the Difference of a request; `alike` names others that differ in the same way."""
         request = self._a.requests.get(key) or self._b.requests[key]
         return Difference(
             kind=kind,
             unit=self._key.unit,
             link=self._key.link,
             function=key.function,
-            reference=request.reference or None,
+            reference=_name(key, request),
             what=function_text(key.function, request.function_name, key.sub_function),
             a=a,
             b=b,
             p=p,
-            alike=alike,
+            alike=list(alike),
         )
+
+
+def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
+    """Group shifts of the same direction and about the same factor, the greatest ones first."""
+    group: list[_LatencyShift] = []
+    for shift in sorted(shifts, key=lambda one: (one.is_slower, one.factor), reverse=True):
+        if group and not shift.is_like(group[0]):
+            yield group
+            group = []
+        group.append(shift)
+    if group:
+        yield group
+
+
+def _name(key: RequestKey, request: RequestTraffic) -> str | None:
+    """The addresses of a request in the notation of the device; None if it has none."""
+    return request.reference or (f"address {key.address}" if key.address >= 0 else None)
 
 
 def _is_same(a: ObservedValues, b: ObservedValues) -> bool:

@@ -9,8 +9,17 @@
 #
 # Differences are grouped by request and by register: how often something differed (and out of how
 # many, unless always), the recorded values, and the new ones. So a register that is wrong in a
-# thousand polls is one difference. Latencies are always recorded, but compared only if the user
-# gives a tolerance.
+# thousand polls is one difference. A request and its repetitions have the same function and
+# addresses; values that it writes may differ. Requests for no registers have the same bytes.
+#
+# Latencies are always recorded, but compared only if the user gives a tolerance. To each recorded
+# latency the tolerance is added. The new latencies differ if they are significantly longer, by the
+# test that `diff` uses (significance.py): a rank test of at least MIN_VALUES latencies, with a
+# shift of at least medium size, at the level ALPHA for all requests together. On a busy machine
+# both programs wait for a processor, which lengthens many latencies by several ms but never all of
+# them; a slower slave lengthens all. So the soonest fiftieth must be longer, too: with both cores
+# of a machine kept busy (load 12), the soonest of 30 responses was at most 1.3 ms late in each of
+# 24 samples, the fourth up to 7.1 ms, the median 4 to 15 ms.
 #
 # Registers may differ if the user names them (`spans`). A judge that learns counts no register as a
 # difference; `learned` returns those that differed.
@@ -32,6 +41,7 @@ from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import exception_name, parse_pdu, register_access
 from mbtool.replay.script import Step
+from mbtool.replay.significance import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
 from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
@@ -54,7 +64,7 @@ class Tolerance:
     """How much longer latencies may be than the recorded ones."""
 
     share: float = 0.0
-    """Allowed increase as a share of the recorded median and 95th percentile: 0.5 is 50 %."""
+    """Allowed increase as a share of the recorded latency: 0.5 is 50 %."""
     least_ns: int = 1_000_000
     """An increase in ns that is always allowed, however small the recorded latency is."""
 
@@ -75,6 +85,22 @@ class _RequestResult:
     """The recorded latencies."""
     answered: Sample = field(default_factory=Sample)
     """The latencies of the new responses."""
+    time_ns: int = 0
+    """The sum of the latencies of the new responses."""
+    registers: set[tuple[str | None, ValueKey]] = field(default_factory=set)
+    """The registers that differed, each with the name of the device's profile."""
+
+    @property
+    def what(self) -> str:
+        return function_text(self.step.pdu[0], self.step.function_name)
+
+    @property
+    def has_enough_latencies(self) -> bool:
+        return len(self.answered.values) >= MIN_VALUES
+
+    def add_latencies(self, recorded_ns: int, answered_ns: int) -> None:
+        self.recorded.add(recorded_ns)
+        self.answered.add(answered_ns)
 
     def add_difference(self, recorded: str, outcome: str) -> None:
         """Count a response that is not as recorded.
@@ -106,9 +132,16 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     function: int
     what: str
     reference: str
+    """The addresses that it names, in the notation of the device; its bytes if it names none."""
     count: int
     different: int
     """How many of its responses were not as recorded."""
+    time_ns: int
+    """The sum of the latencies of its responses."""
+    problems: list[str]
+    """How its responses and their latencies differed."""
+    registers: list[str]
+    """The registers that differed in its responses, in the notation of the device."""
 
 
 class Judge:
@@ -133,8 +166,11 @@ class Judge:
         self._learns = learns
         self._tolerance = tolerance
         self._wordings: dict[str | None, DeviceWording] = {}
-        self._results: dict[tuple[int, bytes], _RequestResult] = {}
-        """The results of each request, by its unit and its PDU."""
+        self._results: dict[tuple[int, int, object], _RequestResult] = {}
+        """The results of each request, by unit, function, and the registers that it accesses; by
+        its PDU if it accesses none."""
+        self._result_of: dict[tuple[int, bytes], _RequestResult] = {}
+        """The same results by unit and PDU."""
         self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
         """The values of each register that differed, by unit, name of the device's profile, and
         register."""
@@ -144,17 +180,18 @@ class Judge:
         """How many of the compared responses were not as recorded."""
 
     def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
-        """Compare a response with the recorded one of its step. True if they mean the same.
+        """Compare a response with the recorded one of its step. True if they mean the same, or if
+        the recorded one was not captured.
 
         `response` is the PDU, None for silence. `latency_ns` is its latency, None if it is unknown.
         """
         self.count += 1
-        result = self._results.setdefault((step.unit, step.pdu), _RequestResult(step))
+        result = self._result(step)
         result.count += 1
+        result.time_ns += latency_ns or 0
         if step.latency_ns is not None and latency_ns is not None:
-            result.recorded.add(step.latency_ns)
-            result.answered.add(latency_ns)
-        if step.is_broadcast or response == step.expected:
+            result.add_latencies(step.latency_ns, latency_ns)
+        if step.is_broadcast or not step.is_captured or response == step.expected:
             return True
         recorded, outcome = (_outcome(pdu, step.pdu[0]) for pdu in (step.expected, response))
         is_right = False
@@ -165,7 +202,7 @@ class Judge:
             elif len(response) != len(step.expected):
                 recorded, outcome = _length(step.expected), _length(response)
             else:
-                is_right = self._has_right_values(step, step.expected, access, response)
+                is_right = self._has_right_values(result, step.expected, access, response)
         if not is_right:
             self.wrong += 1
             result.add_difference(recorded, outcome)
@@ -173,22 +210,48 @@ class Judge:
 
     def differences(self) -> list[Difference]:
         """Return all differences, sorted by unit: outcomes first, then values, then latencies."""
-        found = [*self._outcomes(), *self._value_differences(), *self._latencies()]
+        alpha = self._alpha()
+        results = self._results.values()
+        outcomes = (one for result in results for one in _outcomes(result))
+        latencies = (one for result in results for one in self._latencies(result, alpha))
+        found = [*outcomes, *self._value_differences(), *latencies]
         return sorted(found, key=lambda one: one.unit)
 
     def requests(self) -> list[RequestReport]:
         """The results of each request, in the order in which they were first sent."""
+        alpha = self._alpha()
         return [
             RequestReport(
                 unit=result.step.unit,
                 function=result.step.pdu[0],
-                what=function_text(result.step.pdu[0], result.step.function_name),
-                reference=result.step.reference,
+                what=result.what,
+                reference=result.step.reference or result.step.pdu.hex(" "),
                 count=result.count,
                 different=result.different,
+                time_ns=result.time_ns,
+                problems=[
+                    f"recorded {one.a.text}, answered {one.b.text}"
+                    for one in (*_outcomes(result), *self._latencies(result, alpha))
+                ],
+                registers=[
+                    self._wording(device).reference(key.table, key.address)
+                    for device, key in sorted(result.registers, key=lambda one: one[1])
+                ],
             )
             for result in self._results.values()
         ]
+
+    def uncompared_latencies(self) -> int:
+        """How many requests have too few responses for their latencies to be compared.
+
+        0 if latencies are not to be compared. Requests without any response do not count.
+        """
+        if self._tolerance is None:
+            return 0
+        return sum(
+            bool(result.answered.values) and not result.has_enough_latencies
+            for result in self._results.values()
+        )
 
     def learned(self) -> list[tuple[int, Span]]:
         """The registers that differed: ranges of addresses, each with the unit id of its slave."""
@@ -203,13 +266,23 @@ class Judge:
             spans.append((unit, one))
         return spans
 
+    def _result(self, step: Step) -> _RequestResult:
+        """The result that a step belongs to."""
+        result = self._result_of.get((step.unit, step.pdu))
+        if result is None:
+            access = register_access(parse_pdu(step.pdu, Direction.REQUEST))
+            key = step.unit, step.pdu[0], access or step.pdu
+            result = self._results.setdefault(key, _RequestResult(step))
+            self._result_of[step.unit, step.pdu] = result
+        return result
+
     def _has_right_values(
-        self, step: Step, expected: bytes, access: RegisterAccess, response: bytes
+        self, request: _RequestResult, expected: bytes, access: RegisterAccess, response: bytes
     ) -> bool:
         recorded, answered = (
             parse_pdu(pdu, Direction.RESPONSE).numbers() or () for pdu in (expected, response)
         )
-        is_right = True
+        step, is_right = request.step, True
         for address, before, after in zip(access.reads, recorded, answered, strict=False):
             key = ValueKey(access.table, address, is_written=False)
             if before == after or key.is_in(self._spans):
@@ -218,15 +291,10 @@ class Judge:
             result.recorded.add(before)
             result.answered.add(after)
             result.count += 1
-            is_right = self._learns and is_right
+            if not self._learns:
+                is_right = False
+                request.registers.add((step.device, key))
         return is_right
-
-    def _outcomes(self) -> Iterable[Difference]:
-        for result in self._results.values():
-            for (recorded, outcome), count in result.outcomes.items():
-                text = _with_count(outcome, count, result.count)
-                a, b = Side(text=recorded), Side(text=text, count=count)
-                yield _difference(result, Kind.OUTCOME, a, b)
 
     def _value_differences(self) -> Iterable[Difference]:
         if self._learns:
@@ -273,29 +341,49 @@ class Judge:
             self._wordings[device] = DeviceWording.of_device(device, self._profiles)
         return self._wordings[device]
 
-    def _latencies(self) -> Iterable[Difference]:
+    def _alpha(self) -> float:
+        """The significance level of the test of one request's latencies."""
+        tests = sum(result.has_enough_latencies for result in self._results.values())
+        return ALPHA / max(tests, 1)
+
+    def _latencies(self, result: _RequestResult, alpha: float) -> Iterable[Difference]:
+        """The difference of the latencies of one request, if they are too long."""
         if self._tolerance is None:
             return
-        for result in self._results.values():
-            if not result.recorded.values:
-                continue
+        allowed = [self._tolerance.latest_ns(each) for each in result.recorded.values]
+        shift = rank_sum(allowed, result.answered.values)
+        is_longer = shift.p < alpha and shift.is_medium and shift.exceeds > 0.5
+        if is_longer and _soonest(result.answered.values) > _soonest(allowed):
             recorded, answered = latency_side(result.recorded), latency_side(result.answered)
-            medians = recorded.median_ns or 0, answered.median_ns or 0
-            tails = recorded.p95_ns or 0, answered.p95_ns or 0
-            if any(after > self._tolerance.latest_ns(before) for before, after in (medians, tails)):
-                yield _difference(result, Kind.LATENCY, recorded, answered)
+            yield _difference(result, Kind.LATENCY, recorded, answered, shift.p)
 
 
-def _difference(result: _RequestResult, kind: Kind, a: Side, b: Side) -> Difference:
+def _soonest(values: Iterable[float]) -> float:
+    """The 2nd percentile; of fewer than 50 values the least one."""
+    ordered = sorted(values)
+    return ordered[len(ordered) // 50]
+
+
+def _outcomes(result: _RequestResult) -> Iterable[Difference]:
+    """The differences of the outcomes of one request."""
+    for (recorded, outcome), count in result.outcomes.items():
+        text = _with_count(outcome, count, result.count)
+        yield _difference(result, Kind.OUTCOME, Side(text=recorded), Side(text=text, count=count))
+
+
+def _difference(
+    result: _RequestResult, kind: Kind, a: Side, b: Side, p: float | None = None
+) -> Difference:
     step = result.step
     return Difference(
         kind=kind,
         unit=step.unit,
         function=step.pdu[0],
         reference=step.reference or None,
-        what=function_text(step.pdu[0], step.function_name),
+        what=result.what,
         a=a,
         b=b,
+        p=p,
     )
 
 

@@ -89,10 +89,18 @@ class Moment(NamedTuple):
     is_paused: bool = False
 
 
+class Found(NamedTuple):
+    """A recorded answer that is to be played."""
+
+    answer: RecordedAnswer
+    lap: int = 0
+    """How often the answers have begun again; with a clock, 0: the clock counts its laps."""
+
+
 class Matcher(Protocol):
     """Finds the recorded answers to requests."""
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer: ...
+    def find(self, key: Key, moment: Moment) -> Found | NoAnswer: ...
 
 
 def matcher_for(match: MatchStrategy, recording: Recording, on_end: OnEnd) -> Matcher:
@@ -116,7 +124,7 @@ class KeyMatcher:
         self._given: dict[Key, int] = {}
         """How many answers each request has been given so far, by request."""
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
+    def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         answers = self._answers.get(key)
         if answers is None:
             return NoAnswer.MISS
@@ -125,10 +133,9 @@ class KeyMatcher:
             index = max(index - 1, 0)
         elif index < len(answers) or self._on_end is OnEnd.LOOP:
             self._given[key] = index + 1
-        if index < len(answers):
-            return answers[index]
-        if self._on_end is OnEnd.LOOP:
-            return answers[index % len(answers)]
+        if index < len(answers) or self._on_end is OnEnd.LOOP:
+            lap, index = divmod(index, len(answers))
+            return Found(answers[index], lap)
         return _AT_END.get(self._on_end) or _last(answers)
 
 
@@ -140,21 +147,22 @@ class SequenceMatcher:
         self._answers = recording.answers
         self._on_end = on_end
         self._next = 0
-        self._last: dict[Key, RecordedAnswer] = {}
+        self._last: dict[Key, Found] = {}
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
+    def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         if moment.is_paused:
             return self._last.get(key, NoAnswer.MISS)
         if self._next >= len(self._order) and self._on_end is not OnEnd.LOOP:
             if key not in self._answers:
                 return NoAnswer.MISS
             return _AT_END.get(self._on_end) or _last(self._answers[key])
-        expected, answer = self._order[self._next % len(self._order)]
+        lap, index = divmod(self._next, len(self._order))
+        expected, answer = self._order[index]
         if key != expected:
             return NoAnswer.MISS
         self._next += 1
-        self._last[key] = answer
-        return answer
+        self._last[key] = Found(answer, lap)
+        return self._last[key]
 
 
 class TimeMatcher:
@@ -169,18 +177,18 @@ class TimeMatcher:
             if address_key is not None:
                 self._by_address.setdefault(address_key, []).append(answer)
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
+    def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         if moment.is_over and self._on_end in _AT_END:
             return _AT_END[self._on_end]
         answers = self._answers.get(key)
         if answers is not None:
-            return _nearest(answers, moment.at_ns)
+            return Found(_nearest(answers, moment.at_ns))
         similar = self._by_address.get(_address_key(key) or b"")
         if similar is None:
             return NoAnswer.MISS
         answer = _nearest(similar, moment.at_ns)
         is_good = answer.pdu is not None and not answer.pdu[0] & _EXCEPTION_BIT
-        return NoAnswer.IMAGE if is_good else answer
+        return NoAnswer.IMAGE if is_good else Found(answer)
 
 
 class ImageMatcher:
@@ -190,7 +198,7 @@ class ImageMatcher:
         self._others = KeyMatcher(recording, on_end)
         self._on_end = on_end
 
-    def find(self, key: Key, moment: Moment) -> RecordedAnswer | NoAnswer:
+    def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         if moment.is_over and self._on_end is OnEnd.SILENT:
             return NoAnswer.SILENCE
         if not key[1] or key[1][0] not in TABLE_FUNCTIONS:
@@ -198,8 +206,8 @@ class ImageMatcher:
         return NoAnswer.IMAGE
 
 
-def _last(answers: Sequence[RecordedAnswer]) -> RecordedAnswer:
-    return next((one for one in reversed(answers) if one.pdu is not None), answers[-1])
+def _last(answers: Sequence[RecordedAnswer]) -> Found:
+    return Found(next((one for one in reversed(answers) if one.pdu is not None), answers[-1]))
 
 
 def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:

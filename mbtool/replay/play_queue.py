@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class PlayItem(Protocol):
-    """Something that is played at a position of the recording."""
+    """A part of a recording, such as a request, and when it is played: ns from the beginning."""
 
     @property
     def position_ns(self) -> int: ...

@@ -3,7 +3,7 @@
 # A request is answered by the first of these that applies:
 #
 #     1  the recorded answer that the matcher finds (matching.py); it may be silence
-#     2  silence, if the recording does not have the unit: the request is for another slave
+#     2  silence, if the unit never answered in the recording
 #     3  with OnMiss.IMAGE, the register image: the values of registers and bits at the player's
 #        time in the recording. If it lacks an address, the device that is given for the unit
 #     4  an exception response, or silence with OnMiss.SILENT: 03 for a malformed request or one
@@ -16,10 +16,10 @@
 # An address has its first known value from the beginning on. The clock starts with the first
 # request.
 #
-# An acknowledged write replaces the image's value until the value changes in the recording;
-# recorded answers stay as they are. A write that was never recorded is acknowledged if the
-# recording knows all its addresses. When the clock starts a new lap, all writes are dropped. A
-# broadcast on a serial line writes to every unit.
+# An acknowledged write is read back, from the image and in recorded answers, until the recording
+# itself writes there (live_writes.py). A write that was never recorded is acknowledged if the
+# recording knows all its addresses. A broadcast on a serial line writes to every unit that ever
+# answered.
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ from mbtool.modbus import (
 from mbtool.modbus import ExceptionCode as _Code
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.latency import LatencyModel, RecordedLatency
-from mbtool.replay.matching import MatchStrategy, Moment, NoAnswer, OnEnd, matcher_for
-from mbtool.replay.recording import RecordedAnswer
+from mbtool.replay.live_writes import LiveWrites, Place
+from mbtool.replay.matching import Found, MatchStrategy, Moment, NoAnswer, OnEnd, matcher_for
 from mbtool.replay.steering import Control, Progress, Steering
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from mbtool.modbus import Pdu, RegisterAccess
-    from mbtool.replay.recording import Recording
+    from mbtool.replay.recording import RecordedAnswer, Recording
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
@@ -123,8 +123,9 @@ class RecordedSlave:
         self._time_ns = recording.begin_ns
         """The player's time: the time in the recording from which values are taken, in ns."""
         self._lap = 0
-        self._written: dict[tuple[int, Table, int], tuple[int, int]] = {}
-        """By unit, table and address, the value that a master wrote and the player's time then."""
+        """How often the clock, or the last answer that was played, has begun the recording
+        again."""
+        self._writes = LiveWrites(recording)
         self.asked = 0
         """How many requests the master sent."""
         self.missed = 0
@@ -138,10 +139,10 @@ class RecordedSlave:
             request = parse_pdu(pdu, Direction.REQUEST)
             for each in self._recording.units:
                 self._keep_write(each, request)
-            if isinstance(found, RecordedAnswer):
+            if isinstance(found, Found):
                 self._go_to(found)
             return None
-        if isinstance(found, RecordedAnswer):
+        if isinstance(found, Found):
             return self._play(unit, pdu, found)
         if unit not in self._recording.units or not pdu or found is NoAnswer.SILENCE:
             return None
@@ -170,10 +171,7 @@ class RecordedSlave:
             self._steps = max(self._steps - 1, 0)
             return Moment(self._time_ns, is_paused=is_paused)
         position_ns = self._clock.position(now_ns)
-        lap = self._clock.lap(position_ns)
-        if lap != self._lap:
-            self._lap = lap
-            self._written.clear()
+        self._lap = self._clock.lap(position_ns)
         self._time_ns = self._recording.begin_ns + self._clock.in_recording(position_ns)
         return Moment(self._time_ns, is_over=self._clock.is_over(now_ns))
 
@@ -195,21 +193,45 @@ class RecordedSlave:
         is_line = self._transport is not Transport.TCP
         return unit == BROADCAST_UNIT and is_line and unit not in self._recording.units
 
-    def _play(self, unit: int, pdu: bytes, recorded: RecordedAnswer) -> Response | None:
+    def _play(self, unit: int, pdu: bytes, found: Found) -> Response | None:
+        recorded = found.answer
         if recorded.pdu is None:
             if recorded.damaged is None or not self._with_damage:
                 return None
             delay_ns = self._delay_ns(unit, pdu[0], recorded.damaged.latency_ns)
             return recorded.damaged.again(self._transport, delay_ns)
-        self._go_to(recorded)
-        if recorded.pdu[0] == pdu[0]:
-            self._keep_write(unit, parse_pdu(pdu, Direction.REQUEST))
-        return Response(recorded.pdu, self._delay_ns(unit, pdu[0], recorded.latency_ns))
+        answer = recorded.pdu
+        is_good = answer[0] == pdu[0]
+        request = parse_pdu(pdu, Direction.REQUEST)
+        if is_good:
+            self._keep_write(unit, request)
+        self._go_to(found)
+        if is_good:
+            answer = self._with_writes(unit, request, pdu, recorded)
+        return Response(answer, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
-    def _go_to(self, played: RecordedAnswer) -> None:
+    def _go_to(self, found: Found) -> None:
         """Set the player's time to that of a played answer, unless the clock gives it."""
         if not self._match.by_clock:
-            self._time_ns = played.at_ns
+            self._time_ns, self._lap = found.answer.at_ns, found.lap
+
+    def _place(self) -> Place:
+        return Place(self._lap, self._time_ns)
+
+    def _with_writes(self, unit: int, request: Pdu, pdu: bytes, recorded: RecordedAnswer) -> bytes:
+        """The PDU of a recorded answer, with the values that the live master has written."""
+        answer = recorded.pdu or b""
+        access = register_access(request)
+        if access is None or not access.reads:
+            return answer
+        response = parse_pdu(answer, Direction.RESPONSE)
+        values = (response.numbers() or ())[: len(access.reads)]
+        if response.problem is not None or len(values) < len(access.reads):
+            return answer
+        # With a clock, the nearest answer may be one that the clock has not reached.
+        place = min(self._place(), Place(self._lap, recorded.at_ns))
+        shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
+        return answer if shown == list(values) else response_to(request, pdu, shown)
 
     def _delay_ns(self, unit: int, function: int, own_ns: int | None) -> int:
         latency_ns = self._latency.ns(unit, function, own_ns)
@@ -272,15 +294,21 @@ class RecordedSlave:
             return
         before = [self._value(unit, access.table, address) for address in access.writes]
         after = values_after(request, [value or 0 for value in before])
-        for address, known, value in zip(access.writes, before, after, strict=True):
-            if known is not None:
-                self._written[unit, access.table, address] = value, self._time_ns
+        for address, value in zip(access.writes, after, strict=True):
+            recorded = self._recorded(unit, access.table, address)
+            if recorded is not None:
+                self._writes.keep(
+                    unit, access.table, address, value, recorded=recorded, place=self._place()
+                )
 
     def _value(self, unit: int, table: Table, address: int) -> int | None:
         """The value of an address at the player's time; None if it was never seen."""
-        recorded = self._recording.timeline(unit, table).at(address, self._time_ns)
+        recorded = self._recorded(unit, table, address)
         if recorded is None:
             return None
-        value, since_ns = recorded
-        written, written_ns = self._written.get((unit, table, address), (value, since_ns))
-        return value if written_ns < since_ns else written
+        return self._writes.shown(unit, table, address, recorded, self._place())
+
+    def _recorded(self, unit: int, table: Table, address: int) -> int | None:
+        """The value that the recording has; None if it never had one."""
+        known = self._recording.timeline(unit, table).at(address, self._time_ns)
+        return None if known is None else known[0]

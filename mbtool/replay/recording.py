@@ -6,7 +6,7 @@
 #               in the order of the requests, each with its recorded time and latency; silence is an
 #               answer too. `order` has the answers to all requests in one sequence
 #     values    by unit and table, a Timeline of every successful read and every acknowledged write;
-#               a broadcast write counts for every unit
+#               a broadcast write counts for every unit that ever answered
 #
 # Slaves are identified by their unit only: if several links have the same units, the caller passes
 # the transactions of one link. Unsolicited responses are left out.
@@ -14,7 +14,8 @@
 # With a time range, the answers are those to the requests inside it. Values come from the whole
 # recording, so that registers begin the range with the values that they had then.
 #
-# Memory grows with the recording: one entry for each transaction and for each change of a value.
+# Memory grows with the recording: one entry for each transaction, for each change of a value and
+# for each register of a write.
 
 from __future__ import annotations
 
@@ -63,7 +64,7 @@ class Recording:
 
     def __init__(self) -> None:
         self.units: set[int] = set()
-        """The units that got requests, without broadcasts."""
+        """The units that answered at least one request."""
         self.answers: dict[Key, list[RecordedAnswer]] = {}
         self.order: list[tuple[Key, RecordedAnswer]] = []
         self._values: dict[tuple[int, Table], Timeline] = {}
@@ -90,7 +91,9 @@ class Recording:
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
         first_ns = asked[0].start_ns if asked else 0
         recording.begin_ns = first_ns + part.start_ns
-        recording.units = {one.unit for one in asked if one.outcome is not Outcome.BROADCAST}
+        recording.units = {
+            one.unit for one in asked if whole_pdu(one.transport, one.response_raw) is not None
+        }
         damaged = damaged_answers(asked, events)
         keys: dict[Key, Key] = {}
         for index, transaction in enumerate(asked):
@@ -173,8 +176,11 @@ class Recording:
             timeline = self._values.setdefault((unit, access.table), Timeline())
             # A mask write changes bits of the register's last value.
             before = timeline.last(access.writes) if request.code == 0x16 else []
-            if access.writes and before is not None:
-                timeline.note(at_ns, access.writes.start, values_after(request, before))
+            if access.writes:
+                after = None if before is None else values_after(request, before)
+                unknown = [None] * len(access.writes)
+                timeline.note_writes(at_ns, access.writes.start, after or unknown)
+                timeline.note(at_ns, access.writes.start, after or ())
             if access.reads and not is_broadcast:
                 values = (transaction.response_values or [])[: len(access.reads)]
                 timeline.note(at_ns, access.reads.start, values)

@@ -37,7 +37,7 @@ class Step:
     unit: int
     pdu: bytes
     expected: bytes | None
-    """The PDU of the recorded response; None if there was none."""
+    """The PDU of the recorded response; None if there was none, or if it was not captured."""
     latency_ns: int | None
     """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool
@@ -46,6 +46,8 @@ class Step:
     function_name: str
     device: str | None
     """The name of the device's profile; None if it has none."""
+    is_captured: bool = True
+    """False if nobody knows the recorded response, since the capture lacks it."""
     open_before: tuple[int, ...] = ()
     """Numbers of the earlier steps that still waited for their responses when this request was
     recorded. All other earlier steps that were answered must be over before this one is sent."""
@@ -89,6 +91,7 @@ class Script:
                     reference=intern(one.reference or ""),
                     function_name=one.function_name,
                     device=one.device,
+                    is_captured=one.outcome is not Outcome.NOT_CAPTURED,
                     open_before=tuple(open_until),
                 )
             )

@@ -23,6 +23,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+ALPHA = 0.01
+"""The significance level of a whole comparison. Each of its tests gets ALPHA, divided by the number
+of tests (Bonferroni)."""
 MIN_VALUES = 8
 MEDIUM = 0.14
 """A shift is at least of medium size if `exceeds` is so far or farther from 0.5."""

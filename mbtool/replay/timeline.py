@@ -1,8 +1,8 @@
 """Keeps the values of a table's registers or bits over the time of a recording."""
 
 # For each address that was seen: the times at which its value changed, and the values. The first
-# known value counts from time 0. Observations are added in the order of time. A lookup bisects the
-# times.
+# known value counts from time 0. For each address that the recorded master wrote: the times of the
+# writes, and the values. Observations are added in the order of time. A lookup bisects the times.
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ if TYPE_CHECKING:
 class Timeline:
     """The values of one table, by address and time."""
 
-    __slots__ = ("_history",)
+    __slots__ = ("_history", "_writes")
 
     def __init__(self) -> None:
         self._history: dict[int, tuple[list[int], list[int]]] = {}
         """For each address, the times at which its value changed, and the value from each time
         on."""
+        self._writes: dict[int, tuple[list[int], list[int | None]]] = {}
+        """For each address, the times at which it was written, and the values."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
         """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`.
@@ -48,3 +50,23 @@ class Timeline:
         if not all(address in self._history for address in addresses):
             return None
         return [self._history[address][1][-1] for address in addresses]
+
+    def note_writes(self, at_ns: int, address: int, values: Sequence[int | None]) -> None:
+        """Add an acknowledged write to consecutive addresses; None is a value that is not known.
+
+        `at_ns` must not be before that of an earlier call.
+        """
+        for each, value in enumerate(values, start=address):
+            times, written = self._writes.setdefault(each, ([], []))
+            times.append(at_ns)
+            written.append(value)
+
+    def writes_until(self, address: int, at_ns: int) -> int:
+        """How often an address was written up to a time."""
+        writes = self._writes.get(address)
+        return 0 if writes is None else bisect_right(writes[0], at_ns)
+
+    def last_write(self, address: int, at_ns: int) -> int | None:
+        """The value that was written last up to a time; None if there was no write."""
+        count = self.writes_until(address, at_ns)
+        return self._writes[address][1][count - 1] if count else None

@@ -249,7 +249,7 @@ def _request_key(transaction: NamedTransaction) -> RequestKey:
 
     written = -1
     if transaction.write_address is not None:
-        written = len(transaction.request_values or ())
+        written = transaction.written_quantity
     return RequestKey(
         transaction.function,
         number(transaction.sub_function),

@@ -40,14 +40,12 @@ def print_differences(
 def what_text(difference: Difference) -> str:
     """Describe where a difference is: the reference, and its name in the manual.
 
-    Then follows how many other requests changed their latency, too; and, if it was computed, `p`,
-    the probability that chance alone causes such a difference.
+    Then follow other requests whose latencies changed likewise; and, if it was computed, `p`, the
+    probability that chance alone causes such a difference.
     """
-    parts = [difference.reference or ""]
+    parts = [", ".join([difference.reference or "", *difference.alike])]
     if difference.name is not None and difference.name != difference.reference:
         parts.append(difference.name)
-    if difference.alike:
-        parts.append(f"and {counted(difference.alike, 'other request')}")
     if difference.p is not None:
         parts.append(f"({_chance(difference.p)})")
     return " ".join(parts).strip()

@@ -1,13 +1,14 @@
 """Writes results as JUnit XML, which CI servers show."""
 
 # The format has no standard. Jenkins, GitLab and GitHub actions all read a `testsuite` of
-# `testcase` elements, in which failed ones have a `failure`. Characters that XML does not allow are
-# replaced.
+# `testcase` elements, in which failed ones have a `failure`, and those that could not be run an
+# `error`. They tell cases apart by `classname` and `name` together, so a name that a group has
+# twice gets a number. `time` is in seconds. Characters that XML does not allow are replaced.
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -16,29 +17,64 @@ _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One result: a test that passed, or failed with messages."""
+    """One result: a test that passed, failed with messages, or could not be run."""
 
     group: str
     name: str
     failures: Sequence[str] = ()
+    error: str | None = None
+    """Why the test could not be run; None if it was."""
+    time_ns: int = 0
+    """How long the test took."""
 
 
 def junit_xml(suite: str, cases: Sequence[Case]) -> str:
     """A document with one testsuite."""
-    failed = sum(bool(case.failures) for case in cases)
     root = ElementTree.Element(
-        "testsuite", name=_text(suite), tests=str(len(cases)), failures=str(failed), errors="0"
+        "testsuite",
+        name=_text(suite),
+        tests=str(len(cases)),
+        failures=str(sum(bool(case.failures) for case in cases)),
+        errors=str(sum(case.error is not None for case in cases)),
+        skipped="0",
+        time=_seconds(sum(case.time_ns for case in cases)),
     )
-    for case in cases:
+    for case, name in zip(cases, _names(cases), strict=True):
         element = ElementTree.SubElement(
-            root, "testcase", classname=_text(case.group), name=_text(case.name)
+            root, "testcase", classname=_text(case.group), name=name, time=_seconds(case.time_ns)
         )
+        if case.error is not None:
+            _add(element, "error", [case.error])
         if case.failures:
-            failure = ElementTree.SubElement(element, "failure", message=_text(case.failures[0]))
-            failure.text = _text("\n".join(case.failures))
+            _add(element, "failure", case.failures)
     ElementTree.indent(root)
     document: str = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{document}\n'
+
+
+def _add(element: ElementTree.Element, kind: str, messages: Sequence[str]) -> None:
+    child = ElementTree.SubElement(element, kind, message=_text(messages[0]), type=kind)
+    child.text = _text("\n".join(messages))
+
+
+def _names(cases: Iterable[Case]) -> Iterator[str]:
+    """The names of the cases; one that its group has already gets a number, such as `read (2)`."""
+    taken: set[tuple[str, str]] = set()
+    last: dict[tuple[str, str], int] = {}
+    """By group and name, the last number that was tried."""
+    for case in cases:
+        group, name = _text(case.group), _text(case.name)
+        unique, number = name, last.get((group, name), 1)
+        while (group, unique) in taken:
+            number += 1
+            unique = f"{name} ({number})"
+        last[group, name] = number
+        taken.add((group, unique))
+        yield unique
+
+
+def _seconds(ns: int) -> str:
+    return f"{ns / 1e9:.6f}"
 
 
 def _text(text: str) -> str:

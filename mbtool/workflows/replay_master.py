@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import InputError
+from mbtool.core import InputError, LinkError
 from mbtool.devices import Difference, Span, parse_span, write_reference
 from mbtool.master.links import open_master
 from mbtool.replay import (
@@ -37,6 +36,7 @@ from mbtool.workflows.shared.recorded import (
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.devices import Profile
+    from mbtool.master.links import MasterLink
     from mbtool.workflows.shared.read_all import Watch
 
 _NS = 1_000_000_000
@@ -77,6 +77,11 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
     """Ranges of registers that differed, as --ignore takes them; empty without --learn."""
+    uncompared_latencies: int = 0
+    """Requests with too few responses for their latencies to be compared."""
+    problem: str | None = None
+    """Why not all requests could be sent: the slave cannot be reached, or the port was lost. None
+    if the link worked."""
 
 
 class MasterRun:
@@ -120,8 +125,9 @@ class MasterRun:
 
         Ends early when `stops` returns True. `on_answer` is called for each step with its response,
         None if there was none, and True if that is as recorded. `controls` brings the keys of the
-        user: pause, step, faster, slower. Raises UsageError if a master cannot use the link,
-        LinkError if the link cannot be opened or its serial port is lost.
+        user: pause, step, faster, slower. If the link cannot be opened or its serial port is lost,
+        the report has the `problem` and what was compared until then. Raises UsageError if a master
+        cannot use the link.
         """
         options = self._options
         judge = Judge(
@@ -133,61 +139,80 @@ class MasterRun:
         clock = PlayClock(
             self.script.length_ns, rate=options.rate, gap_ns=_NS, is_loop=options.is_loop
         )
-        with open_master(link, options.timeout_ns, self._on_remark) as master:
-            conductor = Conductor(self.script, clock, judge, master.limits)
-            steering = Steering(clock, conductor.allow_step)
-            look_ns = _LOOK_NS if controls is None else _STEERED_NS
-            steering.begin(time.monotonic_ns())
-            while not conductor.has_ended and not stops():
-                now_ns = time.monotonic_ns()
-                if controls is not None:
-                    done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
-                    steering.update(controls, now_ns, done)
-                for number in master.lost():
-                    for gone, is_right in conductor.give_up(number, now_ns):
-                        on_answer(gone, None, is_right)
-                step = conductor.next_step(now_ns)
-                if step is not None:
-                    master.send(step.number, step.unit, step.pdu)
-                    conductor.note_sent(step, time.monotonic_ns())
-                    continue
-                for late, is_right in conductor.expire(now_ns):
-                    on_answer(late, None, is_right)
-                wake_ns = conductor.wake_ns(now_ns)
-                rest_ns = look_ns if wake_ns is None else min(wake_ns - now_ns, look_ns)
-                for answer in master.receive(rest_ns):
-                    agrees = conductor.answered(*answer)
-                    if agrees is not None:
-                        on_answer(self.script.steps[answer.number], answer.pdu, agrees)
-        return self._report(link, conductor, judge)
+        conductor, problem = None, None
+        try:
+            with open_master(link, options.timeout_ns, self._on_remark) as master:
+                conductor = Conductor(self.script, clock, judge, master.limits)
+                steering = Steering(clock, conductor.allow_step)
+                look_ns = _LOOK_NS if controls is None else _STEERED_NS
+                steering.begin(time.monotonic_ns())
+                while not conductor.has_ended and not stops():
+                    if controls is not None:
+                        done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
+                        steering.update(controls, time.monotonic_ns(), done)
+                    self._exchange(master, conductor, on_answer, look_ns)
+        except LinkError as error:
+            problem = str(error)
+        return self._report(link, judge, conductor, problem)
 
-    def _report(self, link: LinkSpec, conductor: Conductor, judge: Judge) -> Report:
+    def _exchange(
+        self,
+        master: MasterLink,
+        conductor: Conductor,
+        on_answer: Callable[[Step, bytes | None, bool], None],
+        longest_wait_ns: int,
+    ) -> None:
+        """Send the request that is due; if none is, wait for responses."""
+        now_ns = time.monotonic_ns()
+        for number in master.lost():
+            for gone, is_right in conductor.give_up(number, now_ns):
+                on_answer(gone, None, is_right)
+        step = conductor.next_step(now_ns)
+        if step is not None:
+            master.send(step.number, step.unit, step.pdu)
+            conductor.note_sent(step, time.monotonic_ns())
+            return
+        for late, is_right in conductor.expire(now_ns):
+            on_answer(late, None, is_right)
+        wake_ns = conductor.wake_ns(now_ns)
+        rest_ns = longest_wait_ns if wake_ns is None else min(wake_ns - now_ns, longest_wait_ns)
+        for answer in master.receive(rest_ns):
+            agrees = conductor.answered(*answer)
+            if agrees is not None:
+                on_answer(self.script.steps[answer.number], answer.pdu, agrees)
+
+    def _report(
+        self, link: LinkSpec, judge: Judge, conductor: Conductor | None, problem: str | None
+    ) -> Report:
+        """The report of a run; `conductor` is None if the link could not be opened."""
+        options = self._options
         return Report(
             recording=self._path,
             link=str(link),
-            requests=conductor.sent,
+            requests=conductor.sent if conductor else 0,
             different=judge.wrong,
-            unsolicited=conductor.unsolicited,
-            lateness_p99_ns=lateness_p99_ns(conductor.lateness, self._options),
+            unsolicited=conductor.unsolicited if conductor else 0,
+            lateness_p99_ns=lateness_p99_ns(conductor.lateness, options) if conductor else None,
             asked=judge.requests(),
             differences=judge.differences(),
-            learned=[_written(span) for _, span in judge.learned()] if self._options.learns else [],
+            learned=[_written(span) for _, span in judge.learned()] if options.learns else [],
+            uncompared_latencies=judge.uncompared_latencies(),
+            problem=problem,
         )
 
 
 def junit(report: Report) -> str:
     """The report as JUnit XML: a case for each request, and one for each register that differs.
 
-    The case of a request fails if one of its responses was not as recorded.
+    The case of a request fails if one of its responses was not as recorded, or if its latencies are
+    too long. If the link did not work, a case with an error says why.
     """
-    told = defaultdict(list)
-    for each in report.differences:
-        told[each.unit, each.function, each.reference or ""].append(_told(each))
     cases = [
         Case(
             f"unit {one.unit}",
-            f"{one.what} {one.reference}".rstrip(),
-            [*_counted(one), *told[one.unit, one.function, one.reference]],
+            f"{one.what} {one.reference}",
+            [*_counted(one), *one.problems],
+            time_ns=one.time_ns,
         )
         for one in report.asked
     ]
@@ -196,13 +221,18 @@ def junit(report: Report) -> str:
         for each in report.differences
         if each.function is None
     ]
+    if report.problem is not None:
+        cases.append(Case("link", report.link, error=report.problem))
     return junit_xml(report.recording, cases)
 
 
 def _counted(request: RequestReport) -> list[str]:
     if not request.different:
         return []
-    return [f"{request.different:,} of {request.count:,} answers not as recorded"]
+    text = f"{request.different:,} of {request.count:,} answers not as recorded"
+    if request.registers:
+        text = f"{text}; other values in {', '.join(request.registers)}"
+    return [text]
 
 
 def _told(difference: Difference) -> str:

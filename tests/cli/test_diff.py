@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.cli import exit_codes
+from tests.workflows.evidence import polling_log
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -49,6 +51,23 @@ def test_differences_as_json(mbtool: CommandLine) -> None:
             "a": {"text": "1, 3, 4", "values": [1, 3, 4]},
             "b": {"text": "4660", "values": [4660]},
         }
+    ]
+
+
+def test_requests_whose_latencies_changed_by_other_factors_are_named_each(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    before = polling_log(tmp_path / "a.mcap", dict.fromkeys(range(6), 20))
+    after = polling_log(tmp_path / "b.mcap", {0: 22, 1: 60, 2: 10, 3: 20, 4: 62, 5: 40})
+    told = mbtool("diff", before, after)
+    assert told.code == exit_codes.NO
+    rows = [line for line in told.lines if line.startswith("latency")]
+    shown = [(re.findall(r"holding \d", row), re.findall(r"(\d+) ms,", row)) for row in rows]
+    assert shown == [
+        (["holding 4", "holding 1"], ["20", "62"]),
+        (["holding 5"], ["20", "40"]),
+        (["holding 0"], ["20", "22"]),
+        (["holding 2"], ["20", "10"]),
     ]
 
 

@@ -95,6 +95,8 @@ def test_what_differs_is_learned_and_left_out_the_next_time(
         (["--as-master", "--to", "net:eth0"], "a master needs rtu:PORT"),
         (["--as-master", "--to", "tcp:127.0.0.1:1", "--speed", "0"], "--speed '0': write a factor"),
         (["--as-master", "--to", "tcp:127.0.0.1:1", "--speed", "1/0"], "--speed '1/0': write"),
+        (["--as-master", "--to", "tcp:127.0.0.1:1", "--speed", "1e-400"], "write a factor from"),
+        (["--as-bus", "--on", "tcp:127.0.0.1:1", "--speed", "1001"], "write a factor from 0.001"),
         (["--as-master", "--to", "tcp:127.0.0.1:1", "--report", "a.txt"], "name a .json file"),
     ],
 )
@@ -123,17 +125,21 @@ def test_what_cannot_be_written_is_told_before_the_first_request(
     assert scripted.asked == []
 
 
-def test_a_run_that_fails_leaves_no_empty_report(
-    mbtool: CommandLine, capture: Path, tmp_path: Path
+@pytest.mark.parametrize("suffix", ["json", "xml"])
+def test_a_report_is_written_although_the_slave_cannot_be_reached(
+    mbtool: CommandLine, capture: Path, tmp_path: Path, suffix: str
 ) -> None:
-    file, known = tmp_path / "a.json", tmp_path / "ranges.txt"
+    file, known = tmp_path / f"a.{suffix}", tmp_path / "ranges.txt"
     known.write_text("holding 9\n")
     told = mbtool(
         "replay", capture, "--as-master", "--to", "tcp:127.0.0.1:1", "--report", file,
         "--learn", known,
     )  # fmt: skip
     assert told.code == exit_codes.UNREADABLE
-    assert (file.exists(), known.read_text()) == (False, "holding 9\n")
+    (problem,) = told.err.splitlines()[1:]
+    assert "does a slave listen there" in problem
+    assert problem.removeprefix("mbtool: ") in file.read_text()
+    assert known.read_text() == "holding 9\n"
 
 
 def test_what_cannot_be_read_or_reached_is_told(

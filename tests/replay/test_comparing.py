@@ -5,7 +5,15 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.devices import Assignments, Difference, Namer, Span, load_profile, parse_assignment
+from mbtool.devices import (
+    Assignments,
+    Difference,
+    Namer,
+    Side,
+    Span,
+    load_profile,
+    parse_assignment,
+)
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import Table
 from mbtool.replay.comparing import Ignored, differences
@@ -165,3 +173,71 @@ def test_registers_are_named_by_their_device() -> None:
         "written",
     )
     assert (found.a.text, found.b.text) == ("CH1 CH2 CH6 CH8 enabled", "none enabled")
+
+
+def _polls(latencies_ms: dict[int, float]) -> list[Transaction]:
+    """Forty polls of one register at each address, with latencies around the given median."""
+    return [
+        answered(
+            100 * number + address,
+            f"03 {address:04X} 0001",
+            "03 02 0001",
+            latency_ns=round(median * (1 + (number % 5 - 2) / 100) * MS),
+        )
+        for address, median in latencies_ms.items()
+        for number in range(40)
+    ]
+
+
+def _shifts(factors: dict[int, float]) -> list[tuple[list[str], str, str]]:
+    """What is said of requests whose latencies of 20 ms change by these factors."""
+    before, after = dict.fromkeys(factors, 20.0), {at: 20 * by for at, by in factors.items()}
+    found = _compared(_polls(before), _polls(after))
+    assert {one.kind for one in found} <= {Kind.LATENCY}
+    return [([one.reference or "", *one.alike], _median(one.a), _median(one.b)) for one in found]
+
+
+def _median(side: Side) -> str:
+    return side.text.partition(",")[0]
+
+
+def test_a_slower_and_a_faster_request_of_one_function_are_named_each() -> None:
+    assert _shifts({1: 2.0, 2: 0.5, 3: 1.0}) == [
+        (["holding 1"], "20 ms", "40 ms"),
+        (["holding 2"], "20 ms", "10 ms"),
+    ]
+
+
+def test_requests_that_changed_by_other_factors_are_named_each() -> None:
+    assert _shifts({1: 1.1, 2: 3.0, 3: 3.1, 4: 0.3, 5: 0.9}) == [
+        (["holding 3", "holding 2"], "20 ms", "62 ms"),
+        (["holding 1"], "20 ms", "22 ms"),
+        (["holding 4"], "20 ms", "6 ms"),
+        (["holding 5"], "20 ms", "18 ms"),
+    ]
+
+
+@given(st.dictionaries(st.integers(1, 8), st.sampled_from([0.2, 0.5, 0.9, 1.0, 1.1, 2.0, 5.0])))
+def test_each_request_that_changed_is_named_once_with_its_direction(
+    factors: dict[int, float],
+) -> None:
+    shifts = _shifts(factors)
+    named = [name for names, _, _ in shifts for name in names]
+    assert sorted(named) == [f"holding {at}" for at in sorted(factors) if factors[at] != 1.0]
+    for names, before, after in shifts:
+        of_group = {factors[int(name.split()[1])] for name in names}
+        assert len(of_group) == 1
+        assert (float(after.split()[0]) > float(before.split()[0])) == (of_group.pop() > 1)
+
+
+def test_requests_of_a_function_without_references_are_named_by_their_address() -> None:
+    a, b = (
+        [
+            answered(at * 10 + n, f"18 {at:04X}", "18 0004 0001 0007", latency_ns=ms * MS + n)
+            for at in (1, 2)
+            for n in range(20)
+        ]
+        for ms in (10, 20)
+    )
+    (found,) = _compared(a, b)
+    assert (found.reference, found.alike) == ("address 1", ["address 2"])

@@ -1,13 +1,22 @@
 from __future__ import annotations
 
+import random
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
-from mbtool.modbus import Table, Transaction
+from mbtool.modbus import Outcome, Table, Transaction
 from mbtool.replay.judging import MAX_OUTCOMES, Judge, Tolerance
 from mbtool.replay.script import Script, Step
+from mbtool.replay.significance import MIN_VALUES
 from tests.replay.recorded import MS, answered, to_all, unanswered
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 READ = "03 000A 0002"
 VALUES = "03 04 0007 0008"
@@ -48,6 +57,12 @@ def test_exactly_the_registers_that_differ_are_reported(values: list[int]) -> No
         for place, value in enumerate(values)
         if value != 7 + place
     ]
+
+
+def test_nothing_is_wrong_where_the_recorded_answer_was_not_captured() -> None:
+    lost = msgspec.structs.replace(unanswered(0, READ), outcome=Outcome.NOT_CAPTURED)
+    assert _told(_judged(lost, VALUES)) == _told(_judged(lost, None)) == []
+    assert _told(_judged(unanswered(0, READ), VALUES)) != []
 
 
 def test_padding_bits_do_not_count() -> None:
@@ -163,11 +178,20 @@ def test_registers_that_differ_can_be_learned() -> None:
     assert [told[0] for told in _told(judge)] == ["outcome"]
 
 
+def _late(
+    recorded_ms: Sequence[float], answered_ms: Sequence[float], tolerance: Tolerance | None
+) -> Judge:
+    """Judge right answers to one request with these latencies."""
+    judge = Judge(tolerance=tolerance)
+    for before, after in zip(recorded_ms, answered_ms, strict=True):
+        step = _step(answered(0, READ, VALUES, latency_ns=round(before * MS)))
+        judge.judge(step, bytes.fromhex(VALUES), round(after * MS))
+    return judge
+
+
 def test_latencies_count_if_the_user_gives_a_tolerance() -> None:
     def judged(tolerance: Tolerance | None, ms: int) -> list[DifferenceKind]:
-        judge = Judge(tolerance=tolerance)
-        for _ in range(20):
-            judge.judge(_step(answered(0, READ, VALUES)), bytes.fromhex(VALUES), ms * MS)
+        judge = _late([5] * 20, [ms] * 20, tolerance)
         return [one.kind for one in judge.differences()]
 
     assert judged(None, 500) == []
@@ -175,6 +199,74 @@ def test_latencies_count_if_the_user_gives_a_tolerance() -> None:
     assert judged(Tolerance(share=0.5), 8) == [DifferenceKind.LATENCY]
     assert judged(Tolerance(share=0.0), 6) == []
     assert judged(Tolerance(share=0.5), 1) == []  # Sooner is no fault.
+
+
+def test_too_few_latencies_are_not_compared_and_counted() -> None:
+    for count, kinds in ((MIN_VALUES - 1, []), (MIN_VALUES, [DifferenceKind.LATENCY])):
+        judge = _late([5] * count, [500] * count, Tolerance())
+        assert [one.kind for one in judge.differences()] == kinds
+        assert judge.uncompared_latencies() == (0 if kinds else 1)
+    assert _late([5], [500], None).uncompared_latencies() == 0
+    assert _judged(unanswered(0, READ), None).uncompared_latencies() == 0
+
+
+def test_a_few_very_late_answers_are_no_difference() -> None:
+    late = [1000 if number % 5 == 0 else 5 for number in range(40)]
+    assert _late([5] * 40, late, Tolerance()).differences() == []
+
+
+def test_waiting_for_a_processor_is_no_slower_slave_and_a_slower_slave_is_found_beside_it() -> None:
+    chance = random.Random(3)
+    recorded = [20 + chance.uniform(-2, 2) for _ in range(40)]
+    waits = [chance.choice((0.5, 1, 10, 20, 30)) for _ in recorded]
+    for factor, kinds in ((1.0, []), (1.5, [DifferenceKind.LATENCY])):
+        answered_ms = [ms * factor + wait for ms, wait in zip(recorded, waits, strict=True)]
+        judge = _late(recorded, answered_ms, Tolerance(share=0.2))
+        assert [one.kind for one in judge.differences()] == kinds
+
+
+def test_many_requests_that_are_no_slower_are_not_told_as_slower() -> None:
+    """The level holds for all requests together: of 200 judges, each of 20 requests, few err."""
+    chance = random.Random(7)
+    wrong = 0
+    for _ in range(200):
+        judge = Judge(tolerance=Tolerance(least_ns=0))
+        for address in range(20):
+            step = _step(answered(0, f"03 {address:04X} 0001", "03 02 0001"))
+            for _ in range(10):
+                step = replace(step, latency_ns=round(chance.uniform(4, 6) * MS))
+                judge.judge(step, bytes.fromhex("03 02 0001"), round(chance.uniform(4, 6) * MS))
+        wrong += bool(judge.differences())
+    assert wrong <= 8  # 1 % are 2 of 200; more than 8 happen once in 5,000 times.
+
+
+def test_writes_of_other_values_are_one_request() -> None:
+    judge = Judge(tolerance=Tolerance())
+    for value in range(10):
+        pdu = f"06 0001 {value:04X}"
+        step = _step(answered(0, pdu, pdu))
+        judge.judge(step, bytes.fromhex(pdu if value else "86 04"), 50 * MS)
+    assert [(told[0], told[1], told[3]) for told in _told(judge)] == [
+        ("outcome", "holding 1", "exception 04 server device failure (1 of 10)"),
+        ("latency", "holding 1", "50 ms, p95 50 ms"),
+    ]
+    (report,) = judge.requests()
+    assert (report.count, report.different, report.time_ns) == (10, 1, 500 * MS)
+    assert report.problems == [
+        "recorded ok, answered exception 04 server device failure (1 of 10)",
+        "recorded 5 ms, p95 5 ms, answered 50 ms, p95 50 ms",
+    ]
+
+
+def test_a_request_is_reported_with_the_registers_that_differ() -> None:
+    judge = _judged(answered(0, READ, VALUES), "03 04 0007 0009")
+    (report,) = judge.requests()
+    assert (report.reference, report.registers) == ("holding 10..11", ["holding 11"])
+    (other,) = _judged(answered(0, "42 00", "42 0016"), "42 0017").requests()
+    assert (other.reference, other.problems) == (
+        "42 00",
+        ["recorded 42 00 16, answered 42 00 17"],
+    )
 
 
 def test_values_are_formatted_by_the_device() -> None:

@@ -40,7 +40,8 @@ def _find(matcher: Matcher, request: str, moment: Moment = NOW) -> int | str | N
     found = matcher.find((1, bytes.fromhex(request)), moment)
     if isinstance(found, NoAnswer):
         return found.value
-    return found.pdu[-1] if found.pdu is not None else None
+    pdu = found.answer.pdu
+    return pdu[-1] if pdu is not None else None
 
 
 @pytest.mark.parametrize(

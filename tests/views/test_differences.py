@@ -30,7 +30,7 @@ SHIFT = Difference(
     a=Side(text="8 ms, p95 11 ms"),
     b=Side(text="12 ms, p95 15 ms"),
     p=2.345e-7,
-    alike=2,
+    alike=["HR400010", "HR400020..400022"],
 )
 GONE = Difference(
     kind=Kind.SLAVE,
@@ -49,7 +49,7 @@ def shown(*found: Difference, width: int = 120) -> list[str]:
 
 
 def test_each_slave_has_a_table_of_its_own() -> None:
-    what = "HR400001..400002 and 2 other requests (p = 2.3e-07)"
+    what = "HR400001..400002, HR400010, HR400020..400022 (p = 2.3e-07)"
     assert shown(VALUE, SHIFT, GONE) == [
         "unit 5",
         f"differs  function         {'what':<{len(what)}}  A                B",
