@@ -72,6 +72,14 @@ def slave(
             "--print", help="Show each request and its answer, as decode does, and the outputs."
         ),
     ] = False,
+    strict_timing: Annotated[
+        bool,
+        typer.Option(
+            "--strict-timing",
+            help="On an RTU line, give no answer to a request with a silence of t3.5 inside, or "
+            "with less than t3.5 before or after it.",
+        ),
+    ] = False,
     allow: AllowOption = None,
 ) -> None:
     """Answer as a device does, or several, until Ctrl-C.
@@ -114,6 +122,7 @@ def slave(
         fault_file=fault,
         allowed=AllowedPeers.parse(allow or ()),
         monitor=monitor,
+        strict_timing=strict_timing,
         on_trouble=lambda text: say(f"mbtool: {text}"),
     )
     devices = {own: device} | {number: one.profile for number, one in others.items()}

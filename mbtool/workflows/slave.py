@@ -53,6 +53,7 @@ def device_slave(
     fault_file: Path | None = None,
     allowed: AllowedPeers = THIS_MACHINE,
     monitor: SlaveMonitor | None = None,
+    strict_timing: bool = False,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> Shell:
     """Return a shell with a device on a link, and others by their units, not yet started.
@@ -84,6 +85,7 @@ def device_slave(
         allowed=allowed,
         rules=behaviours[unit].rules,
         on_exchange=monitor.take if monitor is not None else None,
+        strict_timing=strict_timing,
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import signal
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli import exit_codes
+from mbtool.cli.main import run
 from mbtool.core import TcpLink
 from mbtool.master.links import open_master
 from tests.cli.program import Program, endpoint_in, said
@@ -45,8 +45,8 @@ def test_it_shows_exchanges_and_outputs_and_keeps_its_state(tmp_path: Path) -> N
         told = program.end(signal.SIGINT)
     assert told.code == exit_codes.INTERRUPTED
     _, _, first, second = told.out.splitlines()
-    assert re.search(r"05 write coil +Y1: on +ok", first)
-    assert re.search(r"06 write register +00F5H Split reception monitoring timer: 7 s +ok", second)
+    assert first.endswith("05 write Y1: on")
+    assert second.endswith("06 write 00F5H Split reception monitoring timer: 7 s")
     assert "00F5H = 7\n" in state.read_text()
 
 
@@ -113,3 +113,9 @@ def test_units_and_files_that_do_not_fit_are_refused_in_a_line(
     assert told.code == exit_codes.USAGE
     assert says in told.err
     assert told.err.count("\n") == 1
+
+
+def test_strict_timing_is_for_rtu_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    on = ["--on", "tcp:127.0.0.1:0", "--strict-timing"]
+    assert run(["slave", "idec-ft1a-touch", *on]) == exit_codes.USAGE
+    assert "strict timing is for RTU lines" in capsys.readouterr().err

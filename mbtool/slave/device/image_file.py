@@ -135,7 +135,7 @@ def _values(target: ValueTarget, value: object, *, stored: bool) -> list[int]:
         return target.registers(value, stored=stored)
     if not value:
         raise UsageError("the list is empty; write a number or numbers")
-    if target.is_named:
+    if target.is_named and not target.is_reference:
         raise UsageError(f"{reprlib.repr(value)}: a name is one value; list values at a reference")
     plain = ValueTarget(target.table, target.address, None)
     return [one for each in value for one in plain.registers(each, stored=True)]

@@ -4,7 +4,8 @@
 #
 #     0  device     the device accepts requests at all (Behaviour.barred)      the behaviour's code
 #     1  function   the profile has the function                               exceptions.function
-#     2  value      form, quantity, byte count and value are allowed           exceptions.value
+#     2  value      form, quantity, byte count and value are allowed           exceptions.value,
+#                                                                               or the function's
 #     3  address    every address lies in an area of the table, and the area
 #                   may be written if the function writes                      exceptions.address
 #     4  execution  the behaviour refuses it (Behaviour.refusal)               the behaviour's code
@@ -95,7 +96,7 @@ class DeviceResponder:
         request = parse_pdu(pdu, Direction.REQUEST)
         access = register_access(request)
         if access is None or _is_beyond(rule, access):
-            raise _RefusedError(exceptions.value)
+            raise _RefusedError(self._profile.value_exception(function))
         self._demand_area(access.table, access.reads)
         self._demand_area(access.table, access.writes, writing=True)
         written: tuple[int, ...] = ()
@@ -152,10 +153,11 @@ def _response(known: _Known) -> bytes:
 def _is_beyond(rule: FunctionRule, access: RegisterAccess) -> bool:
     """True if a request reads or writes more values than the profile's limits permit.
 
-    `rule.limit` is for the values read, or written if none are read. `rule.write_limit` is for the
-    values written by a request that also reads.
+    `rule.limit` is for the values read, or written if none are read; a doubtful one does not count.
+    `rule.write_limit` is for the values written by a request that also reads.
     """
-    if rule.limit is not None and len(access.reads or access.writes) > rule.limit:
+    limit = None if rule.doubtful else rule.limit
+    if limit is not None and len(access.reads or access.writes) > limit:
         return True
     if rule.write_limit is None or not access.reads:
         return False

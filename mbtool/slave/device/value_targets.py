@@ -55,6 +55,8 @@ class ValueTarget:
     """The point that begins at this address, if there is one."""
     is_named: bool = False
     """True if the key was the point's name."""
+    is_reference: bool = False
+    """True if the point's name is its reference, too: X0 of an FA3 module."""
 
     @property
     def words(self) -> int:
@@ -126,7 +128,13 @@ class ValueTargets:
             for address in point.addresses:
                 reference = write_reference(profile, point.table, address, point.words)
                 name = PointInstance(point, address, reference).name
-                target = ValueTarget(point.table, address, point, is_named=True)
+                target = ValueTarget(
+                    point.table,
+                    address,
+                    point,
+                    is_named=True,
+                    is_reference=name.casefold() == reference.casefold(),
+                )
                 self._by_name.setdefault(name.casefold(), target)
                 if point.block in (None, address):
                     self._names.setdefault((point.table, address), name)

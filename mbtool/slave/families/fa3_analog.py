@@ -2,7 +2,8 @@
 
 # Source: the modules' manual, chapter 10.5. Settings take effect with the initial data setting: the
 # master sets Y9, the module reads the settings and sets X9, the master clears Y9, and the module
-# clears X9. Assumed: before the first one the module works with the settings it started with.
+# clears X9. Conversion starts with the first one: before it, and after a remote reset, the values
+# and flags that a master reads are 0 (assumed), and every output is 0 (assumed).
 #
 # FA3-AT1M8X. RWr2 to RWr9 of the image hold the inputs as digital values from 0 to 16000. A master
 # reads them averaged and scaled. X10 to X17 are set once a channel's first value is complete; until
@@ -35,6 +36,8 @@ from mbtool.slave.families.conversion import (
 from mbtool.slave.families.fa3 import Fa3, overlap
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mbtool.devices import Profile
     from mbtool.slave.device.image import RegisterImage
 
@@ -116,19 +119,20 @@ class _InputChannel:
     is_complete: bool = False
 
 
+_NOT_STARTED: Sequence[_InputChannel | None] = (None,) * len(CHANNELS)
+
+
 class Fa3AnalogInput(_Fa3Analog):
     """The module with eight analog inputs: FA3-AT1M8X."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
-        self._settings = self._read_settings()
-        self._channels: list[_InputChannel | None] | None = None
-        """The channels, with None for a disabled one. No list until the inputs are first read."""
+        self._channels: Sequence[_InputChannel | None] = _NOT_STARTED
+        """The channels, with None for one that is not converted."""
 
     def restarted(self) -> None:
         super().restarted()
-        self._settings = self._read_settings()
-        self._channels = None
+        self._channels = _NOT_STARTED
 
     def is_live(self, table: Table, span: range) -> bool:
         live = {Table.DISCRETE_INPUTS: _FLAGS, Table.INPUT_REGISTERS: _VALUES}.get(table)
@@ -147,13 +151,11 @@ class Fa3AnalogInput(_Fa3Analog):
     def inputs_set(self, now_ns: int) -> None:
         self.convert(now_ns)
 
-    def convert(self, now_ns: int) -> list[_InputChannel | None]:
+    def convert(self, now_ns: int) -> Sequence[_InputChannel | None]:
         """Convert the inputs that the image holds, and return the channels with their new values.
 
         For a mean, an input that has changed has its new value from this call on.
         """
-        if self._channels is None:
-            self._channels = self._begin([None] * len(CHANNELS), now_ns)
         for one, value in zip(self._channels, self._inputs(), strict=True):
             if one is not None:
                 one.processing.feed(value, now_ns)
@@ -163,9 +165,7 @@ class Fa3AnalogInput(_Fa3Analog):
         return self._channels
 
     def take_settings(self, now_ns: int) -> None:
-        before = self.convert(now_ns)
-        self._settings = self._read_settings()
-        self._channels = self._begin(before, now_ns)
+        self._channels = self._begin(self.convert(now_ns), now_ns)
 
     def _inputs(self) -> list[int]:
         words = self.image.get(Table.INPUT_REGISTERS, _VALUES.start, len(_VALUES))
@@ -186,13 +186,15 @@ class Fa3AnalogInput(_Fa3Analog):
             for channel in CHANNELS
         ]
 
-    def _begin(self, before: list[_InputChannel | None], now_ns: int) -> list[_InputChannel | None]:
-        """Start conversion with the present settings.
+    def _begin(
+        self, before: Sequence[_InputChannel | None], now_ns: int
+    ) -> list[_InputChannel | None]:
+        """Start conversion with the settings in the holding registers.
 
         Each channel keeps its value of `before`, or 0, until the first new one is complete.
         """
         channels: list[_InputChannel | None] = []
-        for setting, value, last in zip(self._settings, self._inputs(), before, strict=True):
+        for setting, value, last in zip(self._read_settings(), self._inputs(), before, strict=True):
             if setting is None:
                 channels.append(None)
                 continue
@@ -208,15 +210,12 @@ class Fa3AnalogOutput(_Fa3Analog):
         super().__init__(profile, image)
         self._standing = [0] * len(CHANNELS)
         """What the channels put out while no master is connected, as digital values."""
-        self._take()
-
-    def take_settings(self, now_ns: int) -> None:
-        self._take()
+        self._forget_settings()
 
     def restarted(self) -> None:
         super().restarted()
         self._standing = [0] * len(CHANNELS)
-        self._take()
+        self._forget_settings()
 
     def linked(self, is_linked: bool) -> None:
         if not is_linked:
@@ -233,7 +232,11 @@ class Fa3AnalogOutput(_Fa3Analog):
             for channel, value in enumerate(values)
         )
 
-    def _take(self) -> None:
+    def _forget_settings(self) -> None:
+        self._converts = self._holds = self._warns = [False] * len(CHANNELS)
+        self._warning_limits = [(0, 0)] * len(CHANNELS)
+
+    def take_settings(self, now_ns: int) -> None:
         self._converts = self._enabled(_CONVERSION)
         self._holds = [nibble == _HOLD for nibble in self._nibbles()]
         self._warns = self._enabled(_WARNING)

@@ -202,10 +202,20 @@ class Wago(Behaviour):
         exceptions = self.profile.exceptions
         if code == exceptions.function:
             self._count(Counter.BAD_FUNCTION)
+        elif code == self.profile.value_exception(pdu[0]) and self._is_value_wrong(pdu):
+            self._count(self._what_was_wrong(pdu))
         elif code == exceptions.address:
             self._count(Counter.BAD_ADDRESS)
-        elif code == exceptions.value:
-            self._count(self._what_was_wrong(pdu))
+
+    def _is_value_wrong(self, pdu: bytes) -> bool:
+        """True if a refused request is wrong in its form, quantity or value.
+
+        False if only its addresses can be the reason: functions 01 and 02 give 02 for both.
+        """
+        if self.profile.value_exception(pdu[0]) != self.profile.exceptions.address:
+            return True
+        has_access = register_access(parse_pdu(pdu, Direction.REQUEST)) is not None
+        return not has_access or self._what_was_wrong(pdu) is not Counter.BAD_DATA
 
     def _what_was_wrong(self, pdu: bytes) -> Counter:
         request = parse_pdu(pdu, Direction.REQUEST)

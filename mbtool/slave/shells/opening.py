@@ -32,13 +32,18 @@ def open_shell(
     allowed: AllowedPeers = THIS_MACHINE,
     rules: ConnectionPolicy | None = None,
     on_exchange: OnExchange | None = None,
+    strict_timing: bool = False,
 ) -> Shell:
     """Return a shell, not yet started, that will answer on a link with a responder's responses.
 
     `allowed` are the machines that may connect, and `rules` the device's rules for connections;
-    neither has any use on a serial line. Raises UsageError if no slave can answer on such a link.
+    neither has any use on a serial line. With `strict_timing`, requests on an RTU line whose
+    silences are not kept get no response. Raises UsageError if no slave can answer on such a link,
+    and if the timing is to be strict on a link that has no silences.
     """
     where = slave_link(link)
     if isinstance(where, SerialLink):
-        return SerialSlave(where, responder, on_exchange=on_exchange)
+        return SerialSlave(where, responder, on_exchange=on_exchange, strict_timing=strict_timing)
+    if strict_timing:
+        raise UsageError(f"link {link}: strict timing is for RTU lines")
     return TcpSlave(where, responder, allowed=allowed, rules=rules, on_exchange=on_exchange)

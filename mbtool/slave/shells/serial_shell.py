@@ -9,6 +9,9 @@
 # noise. No other slave answers for the units played here, so a frame for one of them is a request,
 # also if it equals the response before it (functions 05 and 06).
 #
+# With strict timing (strict_timing.py), a request on an RTU line whose silences are not kept gets
+# no response, and any other is carried out only when t3.5 has passed after it.
+#
 # Adapters that give back what is written to them cannot be used: their echo would look like a
 # request.
 #
@@ -23,7 +26,7 @@ from collections import deque
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, SerialLink
+from mbtool.core import Direction, SerialLink, UsageError
 from mbtool.modbus.adu import Adu
 from mbtool.modbus.distortion import wire_pieces
 from mbtool.ports.clock import steady_clock
@@ -33,6 +36,7 @@ from mbtool.serial_line.bus_model import BusModel, Classification, roles_of
 from mbtool.serial_line.bus_state import BusState
 from mbtool.serial_line.rtu import RtuSplitter
 from mbtool.slave.shells.shell import OnExchange, Shell
+from mbtool.slave.shells.strict_timing import StrictTiming
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,8 +53,16 @@ class SerialSlave(Shell):
     """Answers on one serial port."""
 
     def __init__(
-        self, link: SerialLink, responder: Responder, *, on_exchange: OnExchange | None = None
+        self,
+        link: SerialLink,
+        responder: Responder,
+        *,
+        on_exchange: OnExchange | None = None,
+        strict_timing: bool = False,
     ) -> None:
+        """Raises UsageError if the timing is to be strict on an ASCII line."""
+        if strict_timing and link.ascii:
+            raise UsageError(f"link {link}: strict timing is for RTU lines")
         super().__init__()
         self.link = link
         self._responder = responder
@@ -61,6 +73,7 @@ class SerialSlave(Shell):
         self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _NobodysTurn())
         self._pending: deque[tuple[int, bytes]] = deque()
         """Responses, or pieces of them, each with the time in ns when it is to be sent."""
+        self._strict = StrictTiming(link.format) if strict_timing else None
 
     @property
     def place(self) -> str:
@@ -81,10 +94,18 @@ class SerialSlave(Shell):
     def _read(self) -> None:
         data = self._port.read(self._port.in_waiting or 1)
         now_ns = self._clock()
+        if self._strict is not None:
+            self._strict.hear(len(data), now_ns)
         events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
         for event in events:
             if isinstance(event, Adu) and event.direction is Direction.REQUEST:
-                self._take(event, now_ns)
+                if self._strict is None:
+                    self._take(event, now_ns)
+                else:
+                    self._strict.hold(event)
+        due = None if self._strict is None else self._strict.due(now_ns)
+        if due is not None:
+            self._take(due, now_ns)
 
     def _take(self, request: Adu, now_ns: int) -> None:
         if len(self._pending) >= MAX_PENDING:

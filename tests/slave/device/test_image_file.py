@@ -49,6 +49,11 @@ def test_reads_the_notation_of_the_device(tmp_path: Path) -> None:
     assert image.get(Table.INPUT_REGISTERS, 2, 2) == [12000, 4000]
 
 
+def test_a_list_stands_at_a_reference_also_where_a_point_has_the_same_name(tmp_path: Path) -> None:
+    image = _load(tmp_path, "X0 = [1, 0, 0, 1]", "fa3-th1m16xc")
+    assert image.get(Table.DISCRETE_INPUTS, 0, 5) == [1, 0, 0, 1, 0]
+
+
 def test_a_later_line_counts_where_ranges_overlap(tmp_path: Path) -> None:
     image = _load(tmp_path, "HR400001 = [1, 2, 3]\nHR400002 = 9")
     assert image.get(Table.HOLDING_REGISTERS, 0, 3) == [1, 9, 3]

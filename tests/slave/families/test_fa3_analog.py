@@ -68,16 +68,34 @@ def test_the_example_of_the_input_module_comes_out_as_printed() -> None:
     ).lower()  # fmt: skip
 
 
-def test_before_the_first_initial_setting_it_works_with_what_it_started_with() -> None:
+def test_no_input_is_converted_before_the_first_initial_setting() -> None:
     module = _Module("fa3-at1m8x")
     module.set_inputs(1, 2, 3, 4, 5, 6, 7, -8)
+    module.behaviour.inputs_set(0)
+    assert module.values() == [0] * 8
+    assert module.ask(READ_FLAGS) == "02 01 00"
+    module.start()
     assert module.values() == [1, 2, 3, 4, 5, 6, 7, -8]
     assert module.ask(READ_FLAGS) == "02 01 ff"
+
+
+def test_while_the_first_mean_of_a_scaled_channel_is_made_it_has_no_unscaled_value() -> None:
+    module = _Module("fa3-at1m8x")
+    module.set_inputs(*[10800] * 8)
+    module.values()
+    module.ask("06 0106 0010")  # CH6: time average
+    module.ask("06 010C 1388")  # of 5000 ms
+    module.write(0x013E, 0, 4000)
+    module.start()
+    assert module.values()[5] == 0
+    module.now_ns = 5 * SECOND
+    assert module.values()[5] == 2700
 
 
 def test_settings_take_effect_with_y9_and_not_before() -> None:
     module = _Module("fa3-at1m8x")
     module.set_inputs(*[1000] * 8)
+    module.start()
     module.ask("06 0102 00FE")
     assert module.values() == [1000] * 8
     module.start()
@@ -98,6 +116,7 @@ def test_settings_take_effect_with_y9_and_not_before() -> None:
 def test_while_the_first_mean_is_made_the_value_before_stands() -> None:
     module = _Module("fa3-at1m8x")
     module.set_inputs(*[1000] * 8)
+    module.start()
     assert module.values()[0] == 1000
     module.write(0x0105, 0x0001, 0, 2000)
     module.start()
@@ -161,12 +180,13 @@ def test_a_reading_that_only_touches_the_channels_shows_them_too() -> None:
 def test_a_reset_forgets_settings_and_handshake() -> None:
     module = _Module("fa3-at1m8x")
     module.set_inputs(*[7] * 8)
-    module.ask("06 0102 00FF")
     module.ask(Y9_ON)
-    assert module.values() == [0] * 8
+    assert module.values() == [7] * 8
     assert module.device.respond(0, bytes.fromhex("41 00"), 0) is None
     assert module.ask(READ_X9) == "02 01 00"
     assert module.ask("01 0009 0001") == "01 01 00"
+    assert module.values() == [0] * 8
+    module.start()
     assert module.values() == [7] * 8
 
 
@@ -199,6 +219,16 @@ def test_an_output_needs_both_its_conversion_and_its_output_enabled() -> None:
     assert module.outputs() == [100, 0, 0, 100, 0, 0, 100, 0]
     module.ask("05 0010 0000")
     assert module.outputs() == [0, 0, 0, 100, 0, 0, 100, 0]
+
+
+def test_no_output_is_converted_before_the_first_initial_setting() -> None:
+    module = _Module("fa3-at1m8y")
+    module.behaviour.connections.admit("10.0.0.1", 0)
+    module.write(0x0002, *range(1, 9))
+    module.ask("0F 0010 0008 01 FF")
+    assert module.outputs() == [0] * 8
+    module.start()
+    assert module.outputs() == [1, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_hold_keeps_and_clear_clears_until_a_connection_comes() -> None:

@@ -131,3 +131,8 @@ def test_limits_are_those_of_the_mode() -> None:
     assert _ask(device, "10 0000 000C 18" + 12 * "0000") == "90 03"
     assert _ask(_built_in(), "03 0000 001A")[:2] == "03"
     assert _ask(_built_in(), "03 0000 001B") == "83 03"
+
+
+def test_several_switches_are_read_at_once_as_page_24_says() -> None:
+    assert _ask(_built_in(), "01 0064 0008") == "01 01 00"
+    assert _ask(_built_in(), "01 0064 07D1") == "81 03"  # More than the standard allows.

@@ -122,6 +122,12 @@ def test_blocks_are_read_from_their_own_address_alone() -> None:
     assert _ask(coupler, "03 2040 0001") == "83 02"
 
 
+@pytest.mark.parametrize("request_", ["0000 0000", "0000 07D1", "0000", "2000 0001"])
+@pytest.mark.parametrize("function", ["01", "02"])
+def test_functions_01_and_02_give_no_exception_but_01_and_02(function: str, request_: str) -> None:
+    assert _ask(_coupler(), f"{function} {request_}") == f"8{function[1]} 02"
+
+
 def test_requests_are_counted_by_what_was_wrong_with_them() -> None:
     coupler = _coupler()
     for request in (
@@ -133,10 +139,12 @@ def test_requests_are_counted_by_what_was_wrong_with_them() -> None:
         "10 0000 0065 CA" + 101 * "0001",
         "17 0000 0001 0000 0065 CA" + 101 * "0001",
         "01 0000 07D1",
+        "01 0000 0000",
+        "02 2000 0001",  # no address
     ):
         _ask(coupler, request)
     assert _ask(coupler, "03 1029 0009") == (
-        "03 12 00 00 00 00 00 01 00 01 00 01 00 01 00 03 00 01 00 09"
+        "03 12 00 00 00 00 00 01 00 01 00 02 00 02 00 03 00 01 00 0b"
     )
     assert _ask(coupler, "06 1029 1234") == "06 10 29 12 34"
     assert _ask(coupler, "03 1029 0004") == "03 08 00 00 00 00 00 01 00 01"

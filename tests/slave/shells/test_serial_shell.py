@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import serial
 
-from mbtool.core import LinkError, SerialFormat, SerialLink
+from mbtool.core import LinkError, SerialFormat, SerialLink, UsageError
 from mbtool.devices import load_profile
 from mbtool.modbus import Response, Table, ascii_adu, rtu_adu
 from mbtool.modbus.response import Distortion
@@ -75,6 +75,25 @@ def test_answers_a_request(line: VirtualLine, master: serial.Serial) -> None:
     with SerialSlave(link, units_on(link, profile, 1, device)):
         master.write(bytes.fromhex("01 03 0000 0001 840A"))
         assert master.read(7) == bytes.fromhex("01 03 02 1234 B533")
+
+
+def test_with_strict_timing_two_requests_without_a_silence_get_no_answer(
+    line: VirtualLine, master: serial.Serial
+) -> None:
+    scripted, adu = _only_unit_1(), rtu_adu(1, READ)
+    with SerialSlave(_link(line), scripted, strict_timing=True):
+        master.write(2 * adu)
+        master.timeout = 0.2
+        for _ in range(round(PATIENCE_S / master.timeout)):
+            master.write(adu)
+            if master.read(len(adu)):
+                break
+    assert scripted.asked == [(1, READ)]
+
+
+def test_strict_timing_is_for_rtu_lines(line: VirtualLine) -> None:
+    with pytest.raises(UsageError, match="strict timing is for RTU lines"):
+        SerialSlave(_link(line, ascii=True), _only_unit_1(), strict_timing=True)
 
 
 def test_equal_writes_in_a_row_are_each_a_request(line: VirtualLine, master: serial.Serial) -> None:

@@ -75,6 +75,7 @@ def test_pymodbus_reads_and_writes_a_device() -> None:
     with TcpSlave(LOOPBACK, units_on(LOOPBACK, profile, 0, device)) as slave:
         client = ModbusTcpClient("127.0.0.1", port=slave.endpoint.port, timeout=PATIENCE_S)
         with client:
+            assert not client.write_coil(0x0009, True).isError()  # Y9: conversion starts.
             assert client.read_input_registers(2, count=2, device_id=1).registers == [12000, 4000]
             assert not client.write_registers(0x0105, [0, 0x2010]).isError()
             assert client.read_holding_registers(0x0105, count=2).registers == [0, 0x2010]

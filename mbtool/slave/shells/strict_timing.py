@@ -1,0 +1,54 @@
+"""Chooses the requests of an RTU line that a slave with strict timing answers."""
+
+# Serial Line V1.02, 2.5.1.1, and the manual of FT1A Touch, 4.1: at least 3.5 characters of silence
+# come before each message and after it, and no such silence is inside. A real slave takes what is
+# between two silences as one message. So a request gets no answer if
+#
+#     a silence of t3.5 or longer is inside it                 it is two messages, both incomplete
+#     a shorter silence, or none, is before or after it        it is part of a longer message
+#
+# A silence between t1.5 and t3.5 inside a request is tolerated: a late read would look the same.
+#
+# Holds one request, until the line has been silent for t3.5.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.modbus.adu import Verdict
+
+if TYPE_CHECKING:
+    from mbtool.core import SerialFormat
+    from mbtool.modbus.adu import Adu
+
+
+class StrictTiming:
+    """Holds back a request until it is certain that its silences are kept."""
+
+    def __init__(self, line: SerialFormat) -> None:
+        self._t3_5_ns = line.t3_5_ns
+        self._character_ns = line.character_ns
+        self._held: Adu | None = None
+
+    def hear(self, size: int, now_ns: int) -> None:
+        """Take the number of bytes of one read, and when the last of them ended."""
+        if self._held is not None:
+            silence_ns = now_ns - size * self._character_ns - self._held.end_ns
+            if silence_ns < self._t3_5_ns:
+                self._held = None
+
+    def hold(self, request: Adu) -> None:
+        """Take a request that is complete."""
+        before_ns, inside_ns = request.silence_before_ns, request.longest_silence_ns
+        is_apart = before_ns is None or before_ns >= self._t3_5_ns
+        is_apart &= Verdict.GLUED not in request.verdicts
+        is_whole = inside_ns is None or inside_ns < self._t3_5_ns
+        self._held = request if is_apart and is_whole else None
+
+    def due(self, now_ns: int) -> Adu | None:
+        """Return the request that is held, once the line has been silent for t3.5 after it."""
+        held = self._held
+        if held is None or now_ns - held.end_ns < self._t3_5_ns:
+            return None
+        self._held = None
+        return held
