@@ -16,7 +16,9 @@ from mbtool.cli.options import (
     Format,
     RawOption,
     SilenceOptions,
+    SortKey,
     SourceOptions,
+    TableOptionGroup,
     WhereOption,
 )
 from mbtool.cli.progress import with_progress
@@ -69,15 +71,21 @@ def decode(
     source: SourceOptions,
     silences: SilenceOptions,
     events: EventsOption = None,
+    table: TableOptionGroup,
+    sort: Annotated[
+        SortKey | None,
+        typer.Option("--sort", help="Order of the rows; all of them are held until the end."),
+    ] = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.options import condition
     from mbtool.cli.output import demand_other_file, open_output, say_if_empty
-    from mbtool.cli.talk import interruptible
+    from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
     if follow and (raw or source.link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
@@ -89,7 +97,15 @@ def decode(
     with (
         _with_remarks(reading, hints),
         open_output(
-            output, format_, events, reading.profile_for, wanted, limit, reading.demand_files
+            output,
+            format_,
+            events,
+            reading.profile_for,
+            wanted,
+            limit,
+            reading.demand_files,
+            table=table.read(),
+            order=sort,
         ) as out,
         interruptible() as interrupt,
     ):
@@ -104,13 +120,19 @@ def decode(
             records = interrupt.breakable(reading.records())
         # A pipe may bring a live capture, so each line is printed at once, also for a program.
         is_live = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
+        lines = UnreadableLines(lambda link: reading.line_of(link))
         for record in records if follow or out.on_terminal else with_progress(reading, records):
             hints.note(record)
+            if (doubt := lines.note(record)) is not None:
+                say(f"mbtool: {doubt}")
             out.add(record)
             if is_live:
                 out.wait()
             if out.is_full:
                 break
+        else:
+            for doubt in lines.untold():
+                say(f"mbtool: {doubt}")
         if interrupt.asked:
             raise KeyboardInterrupt
     if not follow:

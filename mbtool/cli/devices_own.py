@@ -129,7 +129,7 @@ def import_(
         parse_columns,
     )
     from mbtool.devices.importing.register_list import BadRowsError, import_register_list
-    from mbtool.devices.model import WordOrder
+    from mbtool.devices.point_types import WordOrder
     from mbtool.devices.profile_template import name_for
     from mbtool.modbus.tables import Table
 

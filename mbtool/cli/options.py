@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 import typer
 
 from mbtool.cli.option_groups import OptionGroup
+from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,6 +29,17 @@ class Format(StrEnum):
     TABLE = "table"
     JSONL = "jsonl"
     CSV = "csv"
+
+
+class SortKey(StrEnum):
+    """The order of rows: by latency the slowest first, by all others the least first."""
+
+    TIME = "time"
+    LATENCY = "latency"
+    LINK = "link"
+    UNIT = "unit"
+    FUNCTION = "function"
+    ADDRESS = "address"
 
 
 class EventChoice(StrEnum):
@@ -165,9 +177,15 @@ class SourceOptions(PortOptions):
 
         ports = self.tcp_ports()
         devices, line = assignments(device), file_line(self.link)
-        t1_5, t3_5 = (None, None) if silences is None else silences.read()
+        t1_5, t3_5, timeout = (None, None, None) if silences is None else silences.read()
         return ReadingOptions(
-            **ports._asdict(), assignments=devices, line=line, t1_5=t1_5, t3_5=t3_5, raw=raw
+            **ports._asdict(),
+            assignments=devices,
+            line=line,
+            t1_5=t1_5,
+            t3_5=t3_5,
+            response_timeout=timeout,
+            raw=raw,
         )
 
 
@@ -194,12 +212,71 @@ class SilenceOptions(OptionGroup):
         ),
     ] = None
 
-    def read(self) -> tuple[Silence | None, Silence | None]:
-        """Read t1.5 and t3.5; each is None if it was not given.
+    response_timeout: Annotated[
+        str | None,
+        typer.Option(
+            "--response-timeout",
+            metavar="SILENCE",
+            help="How long the master of a serial line waits before it repeats a request: 200ms. "
+            "It tells a repeated write from its response, which is equal. [default: learned from "
+            "what is heard]",
+        ),
+    ] = None
+
+    def read(self) -> tuple[Silence | None, Silence | None, Silence | None]:
+        """Read t1.5, t3.5 and the response timeout; each is None if it was not given.
 
         Raises UsageError for a text that is no silence.
         """
-        return _silence("--t1-5", self.t1_5), _silence("--t3-5", self.t3_5)
+        return (
+            _silence("--t1-5", self.t1_5),
+            _silence("--t3-5", self.t3_5),
+            _silence("--response-timeout", self.response_timeout),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TableOptionGroup(OptionGroup):
+    """The options that decide how the table shows transactions."""
+
+    time: Annotated[
+        TimeStyle,
+        typer.Option(
+            "--time",
+            help="The time of a row; relative: seconds since the first row, "
+            "delta: since the row before.",
+        ),
+    ] = TimeStyle.UTC
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            "--columns",
+            metavar="NAMES",
+            help=f"Columns before the text, with commas: {','.join(TableColumn)}.",
+        ),
+    ] = None
+    in_hex: Annotated[
+        bool, typer.Option("--hex", help="Show values as 1234H, without the names of points.")
+    ] = False
+    wide: Annotated[
+        bool, typer.Option("--wide", help="One line a row, however long, as in a pipe.")
+    ] = False
+    full: Annotated[
+        bool, typer.Option("--full", help="Show long texts whole, on as many lines as they need.")
+    ] = False
+
+    def read(self) -> TableOptions:
+        """The chosen options. Raises UsageError for a name that is no column."""
+        names = [] if self.columns is None else [one.strip() for one in self.columns.split(",")]
+        wrong = [one for one in names if one not in set(TableColumn)]
+        if wrong:
+            from mbtool.core import UsageError
+
+            raise UsageError(
+                f"--columns: there is no column {wrong[0]!r}; there are {', '.join(TableColumn)}"
+            )
+        columns = tuple(map(TableColumn, names))
+        return TableOptions(self.time, columns, self.in_hex, self.wide, self.full)
 
 
 def _tcp_port(option: str, text: str, others: str = "") -> int:

@@ -7,15 +7,17 @@ import sys
 from collections import Counter
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
-from mbtool.cli.options import EventChoice, Format
+from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.printers import printer_for
 from mbtool.cli.talk import say
 from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.core.wording import plural
 from mbtool.modbus import Outcome, Verdict
+from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -46,6 +48,32 @@ _WORDS = {
 _SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
 
 
+_SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
+    SortKey.TIME: lambda one: _start_ns(one[0]),
+    SortKey.LATENCY: lambda one: _latency_ns(one[0]),
+    SortKey.LINK: lambda one: one[0].link,
+    SortKey.UNIT: lambda one: _of(one[0], "unit") or 0,
+    SortKey.FUNCTION: lambda one: _of(one[0], "function") or 0,
+    SortKey.ADDRESS: lambda one: _of(one[0], "address") or 0,
+}
+
+
+def _latency_ns(record: Record) -> float:
+    """The latency, negative, so that the slowest is first and a record without one is last."""
+    latency_ns = _of(record, "latency_ns")
+    return inf if latency_ns is None else -latency_ns
+
+
+def _of(record: Record, field: str) -> int | None:
+    """A field of a transaction; None for an event."""
+    value: int | None = getattr(record, field, None)
+    return value
+
+
+def _start_ns(record: Record) -> int:
+    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+
+
 class RecordOutput:
     """Prints the records that pass the filter, and counts them.
 
@@ -60,6 +88,7 @@ class RecordOutput:
         events: EventChoice,
         wanted: Where,
         limit: int | None,
+        order: SortKey | None = None,
     ) -> None:
         self._file = file
         self._name = name
@@ -67,6 +96,11 @@ class RecordOutput:
         self._events = events
         self._wanted = wanted
         self._limit = limit
+        self._order = order
+        self._held: list[tuple[Record, int]] = []
+        """Records that are sorted when all have come, with their numbers."""
+        self._read = 0
+        """The number of transactions that have come, printed or not."""
         self._tally = Tally()
 
     @property
@@ -85,11 +119,13 @@ class RecordOutput:
 
     def add(self, record: Record) -> None:
         """Print a record if it passes the filter."""
+        self._read += not isinstance(record, WireEvent)
         if not self._wants(record):
             return
-        self._tally.add(record)
-        with told_as_lost(self._name):
-            self._printer.print(record, self._tally.transactions)
+        if self._order is not None:
+            self._held.append((record, self._read))
+        else:
+            self._print(record, self._read)
 
     def wait(self) -> None:
         """Flush what has been printed, as the next record may take a while."""
@@ -99,9 +135,20 @@ class RecordOutput:
 
     def finish(self) -> None:
         """Flush what has been printed, at the end."""
+        if self._order is not None:
+            held, self._held = self._held, []
+            for record, number in sorted(held, key=_SORTED[self._order]):
+                if self.is_full:
+                    break
+                self._print(record, number)
         with told_as_lost(self._name):
             self._printer.flush()
             self._file.flush()
+
+    def _print(self, record: Record, number: int) -> None:
+        self._tally.add(record)
+        with told_as_lost(self._name):
+            self._printer.print(record, number)
 
     def sentence(self) -> str:
         """One sentence that counts the printed records."""
@@ -126,23 +173,28 @@ def open_output(
     demand_inputs: Callable[[], None] = lambda: None,
     *,
     is_kept: bool = False,
+    table: TableOptions | None = None,
+    order: SortKey | None = None,
 ) -> Iterator[RecordOutput]:
     """Open an output that is flushed and summed up when its context ends.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
-    overwrite an older output. `is_kept` is True if a log keeps the records. Raises UsageError if
+    overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
+    records are held, and printed in that order when the context ends. Raises UsageError if
     the file cannot be written or options contradict each other, and OutputError if standard output
     is closed and no log keeps the records.
     """
     path = named_file(path)
     chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
+    if table not in (None, TableOptions()) and chosen is not Format.TABLE:
+        raise UsageError("--time, --columns, --hex, --wide and --full go with --format table")
     if chosen is Format.CSV and shown is not EventChoice.NONE:
         raise UsageError("--events goes with table and jsonl; a CSV row is a transaction")
     with opened(path, demand_inputs, is_kept=is_kept) as (file, name):
         with told_as_lost(name):
-            printer = printer_for(chosen, file, profile_for)
-        output = RecordOutput(file, name, printer, shown, wanted, limit)
+            printer = printer_for(chosen, file, profile_for, table)
+        output = RecordOutput(file, name, printer, shown, wanted, limit, order)
         try:
             yield output
         except OutputError:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, TextIO
 from mbtool.cli.options import Format
 from mbtool.core import WireEvent
 from mbtool.logs import CsvWriter, event_to_jsonl, transaction_to_jsonl
-from mbtool.views.cells import day, event_row, transaction_row
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.views.table_options import TableOptions
 
     ProfileFor = Callable[[NamedTransaction], Profile | None]
 
@@ -24,7 +24,7 @@ class Printer(ABC):
 
     @abstractmethod
     def print(self, record: Record, number: int) -> None:
-        """Print a record; `number` is the number of transactions so far, this one included."""
+        """Print a record; `number` is how many transactions have been read, this one included."""
 
     def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
         """Print buffered rows now, as the next record may take a while."""
@@ -33,11 +33,13 @@ class Printer(ABC):
         """Print buffered rows now, as no other record comes."""
 
 
-def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Printer:
+def printer_for(
+    format_: Format, file: TextIO, profile_for: ProfileFor, table: TableOptions | None = None
+) -> Printer:
     """A printer to a file in a format; `profile_for` gives the device profile of a transaction."""
     match format_:
         case Format.TABLE:
-            return _TablePrinter(file, profile_for)
+            return _TablePrinter(file, profile_for, table)
         case Format.JSONL:
             return _JsonLinesPrinter(file)
         case Format.CSV:
@@ -45,19 +47,16 @@ def printer_for(format_: Format, file: TextIO, profile_for: ProfileFor) -> Print
 
 
 class _TablePrinter(Printer):
-    def __init__(self, file: TextIO, profile_for: ProfileFor) -> None:
+    def __init__(self, file: TextIO, profile_for: ProfileFor, options: TableOptions | None) -> None:
         from mbtool.cli.console import PipeConsole
         from mbtool.views.transaction_table import TransactionTable
 
         self._profile_for = profile_for
-        self._table = TransactionTable(PipeConsole(file=file))
+        self._table = TransactionTable(PipeConsole(file=file), options)
 
     def print(self, record: Record, number: int) -> None:
-        if isinstance(record, WireEvent):
-            self._table.add(event_row(record), day(record.ts_ns))
-        else:
-            row = transaction_row(number, record, self._profile_for(record))
-            self._table.add(row, day(record.start_ns))
+        profile = None if isinstance(record, WireEvent) else self._profile_for(record)
+        self._table.add(number, record, profile)
 
     def pause(self) -> None:
         self._table.pause()

@@ -16,17 +16,18 @@ from mbtool.cli.options import (
     Format,
     PortOptions,
     SilenceOptions,
+    TableOptionGroup,
     WhereOption,
 )
 from mbtool.cli.tls_options import TlsOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from mbtool.cli.options import TcpPorts
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.talk import Interrupt
-    from mbtool.core import LinkSpec
+    from mbtool.core import LinkSpec, SerialLink
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Assignments
     from mbtool.logs import LogWriter, RotatingLog
@@ -74,6 +75,7 @@ def sniff(
     ports: PortOptions,
     silences: SilenceOptions,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    table: TableOptionGroup,
     events: EventsOption = None,
     allow: AllowOption = None,
     tls: TlsOptions,
@@ -124,11 +126,18 @@ def sniff(
         interruptible() as interrupt,
         sniffer,
         open_output(
-            None, format_, events, devices.profile_for, wanted, count, is_kept=write is not None
+            None,
+            format_,
+            events,
+            devices.profile_for,
+            wanted,
+            count,
+            is_kept=write is not None,
+            table=table.read(),
         ) as out,
     ):
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
-        _show(sniffer, out, devices, _end(interrupt, out, duration))
+        _show(sniffer, out, devices, serial_lines(specs), _end(interrupt, out, duration))
     if write is not None:
         say(f"log: {write}")
     if interrupt.asked:
@@ -207,15 +216,24 @@ def _end(
 
 
 def _show(
-    sniffer: Sniffer, out: RecordOutput, devices: Assignments, ends: Callable[[int], bool]
+    sniffer: Sniffer,
+    out: RecordOutput,
+    devices: Assignments,
+    lines: Mapping[str, SerialLink],
+    ends: Callable[[int], bool],
 ) -> None:
-    """Print records as they come, and say which devices tell their model."""
+    """Print records as they come; say which devices tell their model, and which serial lines cannot
+    be read.
+    """
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
     hints = ModelHints(devices.profile_for)
+    unreadable = UnreadableLines(lines.get, is_live=True)
     for record in sniffer.records(ends):
-        if (hint := hints.note(record)) is not None:
-            say(f"mbtool: {hint}")
+        for remark in (hints.note(record), unreadable.note(record)):
+            if remark is not None:
+                say(f"mbtool: {remark}")
         if not out.is_full:
             out.add(record)

@@ -1,141 +1,125 @@
-"""The cells of the transaction table as text, for terminals, files and the live view."""
+"""The texts of a transaction for tables: request, result, findings and time."""
 
-#     #   time          link   unit  function         what              result       latency
-#     12  09:14:03.201  rs485  1     03 read holding  HR400001..400002  4660, 22136  8.2 ms
+#     03 read HR400001..400002 -> 4660, 22136
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import date
+from itertools import groupby
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
-from mbtool.core.wording import milliseconds
 from mbtool.devices import describe_points, describe_written, finding_text
-from mbtool.modbus import FUNCTIONS, Outcome, Verdict, short_name
+from mbtool.modbus import FUNCTIONS, Outcome, Verdict, short_name, whole_pdu
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from mbtool.core import WireEvent
-    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.devices import NamedTransaction, PointValue, Profile
 
-MAX_VALUES = 16
-"""The most registers that a cell lists. For more, the cell also says how many there are."""
-
-MAX_BITS = 32
+MANY_BITS = 8
+"""More bits than this are shown in groups of GROUP."""
+GROUP = 8
+FOLDED = 4
+"""So many equal values in a row are shown once, with their number."""
 
 MAX_RAW = 16
 """The most bytes of an event that a cell lists."""
 
-
-@dataclass(frozen=True, slots=True)
-class TransactionRow:
-    """One line of the transaction table: the texts of its cells."""
-
-    number: str
-    time: str
-    link: str
-    unit: str
-    function: str
-    what: str
-    result: str
-    latency: str
-    trouble: bool
-    """True for failed transactions and unusual events, which are shown in colour."""
-
-    def cells(self) -> tuple[str, ...]:
-        return (
-            self.number,
-            self.time,
-            self.link,
-            self.unit,
-            self.function,
-            self.what,
-            self.result,
-            self.latency,
-        )
-
-
 _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_S = 86_400
-
-HEADINGS = ("#", "time", "link", "unit", "function", "what", "result", "latency")
-
-
-def transaction_row(
-    number: int, transaction: NamedTransaction, profile: Profile | None = None
-) -> TransactionRow:
-    """The row of a transaction. With a profile, its findings have the profile's figures."""
-    return TransactionRow(
-        number=str(number),
-        time=clock_time(transaction.start_ns),
-        link=transaction.link,
-        unit=str(transaction.unit),
-        function=function_text(transaction),
-        what=what_text(transaction, profile),
-        result=result_text(transaction),
-        latency=latency_text(transaction.latency_ns),
-        trouble=transaction.outcome not in (Outcome.OK, Outcome.BROADCAST),
-    )
+_MASK_WRITE, _READ_WRITE = 0x16, 0x17
+_VERBS = {
+    code: "write" if one.writes else "read"
+    for code, one in FUNCTIONS.items()
+    if one.table is not None
+} | {_MASK_WRITE: "mask write", _READ_WRITE: "read"}
+"""What a function does with the reference that follows."""
 
 
-def event_row(event: WireEvent) -> TransactionRow:
-    """The row of a wire event in the transaction table."""
-    return TransactionRow(
-        number="",
-        time=clock_time(event.ts_ns),
-        link=event.link,
-        unit="",
-        function=event.kind.value,
-        what=event.message,
-        result=_shortened(event.raw),
-        latency="",
-        trouble=event.kind not in (EventKind.OPENED, EventKind.CLOSED),
-    )
+def transaction_text(
+    transaction: NamedTransaction,
+    points: Sequence[PointValue] | None = None,
+    *,
+    in_hex: bool = False,
+) -> str:
+    """The request and its result: `03 read HR400001..400002 -> 4660, 22136`.
+
+    `points` are those that were read, in the order in which they are shown. With `in_hex`, values
+    are shown as manuals write them (1234H), and points are not named.
+    """
+    code = transaction.function
+    what = what_text(transaction, in_hex=in_hex)
+    if transaction.reference and code in _VERBS:
+        text = f"{code:02X} {_VERBS[code]} {what}"
+    else:
+        text = f"{function_text(transaction)} {what}".rstrip()
+    result = result_text(transaction, points, in_hex=in_hex)
+    if result == _DONE and code in _VERBS:
+        return text
+    return f"{text} -> {result.removeprefix(_EXCEPTION)}"
+
+
+def event_text(event: WireEvent) -> str:
+    """The kind, the message and the first bytes of a wire event."""
+    raw = event.raw[:MAX_RAW].hex(" ")
+    more = " ..." if len(event.raw) > MAX_RAW else ""
+    text = f"{event.kind.value}: {event.message}" if event.message else event.kind.value
+    return f"{text}: {raw}{more}" if raw else text
 
 
 def function_text(transaction: NamedTransaction) -> str:
-    """The cell "function": the code in hexadecimal, and the vendor's or the standard's name."""
+    """The code in hexadecimal, and the vendor's or the standard's name."""
     name = short_name(transaction.function, transaction.function_name)
     if transaction.function not in FUNCTIONS and name.startswith("function "):
         name = "unknown function"
     return f"{transaction.function:02X} {name}"
 
 
-def what_text(transaction: NamedTransaction, profile: Profile | None = None) -> str:
-    """The cell "what": the reference, the values that a request writes, and the findings."""
+def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
+    """The reference and the values that a request writes."""
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
     text = transaction.reference or ""
-    if writes and transaction.written_points:
+    if writes and transaction.written_points and not in_hex:
         text = describe_written(transaction)
     elif writes and transaction.request_values:
-        text = f"{text} := {_values(transaction, transaction.request_values)}"
+        text = f"{text} := {_values(transaction, transaction.request_values, in_hex=in_hex)}"
     elif not text and transaction.sub_function is not None:
         text = f"sub-function {transaction.sub_function:02X}"
     if transaction.retries:
         text = f"{text} (retry {transaction.retries})"
     if Verdict.AMBIGUOUS in transaction.verdicts:
         text = f"{text} (ambiguous)"
-    for code in transaction.findings:
-        text = f"{text}  ! {code} {finding_text(code, profile)}"
     return text.strip()
 
 
-_WITHOUT_REQUEST = {
-    Outcome.UNSOLICITED: "unsolicited",
-    Outcome.NOT_CAPTURED: "request not captured:",
-}
-"""How the result of a response without a request begins."""
+def finding_texts(transaction: NamedTransaction, profile: Profile | None = None) -> list[str]:
+    """Each finding's code and text; with a profile, the text has the profile's figures."""
+    return [f"{code} {finding_text(code, profile)}" for code in transaction.findings]
 
 
-def result_text(transaction: NamedTransaction) -> str:
-    """The cell "result": the outcome, and the values that a response contains."""
+_DONE = "ok"
+_EXCEPTION = "exception "
+
+
+def result_text(
+    transaction: NamedTransaction,
+    points: Sequence[PointValue] | None = None,
+    *,
+    in_hex: bool = False,
+) -> str:
+    """The outcome, and the values that a response contains; see transaction_text."""
+    if transaction.outcome is Outcome.NOT_CAPTURED:
+        lacking = _lacking_response(transaction)
+        if lacking is not None:
+            return lacking
+    word = _lacking_request(transaction)
     if transaction.exception is not None:
         name = transaction.exception_name or ""
-        text = f"exception {transaction.exception:02X}"
+        text = f"{_EXCEPTION}{transaction.exception:02X}"
         if not name.startswith(text):  # The name of an unknown code is `exception` and the number.
             text = f"{text} {name}".rstrip()
-        word = _WITHOUT_REQUEST.get(transaction.outcome)
         return text if word is None else f"{word} {text}"
     match transaction.outcome:
         case Outcome.NO_ANSWER:
@@ -144,36 +128,54 @@ def result_text(transaction: NamedTransaction) -> str:
             return "broadcast"
         case Outcome.MALFORMED:
             return "malformed answer"
-        case Outcome.NOT_CAPTURED if transaction.response_raw is None:
-            return "answer not captured"
-        case Outcome.UNSOLICITED | Outcome.NOT_CAPTURED as outcome:
-            values = transaction.response_values
-            word = _WITHOUT_REQUEST[outcome]
-            return f"{word} {_values(transaction, values)}" if values else word.rstrip(":")
-    if transaction.read_points:
-        return "; ".join(describe_points(transaction.read_points))
     values = transaction.response_values
-    return _values(transaction, values) if values else "ok"
+    if word is not None:
+        return (
+            f"{word} {_values(transaction, values, in_hex=in_hex)}" if values else word.rstrip(":")
+        )
+    read = transaction.read_points if points is None else points
+    if read and not in_hex:
+        return "; ".join(describe_points(read))
+    return _values(transaction, values, in_hex=in_hex) if values else _DONE
 
 
-def values_text(values: list[int], *, bits: bool = False) -> str:
-    """List registers with commas, or bits with spaces.
+def _lacking_response(transaction: NamedTransaction) -> str | None:
+    """What the capture lacks of the response of a transaction; None if it has all of it."""
+    is_cut = Verdict.CUT in transaction.verdicts
+    if transaction.response_raw is None:
+        return "request cut, no answer captured" if is_cut else "answer not captured"
+    is_whole = whole_pdu(transaction.transport, transaction.response_raw) is not None
+    return "answer cut" if is_cut and not is_whole else None
 
-    If there are too many, only the first ones are listed, and how many there are.
+
+def _lacking_request(transaction: NamedTransaction) -> str | None:
+    """How the result begins if a response has no whole request; None if it has one."""
+    if transaction.outcome is Outcome.UNSOLICITED:
+        return "unsolicited"
+    if transaction.outcome is not Outcome.NOT_CAPTURED:
+        return None
+    return "request not captured:" if transaction.request_raw is None else "request cut:"
+
+
+def values_text(values: Sequence[int], *, bits: bool = False, in_hex: bool = False) -> str:
+    """List registers with commas, or bits with spaces; the first value has the lowest address.
+
+    Equal registers, and equal groups of many bits, in a row are counted: `0 x24`.
     """
-    shown = MAX_BITS if bits else MAX_VALUES
-    joint = " " if bits else ", "
-    text = joint.join(map(str, values[:shown]))
-    return text if len(values) <= shown else f"{text}{joint}... ({len(values)} values)"
+    if bits and len(values) <= MANY_BITS:
+        return " ".join(map(str, values))
+    if bits:
+        text = "".join(map(str, values))
+        return " ".join(_folded(text[at : at + GROUP] for at in range(0, len(text), GROUP)))
+    return ", ".join(_folded(f"{one:04X}H" if in_hex else str(one) for one in values))
 
 
-def latency_text(latency_ns: int | None) -> str:
-    """Write a latency in milliseconds, and from 10 s on in seconds; empty for None."""
-    if latency_ns is None:
-        return ""
-    if latency_ns >= 10_000_000_000:
-        return f"{latency_ns / 1e9:.1f} s"
-    return milliseconds(latency_ns)
+def _folded(texts: Iterable[str]) -> list[str]:
+    folded = []
+    for text, run in groupby(texts):
+        count = len(list(run))
+        folded += [f"{text} x{count}"] if count >= FOLDED else [text] * count
+    return folded
 
 
 def clock_time(ts_ns: int) -> str:
@@ -194,12 +196,7 @@ def day(ts_ns: int) -> str:
         return f"day {days}"
 
 
-def _shortened(raw: bytes) -> str:
-    text = raw[:MAX_RAW].hex(" ")
-    return text if len(raw) <= MAX_RAW else f"{text} ..."
-
-
-def _values(transaction: NamedTransaction, values: list[int]) -> str:
+def _values(transaction: NamedTransaction, values: list[int], *, in_hex: bool) -> str:
     match transaction.function, values:
         case 0x07, [status]:
             return f"status {status:02X}H"
@@ -209,4 +206,4 @@ def _values(transaction: NamedTransaction, values: list[int]) -> str:
             return f"AND {and_mask:04X}H, OR {or_mask:04X}H"
     function = FUNCTIONS.get(transaction.function)
     bits = function is not None and function.table is not None and function.table.is_bits
-    return values_text(values, bits=bits)
+    return values_text(values, bits=bits, in_hex=in_hex)

@@ -1,136 +1,234 @@
-"""Shows transactions as a table that grows line by line, on a terminal or into a pipe."""
+"""Shows transactions as a table that grows row by row, on a terminal or into a pipe."""
 
-# A capture may be endless, so the columns get their widths from the first SAMPLE rows or fewer.
+#     rtu rs485, unit 1 idec-ft1a-touch                            2026-11-22 UTC
+#        #  time              ms  request -> response
+#       12  09:14:03.201     8.2  03 read HR400001..400004 -> 100, 200, 300, 400
+#       13  09:14:03.260     2.1  06 write HR400001 := 4660
 #
-# On a terminal, the columns "what" and "result" share the width that the others leave; if it is too
-# little, the column "function" becomes narrower. A cell of "what" or "result" that is too long is
-# cut with an ellipsis, and repeated in full below its line. Any other column grows for a longer
-# cell.
+# What stays the same for several rows (link, master, unit, day) is said in a heading, which comes
+# again when it changes. If link, master or unit change often, each row has them instead, and the
+# heading no longer does: see _Places. The first SAMPLE rows are looked at before any is printed, so
+# that a table rarely changes its form; a live table cannot wait for them and calls `pause`.
 #
-# In a pipe or a file, nothing is cut, and each transaction is one line. A column grows for a longer
-# cell up to its cap; a cell beyond the cap moves the rest of its line to the right.
-#
-# A live table must show its first row before the next one is known, and the first rows say little
-# about later ones. So its columns begin with the widths that most rows need, and "what" and
-# "result" share the rest in a fixed proportion.
+# On a terminal, a text too long for its line goes on below, on at most MAX_LINES lines; then a
+# line says how many more there are. Findings stand below their row. In a pipe, in a file and with
+# --wide a row is one line, with all of its text at its end, and always has its link and unit.
 #
 # Text from a wire is never markup, and control characters in it are replaced.
 
 from __future__ import annotations
 
+from collections import deque
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.text import Text
 
-from mbtool.views.cells import HEADINGS, TransactionRow
+from mbtool.core import EventKind, WireEvent
+from mbtool.modbus import Outcome
+from mbtool.views.cells import event_text, finding_texts, transaction_text
+from mbtool.views.changed_points import ChangedPoints
+from mbtool.views.table_options import TableColumn, TableOptions
 from mbtool.views.tables import printable
+from mbtool.views.times import Times
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rich.console import Console
 
+    from mbtool.devices import NamedTransaction, Profile
+
+    Record = NamedTransaction | WireEvent
+
 SAMPLE = 100
-_GAP = "  "
-_FUNCTION, _WHAT, _RESULT = 4, 5, 6
-_LEFTOVER = (_WHAT, _RESULT)
-"""The columns "what" and "result", which share the width that the other columns leave."""
-_MIN_FUNCTION = 6
-"""The least width of the column "function": the code and the beginning of the name."""
-_CAPS = (7, 12, 24, 4, 22, 60, 60, 10)
-_MINIMA = (2, 12, 5, 4, 18, 12, 8, 8)
-_LIVE_MINIMA = (4, 12, 5, 4, 18, 40, 33, 9)
-"""The least width of each column of a live table, in characters. It fits, in "what",
-HR400001..400004 := 4660, 22136, ...; in "result", exception 02 illegal data address; in "latency",
-9999.9 ms."""
+MAX_LINES = 4
+"""The most lines on a terminal of a row's text; with --full there is no limit."""
+_MIN_TEXT = 24
+"""The least characters of a line of text; on a narrower terminal lines are too long."""
+_INDENT = 12
+"""By how many characters a line is indented that continues the text of a row."""
+MANY_CHANGES, FEW_ROWS = 3, 16
+"""A place that changed MANY_CHANGES times within FEW_ROWS rows is shown in each row."""
+
+
+_WIDTHS = {
+    TableColumn.NUMBER: 5,
+    TableColumn.TIME: 12,
+    TableColumn.LATENCY: 6,
+    TableColumn.LINK: 15,
+    TableColumn.MASTER: 21,
+    TableColumn.SLAVE: 21,
+    TableColumn.UNIT: 4,
+    TableColumn.DEVICE: 20,
+    TableColumn.ID: 5,
+    TableColumn.OUTCOME: 12,
+}
+_RIGHT = frozenset((TableColumn.NUMBER, TableColumn.LATENCY, TableColumn.UNIT, TableColumn.ID))
+"""Columns whose cells are aligned to the right."""
+_TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
+_TEXT_TITLE = "request -> response"
+_USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
+_PLACES = (TableColumn.LINK, TableColumn.MASTER, TableColumn.UNIT)
+"""The columns that a row has only if they often change."""
+
+
+class _TableRow(NamedTuple):
+    """What a row needs of its record."""
+
+    number: int | None
+    """The number of the transaction in the capture; None for an event."""
+    record: Record
+    profile: Profile | None
+    places: tuple[str, str, str]
+    """The texts of link, master and unit; "" for those that an event does not have."""
 
 
 class TransactionTable:
-    """Prints rows as lines. Call `pause` when no row comes for a while, and `flush` at the end."""
+    """Prints rows. Call `pause` when no row comes for a while, and `flush` at the end."""
 
-    def __init__(self, console: Console, *, sample: int = SAMPLE) -> None:
+    def __init__(
+        self, console: Console, options: TableOptions | None = None, *, sample: int = SAMPLE
+    ) -> None:
         self._console = console
+        self._options = options or TableOptions()
         self._sample = sample
-        self._pending: list[tuple[str, TransactionRow]] = []
-        self._widths: tuple[int, ...] | None = None
-        self._is_live = False
+        self._pending: list[_TableRow] | None = []
+        self._wraps = console.is_terminal and not self._options.wide
+        self._times = Times(self._options.time)
+        self._points = ChangedPoints()
         self._styles: dict[str, tuple[str, str]] = {}
-        self._day = ""
+        self._places = _Places()
+        self._columns = self._options.columns
+        if not self._columns and not self._wraps:
+            self._columns = (*_USUAL, TableColumn.LINK, TableColumn.UNIT)
+        self._is_chosen = bool(self._columns)
+        self._heading = ""
+        self._link = self._place = ""
+        """The link of the last row, and what the heading says of its places."""
+        self._titled: tuple[TableColumn, ...] = ()
+        """The columns that the last line of titles names."""
 
-    def add(self, row: TransactionRow, day: str) -> None:
-        """Add a row. If its day differs from that of the row before, a line with the day comes
-        first.
+    def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
+        """Add a transaction, `number` of the capture, or a wire event.
+
+        With a profile, findings have its figures.
         """
-        if self._widths is not None:
-            self._print(row, day)
+        row = _TableRow(
+            None if isinstance(record, WireEvent) else number, record, profile, _places(record)
+        )
+        if self._pending is None:
+            self._print(row)
             return
-        self._pending.append((day, row))
+        self._pending.append(row)
         if len(self._pending) >= self._sample:
             self.flush()
 
     def pause(self) -> None:
-        """Show the rows that wait for the widths of columns, although further rows may come, as a
-        live table needs it.
-        """
-        if self._widths is None and self._pending:
-            self._is_live = True
+        """Print the rows that wait for others to determine the columns."""
         self.flush()
 
     def flush(self) -> None:
-        """Show the pending rows. If the columns have no widths yet, these rows determine them."""
-        if self._widths is None and self._pending:
-            self._set_widths([row for _, row in self._pending])
-            self._print_line(HEADINGS, "bold")
-        pending, self._pending = self._pending, []
-        for day, row in pending:
-            self._print(row, day)
+        """Print all rows that are not yet printed."""
+        pending, self._pending = self._pending, None
+        if not pending:
+            self._pending = pending
+            return
+        if not self._is_chosen:
+            trial = _Places()
+            for row in pending:
+                trial.note(row.places)
+            self._places.in_row = trial.in_row
+        for row in pending:
+            self._print(row)
 
-    def _set_widths(self, rows: Sequence[TransactionRow]) -> None:
-        minima = self._widths or (_LIVE_MINIMA if self._is_live else _MINIMA)
-        if self._console.is_terminal:
-            self._widths = _widths_within(self._console.width, rows, minima, live=self._is_live)
+    def _print(self, row: _TableRow) -> None:
+        if not self._is_chosen:
+            self._places.note(row.places)
+            self._columns = (*_USUAL, *self._places.in_row)
+        self._print_heading(row)
+        prefix = self._prefix(row)
+        style = _style(row.record)
+        if isinstance(row.record, WireEvent):
+            text, findings = event_text(row.record), []
         else:
-            self._widths = _widths(rows, minima)
+            points = self._points.changed_first(row.record)
+            text = transaction_text(row.record, points, in_hex=self._options.in_hex)
+            findings = finding_texts(row.record, row.profile)
+        if self._wraps:
+            self._print_wrapped(prefix, text, findings, style)
+        else:
+            self._print_line("  ! ".join((f"{prefix}{printable(text)}", *findings)), style)
 
-    def _print(self, row: TransactionRow, day: str) -> None:
-        if _outgrows(row, self._widths or (), whole=not self._console.is_terminal):
-            self._set_widths([row])
-        if day != self._day:
-            self._day = day
-            self._print_text(f"{' ' * self._indent}{day} UTC", "dim")
-        style = ("red" if row.number else "yellow") if row.trouble else ""
-        self._print_line(row.cells(), style)
-        if self._console.is_terminal:
-            self._print_cut_cells(row, style)
+    def _print_heading(self, row: _TableRow) -> None:
+        """Print what has changed since the last heading, and the titles of new columns."""
+        if not self._is_chosen:
+            self._note_place(row.record)
+        heading = ", ".join(part for part in (self._place, self._times.day_of(row.record)) if part)
+        if heading != self._heading and heading:
+            self._heading = heading
+            self._print_line(printable(heading), "bold")
+        if self._columns != self._titled:
+            self._titled = self._columns
+            titles = [_cell(one, _TITLES.get(one, one.value)) for one in self._columns]
+            self._print_line(f"{' '.join(titles)}  {_TEXT_TITLE}", "dim")
 
-    def _print_cut_cells(self, row: TransactionRow, style: str) -> None:
-        """Repeat cells that are cut, in full, below their line."""
-        widths = self._widths or ()
-        for index in _LEFTOVER:
-            cell = row.cells()[index]
-            if len(cell) > widths[index]:
-                indent = " " * self._indent
-                for line in wrap(cell, max(self._console.width - len(indent), 20)):
-                    self._print_text(indent + printable(line), f"dim {style}")
+    def _note_place(self, record: Record) -> None:
+        if not isinstance(record, WireEvent):
+            self._link, self._place = record.link, self._places.heading(record)
+        elif record.link != self._link and TableColumn.LINK not in self._columns:
+            self._link = self._place = record.link
 
-    def _print_line(self, cells: Sequence[str], style: str) -> None:
-        widths = self._widths or ()
-        whole = not self._console.is_terminal
-        parts = [
-            _fitted(cell, width, whole=whole, right=index == 0)
-            for index, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        ]
-        self._print_text(_GAP.join(parts).rstrip(), style)
+    def _prefix(self, row: _TableRow) -> str:
+        """The cells of a row before its text."""
+        cells = []
+        for column in self._columns:
+            match column:
+                case TableColumn.NUMBER:
+                    text = "" if row.number is None else str(row.number)
+                case TableColumn.TIME:
+                    text = self._times.text(row.record)
+                case TableColumn.LATENCY:
+                    text = _latency(row.record)
+                case TableColumn.LINK | TableColumn.MASTER | TableColumn.UNIT:
+                    text = row.places[_PLACES.index(column)]
+                case _:
+                    text = _MORE[column](row.record)
+            cells.append(_cell(column, printable(text)))
+        return f"{' '.join(cells)}  "
 
-    def _print_text(self, line: str, style: str) -> None:
+    def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
+        """Print a row whose text goes on below its first line."""
+        first, *below = self._wrapped(text, len(prefix))
+        self._print_line(prefix + first, style)
+        for finding in findings:
+            below += self._wrapped(finding, _INDENT)
+        for line in below:
+            self._print_line(" " * _INDENT + line, style)
+
+    def _wrapped(self, text: str, used: int) -> list[str]:
+        """The lines of a text, the first of which begins behind `used` characters."""
+        text, width = printable(text), self._console.width
+        if len(text) <= width - used:
+            return [text]
+        room = max(width - _INDENT, _MIN_TEXT)
+        # The first line is shorter by what stands before it, so as many characters are put there.
+        filler = "\0" * max(min(used - _INDENT, room - _MIN_TEXT), 0)
+        lines = wrap(filler + text, room, break_on_hyphens=False)
+        lines[0] = lines[0].removeprefix(filler)
+        left = len(lines) - MAX_LINES
+        if left <= 1 or self._options.full:
+            return lines
+        return [*lines[:MAX_LINES], f"... {left} more lines; --full shows them"]
+
+    def _print_line(self, line: str, style: str) -> None:
         before, after = self._codes(style) if style else ("", "")
-        self._console.file.write(f"{before}{line}{after}\n")
+        self._console.file.write(f"{before}{line.rstrip()}{after}\n")
 
     def _codes(self, style: str) -> tuple[str, str]:
         """The escape codes that a terminal gets before and after a text of this style.
 
-        They are cached, because Console.print is slow.
+        They are remembered, because Console.print is slow.
         """
         codes = self._styles.get(style)
         if codes is None:
@@ -140,56 +238,83 @@ class TransactionTable:
             codes = self._styles[style] = before, after
         return codes
 
-    @property
-    def _indent(self) -> int:
-        """The position at which the second column begins, in characters."""
-        return (self._widths or (0,))[0] + len(_GAP)
+
+class _Places:
+    """Decides which of link, master and unit stand in each row: those that often change."""
+
+    def __init__(self) -> None:
+        self.in_row: tuple[TableColumn, ...] = ()
+        self._last = ["", "", ""]
+        self._count = 0
+        self._changes: list[deque[int]] = [deque(maxlen=MANY_CHANGES) for _ in _PLACES]
+        """For each place, at which rows it changed."""
+
+    def note(self, places: tuple[str, str, str]) -> None:
+        """Take the places of the next row."""
+        self._count += 1
+        for index, text in enumerate(places):
+            if not text or text == self._last[index]:
+                continue
+            self._last[index] = text
+            changes = self._changes[index]
+            changes.append(self._count)
+            is_often = len(changes) == MANY_CHANGES and self._count - changes[0] < FEW_ROWS
+            if is_often and _PLACES[index] not in self.in_row:
+                self.in_row = tuple(
+                    one for one in _PLACES if one in self.in_row or one is _PLACES[index]
+                )
+
+    def heading(self, record: NamedTransaction) -> str:
+        """What the heading says of a row's places: those that do not stand in each row."""
+        link, master, unit = self._last
+        parts = []
+        if TableColumn.LINK not in self.in_row:
+            parts.append(f"{record.transport} {link}")
+        if master and TableColumn.MASTER not in self.in_row:
+            parts.append(f"master {master}")
+        if unit and TableColumn.UNIT not in self.in_row:
+            parts.append(f"unit {unit} {record.device or ''}".rstrip())
+        return ", ".join(parts)
 
 
-def _fitted(cell: str, width: int, *, whole: bool, right: bool) -> str:
-    cell = printable(cell)
-    if len(cell) > width and not whole:
-        cell = cell[: width - 1] + "\u2026"
-    return cell.rjust(width) if right else cell.ljust(width)
+def _places(record: Record) -> tuple[str, str, str]:
+    if isinstance(record, WireEvent):
+        return record.link, "", ""
+    return record.link, host_of(record.source), str(record.unit)
 
 
-def _outgrows(row: TransactionRow, widths: Sequence[int], *, whole: bool) -> bool:
-    """True if a column must grow for a row. A column whose long cells are cut never grows."""
-    fixed = () if whole else (_FUNCTION, *_LEFTOVER)
-    return any(
-        width < len(cell) and width < cap
-        for index, (cell, width, cap) in enumerate(zip(row.cells(), widths, _CAPS, strict=True))
-        if index not in fixed
-    )
+def host_of(address: str | None) -> str:
+    """The host of an address with a port: fe80::1 of `[fe80::1]:502`; "" for None."""
+    if address is None:
+        return ""
+    return address.rpartition(":")[0].strip("[]")
 
 
-def _widths(rows: Sequence[TransactionRow], minima: Sequence[int]) -> tuple[int, ...]:
-    """The width of each column: as wide as its widest cell, within its least and greatest width."""
-    columns = zip(HEADINGS, *(row.cells() for row in rows), strict=True)
-    return tuple(
-        max(min(max(map(len, column)), cap), minimum)
-        for column, cap, minimum in zip(columns, _CAPS, minima, strict=True)
-    )
+def _latency(record: Record) -> str:
+    if isinstance(record, WireEvent) or record.latency_ns is None:
+        return ""
+    return f"{record.latency_ns / 1e6:.1f}"
 
 
-def _widths_within(
-    total: int, rows: Sequence[TransactionRow], minima: Sequence[int], *, live: bool
-) -> tuple[int, ...]:
-    """The width of each column, such that all columns together fill `total` characters."""
-    widths = list(_widths(rows, minima))
-    least = _MINIMA[_WHAT] + _MINIMA[_RESULT]
-    taken = sum(width for index, width in enumerate(widths) if index not in _LEFTOVER)
-    left = total - len(_GAP) * (len(widths) - 1) - taken
-    if left < least:
-        narrower = max(widths[_FUNCTION] - (least - left), _MIN_FUNCTION)
-        left = max(left + widths[_FUNCTION] - narrower, least)
-        widths[_FUNCTION] = narrower
-    # "what" gets more than "result": the reference is more important than the last of many values.
-    if live:
-        widths[_WHAT] = max(left * 3 // 5, _MINIMA[_WHAT])
-    elif widths[_WHAT] + widths[_RESULT] > left:
-        widths[_WHAT] = max(min(widths[_WHAT], left * 3 // 5), left - widths[_RESULT])
-    else:
-        widths[_WHAT] += (left - widths[_WHAT] - widths[_RESULT]) // 2
-    widths[_RESULT] = left - widths[_WHAT]
-    return tuple(widths)
+def _style(record: Record) -> str:
+    if isinstance(record, WireEvent):
+        return "" if record.kind in (EventKind.OPENED, EventKind.CLOSED) else "yellow"
+    return "" if record.outcome in (Outcome.OK, Outcome.BROADCAST) else "red"
+
+
+def _cell(column: TableColumn, text: str) -> str:
+    width = _WIDTHS[column]
+    return text.rjust(width) if column in _RIGHT else text.ljust(width)
+
+
+_MORE: dict[TableColumn, Callable[[Record], str]] = {
+    TableColumn.SLAVE: lambda one: "" if isinstance(one, WireEvent) else one.destination or "",
+    TableColumn.DEVICE: lambda one: "" if isinstance(one, WireEvent) else one.device or "",
+    TableColumn.ID: lambda one: (
+        "" if isinstance(one, WireEvent) or one.transaction_id is None else str(one.transaction_id)
+    ),
+    TableColumn.OUTCOME: lambda one: (
+        one.kind.value if isinstance(one, WireEvent) else one.outcome.value
+    ),
+}
+"""Cells of columns that are shown only if they are chosen."""

@@ -17,6 +17,7 @@ import pytest
 from mbtool.cli import exit_codes
 from mbtool.logs import CSV_COLUMNS, LogWriter, json_schema
 from mbtool.logs.schemas import TRANSACTION
+from mbtool.modbus import ascii_adu
 from tests.cli.program import Program
 from tests.logs.samples import EVENT, NAMED, transaction, write_log
 from tests.packets.building import packet, pcap
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
     from tests.cli.program import CommandLine
 
 TABLE = """\
- #  time          link      unit  function            what          result       latency
-    1970-01-01 UTC
- 1  00:00:00.004  10.0.0.2  1     03 read holding     holding 0..1  4660, 22136  1.0 ms
- 2  00:00:00.006  10.0.0.2  1     03 read holding     holding 0..1  4660, 22136  1.0 ms
- 3  00:00:00.008  10.0.0.2  1     03 read holding     holding 0..1  4660, 22136  1.0 ms
+1970-01-01 UTC
+    # time             ms link            unit  request -> response
+    1 00:00:00.004    1.0 10.0.0.2           1  03 read holding 0..1 -> 4660, 22136
+    2 00:00:00.006    1.0 10.0.0.2           1  03 read holding 0..1 -> 4660, 22136
+    3 00:00:00.008    1.0 10.0.0.2           1  03 read holding 0..1 -> 4660, 22136
 """
 
 
@@ -55,7 +56,15 @@ def test_prints_a_table_and_says_what_it_was(mbtool: CommandLine, capture: Path)
 
 def test_names_what_a_device_says(mbtool: CommandLine, capture: Path) -> None:
     told = mbtool("decode", capture, "--device", "10.0.0.2=idec-ft1a-touch", "--limit", 1)
-    assert "HR400001..400002  4660, 22136" in told.out
+    assert "03 read HR400001..400002 -> 4660, 22136" in told.out
+
+
+def test_says_which_device_is_not_there(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--device", "9=wago-750", "--device", "all=fa3-at1m8x")
+    assert "--device 9=wago-750: has no effect, as no such slave is there" in told.err
+    assert "fa3-at1m8x" not in told.err
+    cut_short = mbtool("decode", capture, "--device", "9=wago-750", "--limit", 1)
+    assert "no effect" not in cut_short.err
 
 
 def test_each_json_line_agrees_with_the_logs_schema(mbtool: CommandLine, tmp_path: Path) -> None:
@@ -98,6 +107,55 @@ def test_prints_only_what_is_wanted(mbtool: CommandLine, tmp_path: Path) -> None
     assert [line["unit"] for line in _jsonl(told.out)] == [2, 2]
 
 
+def test_a_row_has_the_number_that_it_has_in_the_capture(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    write_log(path, [transaction(unit=unit) for unit in (1, 2, 3, 2)])
+    told = mbtool("decode", path, "--where", "unit == 2")
+    assert [line.split()[0] for line in told.lines[2:]] == ["2", "4"]
+
+
+def test_sorts_the_slowest_first_before_the_limit(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_log(path, [transaction(latency_ns=each) for each in (None, 0, 5, 3, 4)])
+    told = mbtool("decode", path, "--sort", "latency", "--limit", 4, "--format", "jsonl")
+    assert [line["latency_ns"] for line in _jsonl(told.out)] == [5, 4, 3, 0]
+
+
+@pytest.mark.parametrize("key", ["time", "link", "unit", "function", "address"])
+def test_sorts_the_least_first(mbtool: CommandLine, tmp_path: Path, key: str) -> None:
+    path = tmp_path / "a.mcap"
+    many: list[dict[str, Any]] = [
+        {"request_ns": at, "link": f"l{at}", "unit": at, "function": at, "address": at}
+        for at in (3, 1, 2)
+    ]
+    write_log(path, [transaction(**one) for one in many])
+    told = mbtool("decode", path, "--sort", key, "--format", "jsonl")
+    assert [line["unit"] for line in _jsonl(told.out)] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["--columns", "time,size"], "--columns: there is no column 'size'; there are number, "),
+        (["--hex", "--format", "jsonl"], "--time, --columns, --hex, --wide and --full go with"),
+    ],
+)
+def test_a_wrong_choice_for_the_table_is_refused(
+    mbtool: CommandLine, capture: Path, options: list[str], error: str
+) -> None:
+    told = mbtool("decode", capture, *options)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert error in told.err
+
+
+def test_columns_and_values_are_those_that_were_chosen(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "--columns", "master, id", "--hex", "--limit", 1)
+    assert told.lines[1].split()[:2] == ["master", "id"]
+    assert told.lines[2].endswith("03 read holding 0..1 -> 1234H, 5678H")
+
+
 @pytest.mark.parametrize(
     ("events", "kinds"),
     [
@@ -123,7 +181,7 @@ def test_a_table_shows_trouble(mbtool: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write_log(path, [EVENT])
     told = mbtool("decode", path)
-    assert "gap                 60 bytes are missing" in told.out
+    assert "gap: 60 bytes are missing" in told.out
     assert told.err == "0 transactions; 1 event: 1 gap\n"
 
 
@@ -327,7 +385,7 @@ def test_reads_the_bytes_of_a_line_that_is_named(mbtool: CommandLine, tmp_path: 
     path.write_text(BYTES)
     told = mbtool("decode", path, "--link", "rtu@19200-8E1")
     assert told.code == exit_codes.DONE
-    assert "bench  1     03 read holding     holding 0..1  4660, 22136" in told.out
+    assert "bench              1  03 read holding 0..1 -> 4660, 22136" in told.out
     assert told.err == "1 transaction: 1 ok\n"
 
 
@@ -418,3 +476,17 @@ def test_what_a_line_is_taken_for_is_no_data(mbtool: CommandLine, tmp_path: Path
     assert told.code == exit_codes.DONE
     assert "taken as" not in told.out
     assert told.err.count("taken as 19200-8E1; name the line with --link rtu@") == 1
+
+
+def test_a_line_that_cannot_be_read_is_told_with_the_settings_that_fit(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "bench.txt"
+    path.write_text(ascii_adu(1, bytes.fromhex("03 0000 0001")).hex() * 4)
+    told = mbtool("decode", path, "--link", "rtu@9600-8N1")
+    assert told.err.startswith(
+        "mbtool: bench: of 68 bytes none can be read with rtu@9600-8N1, so the settings are "
+        "probably wrong; ascii:PORT@9600-8N1 fits these bytes (9600-8N1 ASCII: 4 of 4 frames have "
+        "a correct LRC)\n"
+    )
+    assert told.err.count("can be read") == 1

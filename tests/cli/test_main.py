@@ -171,7 +171,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["replay", "a", "--as-slave", "--on", "tcp:x:y:z"], "is no address; write HOST:PORT"),
         (
             ["replay", "a", "--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "0"],
-            "--speed '0': write a factor more than 0, or max",
+            "--speed '0': write a factor from 0.001 to 1000, or max",
         ),
         (
             ["replay", "a", "--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "nan"],

@@ -33,8 +33,9 @@ def test_a_line_is_named_or_not() -> None:
 
 
 def test_a_silence_is_given_or_not() -> None:
-    t1_5, t3_5 = SilenceOptions(t3_5="28bits").read()
-    assert (t1_5, str(t3_5)) == (None, "28bits")
+    t1_5, t3_5, timeout = SilenceOptions(t3_5="28bits").read()
+    assert (t1_5, str(t3_5), timeout) == (None, "28bits", None)
+    assert str(SilenceOptions(response_timeout="200ms").read()[2]) == "200ms"
     with pytest.raises(UsageError, match=r"^--t3-5: silence 'long': write a number and bits"):
         SilenceOptions(t3_5="long").read()
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.parametrize(
-    ("name", "begins"), [("a.jsonl", '{"link"'), ("a.CSV", "request_ns,"), ("a.txt", " #  time")]
+    ("name", "begins"),
+    [("a.jsonl", '{"link"'), ("a.CSV", "request_ns,"), ("a.txt", "1970-01-01 UTC\n    # time")],
 )
 def test_the_name_of_the_output_says_its_format(
     mbtool: CommandLine, capture: Path, tmp_path: Path, name: str, begins: str

@@ -26,7 +26,7 @@ def _printed(format_: Format) -> list[str]:
 @pytest.mark.parametrize(
     ("format_", "lines", "transaction_part", "event_part"),
     [
-        (Format.TABLE, 4, " 7  ", "gap  "),
+        (Format.TABLE, 4, "    7 ", "  gap: "),
         (Format.JSONL, 2, '"findings":["FT1A-Q3"]', '"kind":"gap"'),
         (Format.CSV, 2, ",FT1A-Q3,", None),
     ],

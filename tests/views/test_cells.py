@@ -13,14 +13,14 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue, load_profile
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, function_name
 from mbtool.views.cells import (
-    HEADINGS,
     clock_time,
     day,
-    event_row,
+    event_text,
+    finding_texts,
     function_text,
-    latency_text,
     result_text,
-    transaction_row,
+    transaction_text,
+    values_text,
     what_text,
 )
 from tests.logs.samples import transaction, transactions
@@ -33,26 +33,53 @@ def _point(name: str, text: str, value: float, reference: str = "") -> PointValu
     return PointValue(name=name, reference=reference or name, value=value, text=text)
 
 
-def test_a_row_has_a_cell_for_each_heading() -> None:
-    row = transaction_row(12, transaction(request_ns=NOON_NS, reference="HR400001..400002"))
-    assert dict(zip(HEADINGS, row.cells(), strict=True)) == {
-        "#": "12",
-        "time": "12:00:00.000",
-        "link": "rs485",
-        "unit": "1",
-        "function": "03 read holding",
-        "what": "HR400001..400002",
-        "result": "4660, 22136",
-        "latency": "0.4 ms",
-    }
-    assert not row.trouble
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"reference": "HR400001..400002"}, "03 read HR400001..400002 -> 4660, 22136"),
+        (
+            {
+                "function": 6,
+                "reference": "HR400001",
+                "request_values": [7],
+                "response_values": None,
+            },
+            "06 write HR400001 := 7",
+        ),
+        (
+            {
+                "reference": "HR404096",
+                "outcome": Outcome.EXCEPTION,
+                "exception": 2,
+                "exception_name": "illegal data address",
+            },
+            "03 read HR404096 -> 02 illegal data address",
+        ),
+        ({"outcome": Outcome.NO_ANSWER, "reference": "HR400001"}, "03 read HR400001 -> no answer"),
+        (
+            {"function": 8, "function_name": "diagnostics", "sub_function": 4, "reference": None},
+            "08 diagnostics sub-function 04 -> 4660, 22136",
+        ),
+        (
+            {"function": 7, "function_name": "x", "reference": None, "response_values": None},
+            "07 x -> ok",
+        ),
+    ],
+)
+def test_request_and_result_read_as_one(fields: dict[str, Any], text: str) -> None:
+    assert transaction_text(transaction(**fields)) == text
+
+
+def test_values_are_shown_as_manuals_write_them() -> None:
+    one = transaction(reference="HR400001", points=[_point("Level", "5 m", 5)])
+    assert transaction_text(one, in_hex=True) == "03 read HR400001 -> 1234H, 5678H"
 
 
 @pytest.mark.parametrize(
-    ("fields", "result", "trouble"),
+    ("fields", "result"),
     [
-        ({}, "4660, 22136", False),
-        ({"response_values": None}, "ok", False),
+        ({}, "4660, 22136"),
+        ({"response_values": None}, "ok"),
         (
             {
                 "outcome": Outcome.EXCEPTION,
@@ -60,18 +87,16 @@ def test_a_row_has_a_cell_for_each_heading() -> None:
                 "exception_name": "illegal data address",
             },
             "exception 02 illegal data address",
-            True,
         ),
         (
             {"outcome": Outcome.EXCEPTION, "exception": 0x11, "exception_name": "exception 11H"},
             "exception 11",
-            True,
         ),
-        ({"outcome": Outcome.NO_ANSWER, "response_values": None}, "no answer", True),
-        ({"outcome": Outcome.BROADCAST, "response_values": None}, "broadcast", False),
-        ({"outcome": Outcome.MALFORMED}, "malformed answer", True),
-        ({"outcome": Outcome.UNSOLICITED}, "unsolicited 4660, 22136", True),
-        ({"outcome": Outcome.UNSOLICITED, "response_values": None}, "unsolicited", True),
+        ({"outcome": Outcome.NO_ANSWER, "response_values": None}, "no answer"),
+        ({"outcome": Outcome.BROADCAST, "response_values": None}, "broadcast"),
+        ({"outcome": Outcome.MALFORMED}, "malformed answer"),
+        ({"outcome": Outcome.UNSOLICITED}, "unsolicited 4660, 22136"),
+        ({"outcome": Outcome.UNSOLICITED, "response_values": None}, "unsolicited"),
         (
             {
                 "outcome": Outcome.UNSOLICITED,
@@ -79,13 +104,11 @@ def test_a_row_has_a_cell_for_each_heading() -> None:
                 "exception_name": "server device failure",
             },
             "unsolicited exception 04 server device failure",
-            True,
         ),
     ],
 )
-def test_says_how_a_transaction_ended(fields: dict[str, Any], result: str, trouble: bool) -> None:
-    row = transaction_row(1, transaction(**fields))
-    assert (row.result, row.trouble) == (result, trouble)
+def test_says_how_a_transaction_ended(fields: dict[str, Any], result: str) -> None:
+    assert result_text(transaction(**fields)) == result
 
 
 @pytest.mark.parametrize("code", FUNCTIONS)
@@ -155,16 +178,12 @@ def test_says_a_status_that_is_in_no_register(
 
 
 def test_findings_have_the_figures_of_their_profile() -> None:
-    one = transaction(function=16, reference="HR400001..400110", findings=["FT1A-Q16"])
-    assert what_text(one, TOUCH) == "HR400001..400110  ! FT1A-Q16 limit is 100"
-    assert what_text(one) == "HR400001..400110  ! FT1A-Q16 the quantity is not allowed"
-
-
-def test_each_finding_is_named() -> None:
-    one = transaction(reference="HR400001", findings=["FT1A-Q3", "FT1A-A3"])
-    assert what_text(one, TOUCH) == (
-        "HR400001  ! FT1A-Q3 limit is 125  ! FT1A-A3 not an address that one can read"
-    )
+    one = transaction(findings=["FT1A-Q16", "FT1A-A3"])
+    assert finding_texts(one, TOUCH) == [
+        "FT1A-Q16 limit is 100",
+        "FT1A-A3 not an address that one can read",
+    ]
+    assert finding_texts(one)[0] == "FT1A-Q16 the quantity is not allowed"
 
 
 def test_a_read_brings_its_points() -> None:
@@ -193,31 +212,32 @@ def test_17h_has_what_it_wrote_beside_where_and_what_it_read_in_the_result() -> 
     assert (what_text(blind), result_text(blind)) == ("D1, write D3 Valve: open", "5")
 
 
-def test_of_many_registers_the_first_are_shown() -> None:
-    text = result_text(transaction(response_values=list(range(125))))
-    assert text == f"{', '.join(map(str, range(16)))}, ... (125 values)"
-
-
-def test_of_many_bits_the_first_are_shown() -> None:
-    text = result_text(transaction(function=1, response_values=[1] * 2000))
-    assert text == f"{'1 ' * 32}... (2000 values)"
-
-
 @pytest.mark.parametrize(
-    ("latency_ns", "text"),
+    ("values", "text"),
     [
-        (None, ""),
-        (0, "0.0 ms"),
-        (8_249_999, "8.2 ms"),
-        (999_900_000, "999.9 ms"),
-        (9_999_000_000, "9999.0 ms"),
-        (10_000_000_000, "10.0 s"),
+        ([0] * 24, "0 x24"),
+        ([7, 0, 0, 0, 0, 7, 7, 7, 8], "7, 0 x4, 7, 7, 7, 8"),
+        (list(range(20)), ", ".join(map(str, range(20)))),
     ],
 )
-def test_writes_latencies_in_milliseconds_and_long_ones_in_seconds(
-    latency_ns: int | None, text: str
-) -> None:
-    assert latency_text(latency_ns) == text
+def test_equal_registers_in_a_row_are_counted(values: list[int], text: str) -> None:
+    assert values_text(values) == text
+
+
+@given(st.lists(st.integers(0, 3), max_size=300))
+def test_each_register_can_be_read_from_the_text(values: list[int]) -> None:
+    told = [one.split(" x") for one in values_text(values).split(", ") if one]
+    assert [int(one[0]) for one in told for _ in range(int(one[-1]) if one[1:] else 1)] == values
+
+
+@given(st.lists(st.integers(0, 1), max_size=300))
+def test_each_bit_can_be_read_from_the_text(bits: list[int]) -> None:
+    text = values_text(bits, bits=True)
+    told, before = "", ""
+    for one in text.split():
+        told += before * (int(one[1:]) - 1) if one.startswith("x") else one
+        before = one
+    assert told == "".join(map(str, bits))
 
 
 @pytest.mark.parametrize(
@@ -235,41 +255,18 @@ def test_writes_any_time(ts_ns: int, date: str, time: str) -> None:
     assert (day(ts_ns), clock_time(ts_ns)) == (date, time)
 
 
-def test_an_event_is_a_row_without_a_number() -> None:
+def test_an_event_has_its_first_bytes() -> None:
     event = WireEvent(
-        ts_ns=NOON_NS,
-        link="rs485",
-        kind=EventKind.SKIPPED,
-        message="3 bytes: no frame begins here",
-        raw=bytes.fromhex("00 ff 17"),
+        ts_ns=NOON_NS, link="rs485", kind=EventKind.SKIPPED, message="no frame", raw=bytes(17)
     )
-    row = event_row(event)
-    assert row.cells() == (
-        "",
-        "12:00:00.000",
-        "rs485",
-        "",
-        "skipped",
-        "3 bytes: no frame begins here",
-        "00 ff 17",
-        "",
-    )
-    assert row.trouble
+    assert event_text(event) == f"skipped: no frame: {'00 ' * 16}..."
+    gap = WireEvent(ts_ns=NOON_NS, link="rs485", kind=EventKind.GAP, message="60 bytes")
+    assert event_text(gap) == "gap: 60 bytes"
 
 
-def test_of_many_skipped_bytes_the_first_are_shown() -> None:
-    event = WireEvent(ts_ns=0, link="a", kind=EventKind.SKIPPED, message="", raw=bytes(17))
-    assert event_row(event).result == f"{'00 ' * 16}..."
-
-
-@pytest.mark.parametrize("kind", [EventKind.OPENED, EventKind.CLOSED])
-def test_that_a_connection_opens_or_closes_is_no_trouble(kind: EventKind) -> None:
-    assert not event_row(WireEvent(ts_ns=0, link="a", kind=kind, message="")).trouble
-
-
-@given(transactions, st.sampled_from([None, TOUCH]))
-def test_any_transaction_has_a_row(one: Any, profile: Any) -> None:
-    assert len(transaction_row(1, one, profile).cells()) == len(HEADINGS)
+@given(transactions, st.booleans())
+def test_any_transaction_has_a_text(one: Any, in_hex: bool) -> None:
+    assert transaction_text(one, in_hex=in_hex).split()[0] == f"{one.function:02X}"
 
 
 @given(st.integers())

@@ -1,4 +1,4 @@
-"""The table as text, at a width of 100, on a terminal and into a pipe."""
+"""The table as text: on a terminal of 80 columns, and into a pipe."""
 
 from __future__ import annotations
 
@@ -6,25 +6,38 @@ import io
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.modbus import Outcome
-from mbtool.views.cells import TransactionRow, day, event_row, transaction_row
-from mbtool.views.transaction_table import SAMPLE, TransactionTable
-from tests.logs.samples import transaction
+from mbtool.devices import PointValue
+from mbtool.modbus import Outcome, Transport
+from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
+from mbtool.views.transaction_table import FEW_ROWS, SAMPLE, TransactionTable, host_of
+from tests.logs.samples import transaction, transactions
 
 START_NS = 1_700_000_000_000_000_000
 DAY_NS = 86_400_000_000_000
-
-LONG = ", ".join(str(number) for number in range(1000, 1020))
+REFUSED: dict[str, Any] = {
+    "outcome": Outcome.EXCEPTION,
+    "exception": 2,
+    "exception_name": "illegal data address",
+    "response_values": None,
+}
 
 
 class Screen:
     """A table and what it has printed."""
 
     def __init__(
-        self, *, terminal: bool, width: int = 100, color: bool = False, sample: int = SAMPLE
+        self,
+        *,
+        terminal: bool = True,
+        width: int = 80,
+        color: bool = False,
+        sample: int = SAMPLE,
+        **options: Any,
     ) -> None:
         self._file = io.StringIO()
         console = Console(
@@ -34,98 +47,240 @@ class Screen:
             color_system="standard" if color else None,
             legacy_windows=False,
         )
-        self.table = TransactionTable(console, sample=sample)
+        self.table = TransactionTable(console, TableOptions(**options), sample=sample)
         self._number = 0
 
     def add(self, ts_ns: int = START_NS, **fields: Any) -> None:
         self._number += 1
-        one = transaction(**{"request_ns": ts_ns, "reference": "HR400001..400002", **fields})
-        self.table.add(transaction_row(self._number, one), day(ts_ns))
+        one = transaction(
+            **{"request_ns": ts_ns, "latency_ns": 2_700_000, "reference": "HR400001", **fields}
+        )
+        self.table.add(self._number, one)
+
+    def event(self, **fields: Any) -> None:
+        about: dict[str, Any] = {"ts_ns": START_NS, "link": "rs485", "kind": EventKind.GAP}
+        self.table.add(self._number, WireEvent(**{**about, "message": "60 bytes", **fields}))
 
     @property
     def text(self) -> str:
+        self.table.flush()
         return self._file.getvalue()
 
     @property
     def lines(self) -> list[str]:
         return self.text.splitlines()
 
+    @property
+    def rows(self) -> list[str]:
+        """The lines that begin with a number."""
+        return [line for line in self.lines if line[:5].strip().isdigit()]
 
-def test_a_terminal_is_filled_and_long_cells_stand_in_full_below() -> None:
-    screen = Screen(terminal=True)
-    screen.add()
-    screen.add(
-        START_NS + 60_000_000,
-        function=16,
-        function_name="write multiple registers",
-        request_values=list(range(1000, 1016)),
-        outcome=Outcome.EXCEPTION,
-        exception=2,
-        exception_name="illegal data address",
-        response_values=None,
-        latency_ns=12_345_678,
+
+def test_an_ordinary_row_is_one_line_of_80_columns() -> None:
+    screen = Screen()
+    screen.add(device="idec-ft1a-touch", reference="HR400001..400004", response_values=[9999] * 3)
+    screen.add(START_NS + 60_000_000, reference="HR404096..404097", **REFUSED)
+    assert screen.lines == [
+        "rtu rs485, unit 1 idec-ft1a-touch, 2023-11-14 UTC",
+        "    # time             ms  request -> response",
+        "    1 22:13:20.000    2.7  03 read HR400001..400004 -> 9999, 9999, 9999",
+        "rtu rs485, unit 1, 2023-11-14 UTC",
+        "    2 22:13:20.060    2.7  03 read HR404096..404097 -> 02 illegal data address",
+    ]
+
+
+@given(st.lists(transactions, min_size=1, max_size=5), st.integers(40, 200))
+def test_no_line_below_a_row_is_wider_than_the_terminal(rows: list[Any], width: int) -> None:
+    screen = Screen(width=width, full=True)
+    for number, one in enumerate(rows, 1):
+        screen.table.add(number, one)
+    told = screen.lines
+    assert all(len(line) <= width or not line.startswith(" " * 12) for line in told)
+
+
+def test_a_long_text_goes_on_below_and_says_how_much_is_left() -> None:
+    screen = Screen()
+    screen.add(response_values=list(range(1000, 1125)))
+    lines = screen.lines[2:]
+    assert (
+        lines[0] == "    1 22:13:20.000    2.7  03 read HR400001 -> 1000, 1001, 1002, 1003, 1004,"
     )
-    screen.table.flush()
-    assert screen.lines == [
-        " #  time          link   unit  function            what                    result"
-        "           latency",
-        "    2023-11-14 UTC",
-        " 1  22:13:20.000  rs485  1     03 read holding     HR400001..400002        4660, 22136"
-        "      0.4 ms",
-        " 2  22:13:20.060  rs485  1     10 write registers  HR400001..400002 := 1…  exception 02 i…"
-        "  12.3 ms",
-        "    HR400001..400002 := 1000, 1001, 1002, 1003, 1004, 1005, 1006, 1007, 1008, 1009, 1010,"
-        " 1011,",
-        "    1012, 1013, 1014, 1015",
-        "    exception 02 illegal data address",
+    assert lines[1].startswith(" " * 12 + "1005, 1006, ")
+    assert len(lines) == 5
+    assert lines[-1] == " " * 12 + "... 8 more lines; --full shows them"
+    assert max(map(len, lines)) <= 80
+
+
+@given(values=st.lists(st.integers(0, 65535), min_size=1, max_size=125), width=st.integers(40, 200))
+def test_all_values_are_shown_with_full(values: list[int], width: int) -> None:
+    short, whole = Screen(width=width, full=True), Screen(terminal=False)
+    for screen in (short, whole):
+        screen.add(response_values=values)
+    (expected,) = whole.rows
+    shown = " ".join(line.strip() for line in short.lines[2:])
+    assert shown.partition(" -> ")[2] == expected.partition(" -> ")[2]
+
+
+def test_findings_stand_below_their_row() -> None:
+    screen = Screen()
+    screen.add(findings=["FT1A-A3", "MB-102"])
+    assert [line.strip() for line in screen.lines[3:]] == [
+        "FT1A-A3 not an address that one can read",
+        "MB-102 a request does not have the form of its function",
     ]
-    assert max(map(len, screen.lines)) <= 100
 
 
-def test_a_pipe_has_one_line_for_each_and_all_of_it() -> None:
-    screen = Screen(terminal=False)
-    screen.add(response_values=list(range(1000, 1016)))
+@pytest.mark.parametrize("options", [{"terminal": False}, {"wide": True}])
+def test_in_a_pipe_and_with_wide_a_row_is_one_line_whose_text_is_last(
+    options: dict[str, Any],
+) -> None:
+    screen = Screen(**options)
+    screen.add(response_values=list(range(125)), findings=["FT1A-A3"])
+    screen.add(link="10.0.0.1")
+    screen.event()
+    assert len(screen.lines) == 5
+    assert screen.lines[0] == "2023-11-14 UTC"
+    assert screen.lines[2].endswith("124  ! FT1A-A3 not an address that one can read")
+    at = screen.lines[1].index("request -> response")
+    assert [line[at - 2 : at + 4] for line in screen.lines[2:]] == ["  03 r", "  03 r", "  gap:"]
+
+
+def test_a_heading_comes_again_when_something_in_it_changes() -> None:
+    screen = Screen()
+    for ts_ns, unit in ((START_NS, 1), (START_NS, 1), (START_NS, 2), (START_NS + DAY_NS, 2)):
+        screen.add(ts_ns, unit=unit)
+    assert [line for line in screen.lines if line.startswith("rtu")] == [
+        "rtu rs485, unit 1, 2023-11-14 UTC",
+        "rtu rs485, unit 2, 2023-11-14 UTC",
+        "rtu rs485, unit 2, 2023-11-15 UTC",
+    ]
+
+
+def test_units_that_are_polled_in_turn_stand_in_their_rows() -> None:
+    screen = Screen()
+    for unit in (1, 2, 3, 1, 2, 3):
+        screen.add(unit=unit)
+    assert screen.lines[:2] == [
+        "rtu rs485, 2023-11-14 UTC",
+        "    # time             ms unit  request -> response",
+    ]
+    assert [row[25:30].strip() for row in screen.rows] == ["1", "2", "3", "1", "2", "3"]
+
+
+def test_of_several_slaves_and_masters_each_row_has_its_own() -> None:
+    screen = Screen()
+    for number in range(8):
+        screen.add(
+            transport=Transport.TCP,
+            link=f"10.0.0.{number % 2 + 1}",
+            source=f"10.0.0.{number % 3 + 7}:49152",
+            destination=f"10.0.0.{number % 2 + 1}:502",
+        )
+    heading, titles, row, *_ = screen.lines
+    assert heading == "unit 1, 2023-11-14 UTC"
+    assert titles.split() == ["#", "time", "ms", "link", "master", "request", "->", "response"]
+    assert row.split()[3:5] == ["10.0.0.1", "10.0.0.7"]
+
+
+def test_a_live_table_moves_a_place_into_the_rows_once_it_changes_often() -> None:
+    screen = Screen()
+    for unit in (1, 2, 1, 2, 1, 2):
+        screen.add(unit=unit)
+        screen.table.pause()
+    assert screen.lines[0] == "rtu rs485, unit 1, 2023-11-14 UTC"
+    assert screen.lines[-4].split()[3] == "1"
+    assert len([line for line in screen.lines if line.startswith("rtu")]) == 3
+
+
+def test_a_place_that_changes_seldom_stays_in_the_heading() -> None:
+    screen = Screen()
+    for number in range(4 * FEW_ROWS):
+        screen.add(unit=1 + number // FEW_ROWS)
+    assert len([line for line in screen.lines if line.startswith("rtu")]) == 4
+
+
+def test_an_event_needs_no_heading_of_its_own() -> None:
+    screen = Screen()
     screen.add()
-    screen.table.flush()
-    values = ", ".join(str(number) for number in range(1000, 1016))
-    assert screen.lines == [
-        " #  time          link   unit  function            what              "
-        "result                                                        latency",
-        "    2023-11-14 UTC",
-        f" 1  22:13:20.000  rs485  1     03 read holding     HR400001..400002  {values}  0.4 ms",
-        " 2  22:13:20.000  rs485  1     03 read holding     HR400001..400002  "
-        "4660, 22136                                                   0.4 ms",
-    ]
+    screen.event()
+    screen.add()
+    assert len(screen.lines) == 5
+    assert screen.lines[3] == "      22:13:20.000         gap: 60 bytes"
 
 
-def test_a_day_is_named_when_it_changes() -> None:
+def test_what_changed_comes_before_what_did_not() -> None:
     screen = Screen(terminal=False)
-    for ts_ns in (START_NS, START_NS + 1, START_NS + DAY_NS):
-        screen.add(ts_ns)
-    screen.table.flush()
-    assert [line.strip() for line in screen.lines if line.endswith("UTC")] == [
-        "2023-11-14 UTC",
-        "2023-11-15 UTC",
+    for values in ((1, 2), (1, 3), (1, 3)):
+        points = [
+            PointValue(name=f"CH{at} level", reference=f"D{at}", value=value, text=str(value))
+            for at, value in enumerate(values)
+        ]
+        screen.add(points=points)
+    assert [row.partition(" -> ")[2] for row in screen.rows] == [
+        "level: CH0 1, CH1 2",
+        "level: CH1 3, CH0 1",
+        "level: CH0 1, CH1 3",
     ]
-    assert screen.lines[4] == "    2023-11-15 UTC"
+
+
+def test_values_are_shown_in_hexadecimal_where_asked() -> None:
+    screen = Screen(in_hex=True)
+    screen.add(points=[PointValue(name="Level", reference="D1", value=1, text="1 m")])
+    assert screen.rows[0].endswith("-> 1234H, 5678H")
+
+
+@pytest.mark.parametrize(
+    ("style", "told"),
+    [
+        (TimeStyle.UTC, ["22:13:20.000", "22:13:21.500", "22:13:21.750"]),
+        (TimeStyle.RELATIVE, ["+0.000000", "+1.500000", "+1.750000"]),
+        (TimeStyle.DELTA, ["+0.000000", "+1.500000", "+0.250000"]),
+    ],
+)
+def test_times_are_shown_as_asked(style: TimeStyle, told: list[str]) -> None:
+    screen = Screen(time=style)
+    for after_ns in (0, 1_500_000_000, 1_750_000_000):
+        screen.add(START_NS + after_ns)
+    assert [row.split()[1] for row in screen.rows] == told
+
+
+def test_local_time_is_that_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    import time
+
+    monkeypatch.setenv("TZ", "UTC-05:30")  # By POSIX, east of Greenwich is negative.
+    time.tzset()
+    screen = Screen(time=TimeStyle.LOCAL)
+    screen.add()
+    text = screen.text
+    monkeypatch.undo()
+    time.tzset()
+    assert "2023-11-15 local time" in text
+    assert "03:43:20.000" in text
+
+
+def test_chosen_columns_stand_in_their_order_before_the_text() -> None:
+    screen = Screen(
+        wide=True,
+        columns=(TableColumn.OUTCOME, TableColumn.ID, TableColumn.DEVICE, TableColumn.SLAVE),
+    )
+    screen.add(
+        transaction_id=7, device="fa3-at1m8x", destination="10.0.0.1:502", outcome=Outcome.OK
+    )
+    screen.event()
+    _, titles, row, event = screen.lines
+    assert titles.split()[:4] == ["outcome", "id", "device", "slave"]
+    assert row.split()[:5] == ["ok", "7", "fa3-at1m8x", "10.0.0.1:502", "03"]
+    assert event.split() == ["gap", "gap:", "60", "bytes"]
 
 
 def test_control_characters_and_markup_are_text() -> None:
-    screen = Screen(terminal=True, color=True)
-    screen.add(link="[red]x", reference="\x1b[2Ja\nb\x9bc\u202ed")
-    screen.table.flush()
-    row = screen.lines[2]
-    assert "[red]x" in row
-    assert "?[2Ja?b?c?d" in row
-    assert "\x1b[2J" not in screen.text
-
-
-def test_nothing_below_a_line_can_command_a_terminal() -> None:
-    screen = Screen(terminal=True)
-    screen.add(reference=f"\x1b[2J{'x' * 80}\x07")
-    screen.table.flush()
-    assert "\x1b" not in screen.text
-    assert "\x07" not in screen.text
+    for terminal in (True, False):
+        screen = Screen(terminal=terminal, color=True)
+        screen.add(link="[red]x", reference=f"\x1b[2Ja\nb\x9bc\u202ed{'x' * 80}\x07")
+        assert "[red]x" in screen.text
+        assert "?[2Ja?b?c?d" in screen.text
+        assert "\x1b[2J" not in screen.text
+        assert "\x07" not in screen.text
 
 
 @pytest.mark.parametrize(
@@ -133,126 +288,51 @@ def test_nothing_below_a_line_can_command_a_terminal() -> None:
     [({}, None), ({"outcome": Outcome.NO_ANSWER, "response_values": None}, "\x1b[31m")],
 )
 def test_trouble_is_red(fields: dict[str, Any], code: str | None) -> None:
-    screen = Screen(terminal=True, color=True)
+    screen = Screen(color=True)
     screen.add(**fields)
-    screen.table.flush()
     row = screen.lines[2]
-    assert row.startswith(f"{code} 1") if code is not None else row.startswith(" 1")
+    assert row.startswith(f"{code}    1") if code is not None else row.startswith("    1")
     assert row.endswith("\x1b[0m") is (code is not None)
 
 
-def test_an_event_is_yellow_and_has_no_number() -> None:
-    screen = Screen(terminal=True, color=True)
-    event = WireEvent(
-        ts_ns=START_NS, link="rs485", kind=EventKind.GAP, message="60 bytes", missing=60
-    )
-    screen.table.add(event_row(event), day(START_NS))
-    screen.table.flush()
-    assert screen.lines[2].startswith("\x1b[33m    22:13:20.000  rs485        gap")
+def test_an_event_is_yellow_unless_a_connection_opens_or_closes() -> None:
+    screen = Screen(color=True)
+    screen.event()
+    screen.event(kind=EventKind.OPENED)
+    assert screen.lines[2].startswith("\x1b[33m      22:13:20.000")
+    assert screen.lines[3].startswith("      22:13:20.000")
 
 
 def test_a_row_is_shown_when_there_is_a_pause() -> None:
-    screen = Screen(terminal=True)
+    screen = Screen()
     screen.add()
-    assert screen.text == ""
+    before = screen._file.getvalue()
     screen.table.pause()
-    assert len(screen.lines) == 3
-    screen.add()
-    assert len(screen.lines) == 4
+    assert (before, len(screen.lines)) == ("", 3)
 
 
 def test_rows_are_shown_when_the_sample_is_complete() -> None:
     screen = Screen(terminal=False, sample=3)
     for _ in range(3):
         screen.add()
-    assert len(screen.lines) == 5
+    assert len(screen._file.getvalue().splitlines()) == 5
 
 
 def test_nothing_is_shown_of_nothing() -> None:
-    screen = Screen(terminal=True)
-    screen.table.flush()
-    assert screen.text == ""
+    assert Screen().text == ""
 
 
-def _live(screen: Screen) -> None:
-    """A read, then what is longer in every way, as a sniffer shows them: each at once."""
-    screen.add()
-    screen.table.pause()
-    screen.add(
-        START_NS + 60_000_000,
-        function=16,
-        function_name="write multiple registers",
-        reference="HR400001..400004",
-        request_values=[4660, 22136, 1, 2],
-        outcome=Outcome.EXCEPTION,
-        exception=2,
-        exception_name="illegal data address",
-        response_values=None,
-        latency_ns=1_234_567_890,
-    )
-    screen.table.pause()
-    screen.add(response_values=list(range(1000, 1005)))
-    screen.table.flush()
+@pytest.mark.parametrize(
+    ("address", "host"),
+    [("10.0.0.1:502", "10.0.0.1"), ("[fe80::1]:502", "fe80::1"), (None, ""), ("odd", "")],
+)
+def test_an_address_has_a_host(address: str | None, host: str) -> None:
+    assert host_of(address) == host
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-@pytest.mark.parametrize("width", [80, 100, 120])
-def test_the_columns_of_a_live_table_stand_still(width: int, terminal: bool) -> None:
-    screen = Screen(terminal=terminal, width=width)
-    _live(screen)
-    heading, _, *lines = screen.lines
-    result, latency = heading.index("result"), heading.index("latency")
-    rows = [line for line in lines if line[:4].strip()]
-    assert [row[latency:] for row in rows] == ["0.4 ms", "1234.6 ms", "0.4 ms"]
-    assert [row[result - 2 : result + 4] for row in rows] == ["  4660", "  exce", "  1000"]
-    assert not terminal or max(map(len, screen.lines)) <= width
-
-
-def test_a_live_table_into_a_pipe_grows_for_what_is_longer_and_then_stands_still() -> None:
-    screen = Screen(terminal=False)
-    screen.add()
-    screen.table.pause()
-    for reference in ("R" * 50, "HR400001"):
-        screen.add(reference=reference)
-    first, *rest = (line.index("4660") for line in screen.lines[2:])
-    assert rest == [first + 10, first + 10]
-
-
-def test_columns_grow_for_what_comes_after_the_sample() -> None:
-    screen = Screen(terminal=True)
-    screen.add()
-    screen.table.flush()
-    for _ in range(99):
-        screen.add(link="127.0.0.1:44835", latency_ns=9_999_900_000)
-    last = next(line for line in screen.lines if line.startswith("100"))
-    assert last.startswith("100  22:13:20.000  127.0.0.1:44835  1     03 read holding     HR4")
-    assert last.endswith("  9999.9 ms")
-    assert max(map(len, screen.lines)) <= 100
-
-
-@pytest.mark.parametrize("width", [80, 100, 132, 200])
-def test_no_line_is_wider_than_the_terminal(width: int) -> None:
-    screen = Screen(terminal=True, width=width)
-    for link in ("rs485", "192.168.100.200"):
-        screen.add(link=link, reference=LONG, response_values=list(range(1000, 1020)))
-    screen.table.flush()
-    assert max(map(len, screen.lines)) <= width
-
-
-def test_a_terminal_too_narrow_still_has_every_column() -> None:
-    screen = Screen(terminal=True, width=20)
-    screen.add(link="192.168.100.200")
-    screen.table.flush()
-    assert screen.lines[0].split() == [
-        "#", "time", "link", "unit", "funct…", "what", "result", "latency",
-    ]  # fmt: skip
-    assert screen.lines[2].split()[:5] == ["1", "22:13:20.000", "192.168.100.200", "1", "03"]
-
-
-def test_any_row_can_be_printed() -> None:
-    cells = ("1", "", "", "", "", "", "", "")
-    for terminal in (True, False):
-        screen = Screen(terminal=terminal)
-        screen.table.add(TransactionRow(*cells, trouble=False), "")
-        screen.table.flush()
-        assert screen.lines[-1] == " 1"
+@given(st.lists(transactions, max_size=20), st.booleans())
+def test_each_transaction_has_a_row(rows: list[Any], terminal: bool) -> None:
+    screen = Screen(terminal=terminal, sample=5)
+    for number, one in enumerate(rows, 1):
+        screen.table.add(number, one)
+    assert [int(row[:5]) for row in screen.rows] == list(range(1, len(rows) + 1))

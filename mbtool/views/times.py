@@ -1,0 +1,58 @@
+"""The times of rows: of the day in UTC or local time, or seconds since another row."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.views.cells import clock_time, day
+from mbtool.views.table_options import TimeStyle
+
+if TYPE_CHECKING:
+    from mbtool.devices import NamedTransaction
+
+    Record = NamedTransaction | WireEvent
+
+
+class Times:
+    """Gives the time of each row, in the order in which rows are shown."""
+
+    def __init__(self, style: TimeStyle) -> None:
+        self._style = style
+        self._origin_ns: int | None = None
+
+    def text(self, record: Record) -> str:
+        """The time of a row, 12 characters or more. Each row is asked for once."""
+        ts_ns = _start_ns(record)
+        match self._style:
+            case TimeStyle.UTC:
+                return clock_time(ts_ns)
+            case TimeStyle.LOCAL:
+                return clock_time(ts_ns + _offset_ns(ts_ns))
+        since_ns = ts_ns if self._origin_ns is None else self._origin_ns
+        if self._origin_ns is None or self._style is TimeStyle.DELTA:
+            self._origin_ns = ts_ns
+        return f"{(ts_ns - since_ns) / 1e9:+12.6f}"
+
+    def day_of(self, record: Record) -> str:
+        """The day of a row with its time zone; "" where rows show no time of the day."""
+        ts_ns = _start_ns(record)
+        match self._style:
+            case TimeStyle.UTC:
+                return f"{day(ts_ns)} UTC"
+            case TimeStyle.LOCAL:
+                return f"{day(ts_ns + _offset_ns(ts_ns))} local time"
+        return ""
+
+
+def _start_ns(record: Record) -> int:
+    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+
+
+def _offset_ns(ts_ns: int) -> int:
+    """By how much local time is ahead of UTC at a time; 0 where the system cannot tell."""
+    try:
+        return time.localtime(ts_ns // 1_000_000_000).tm_gmtoff * 1_000_000_000
+    except (ValueError, OverflowError, OSError):
+        return 0
