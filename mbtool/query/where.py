@@ -162,7 +162,7 @@ class _Compiler:
         return UsageError(f"--where {_short(self._text)!r}: {why}")
 
     def _source(self, node: ast.expr) -> str:
-        return _short(" ".join((ast.get_source_segment(self._text, node) or "").split()))
+        return _short(ast.unparse(node))
 
 
 def _short(text: str) -> str:

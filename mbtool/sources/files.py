@@ -211,6 +211,8 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
 def _open(path: str | Path) -> io.BufferedIOBase:
     if str(path) != STANDARD_INPUT:
         return open(path, "rb")
+    if sys.stdin is None:
+        raise InputError("standard input: closed; name a file")
     if sys.stdin.isatty():
         raise InputError("standard input: a terminal; pipe a capture into it, or name a file")
     return cast("io.BufferedIOBase", sys.stdin.buffer)

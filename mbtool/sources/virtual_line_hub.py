@@ -34,6 +34,7 @@ import signal
 import sys
 import tty
 from contextlib import suppress
+from errno import EEXIST
 from time import monotonic_ns
 from typing import TYPE_CHECKING
 
@@ -144,8 +145,15 @@ def _deliver(data: bytes, ends: Sequence[int]) -> None:
 
 
 def _make_link(link: str, port: str) -> None:
-    if os.path.islink(link):
+    """Make a link, or replace one whose target is gone, as a line that was killed leaves it.
+
+    Raises OSError if there is anything else of that name, such as the port of a running line.
+    """
+    if os.path.islink(link) and not os.path.exists(link):
         os.unlink(link)
+    if os.path.islink(link):
+        target = os.readlink(link)
+        raise FileExistsError(EEXIST, f"it leads to {target}; end that line, or remove the link")
     os.symlink(port, link)
 
 

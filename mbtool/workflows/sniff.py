@@ -28,6 +28,7 @@ from mbtool.ports.clock import now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
+from mbtool.workflows.shared.missing_parts import MissingParts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -69,11 +70,11 @@ class Sniffer:
         allowed: AllowedPeers = THIS_MACHINE,
         on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """`on_remark` gets a line for the user in three cases.
+        """`on_remark` gets a line for the user in four cases.
 
         A link is lost while others remain open; a source lost bytes or packets, so that they are
         missing in the log; a tap turns a master away (once for each reason, until a master was
-        served again).
+        served again); at the end, packets were cut, or requests dropped by a limit.
         """
         self._links = links
         self._decoder = decoder
@@ -83,6 +84,7 @@ class Sniffer:
         self._allowed = allowed
         self._on_remark = on_remark
         self._refusals = Refusals()
+        self._missing = MissingParts()
         self._inbox = Inbox()
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
@@ -144,12 +146,15 @@ class Sniffer:
             if self._log is not None:
                 self._log.tick(now_ns())
         yield from self._rest()
+        for remark in self._missing.remarks:
+            self._on_remark(remark)
         if lost is not None and not self._open:
             raise lost
 
     def _take(self, item: Evidence) -> Iterator[Record]:
         if self._log is not None and isinstance(item, Chunk | Packet):
             self._log.write(item)
+        self._missing.note_item(item)
         if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
             self._discarded_packets += item.packets
             self._discarded_bytes += item.missing
@@ -170,6 +175,7 @@ class Sniffer:
 
     def _logged(self, records: list[Record]) -> Iterator[Record]:
         for record in records:
+            self._missing.note_record(record)
             if self._log is not None:
                 self._log.write(record)
             if self._refusals.is_news(record):

@@ -16,7 +16,7 @@ from mbtool.devices import (
 from mbtool.devices.assignment import Assignment, Who
 from mbtool.modbus import Transport, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.pdu import Pdu, encode_pdu, parse_pdu
-from mbtool.views.cells import function_text, result_text, what_text
+from mbtool.views.cells import finding_texts, function_text, result_text, what_text
 from tests.cases.worked_examples import WorkedExample, worked_examples
 from tests.devices.transactions import transaction_of
 
@@ -87,8 +87,8 @@ def test_example_is_named_in_the_manuals_words(example: WorkedExample, device: s
 def test_row_of_an_example_reads_like_its_manual(example: WorkedExample, device: str) -> None:
     named = _name(example, device)
     profile = load_profile(device)
-    row = [function_text(named), what_text(named, profile), result_text(named)]
-    assert row == example.row
+    what = "  ! ".join((what_text(named), *finding_texts(named, profile))).strip()
+    assert [function_text(named), what, result_text(named)] == example.row
 
 
 def test_every_built_in_profile_has_an_example() -> None:

@@ -182,8 +182,12 @@ def _ask_too_much(profile: Profile, master: Master) -> None:
         if rule is None:
             refused = ("exception", [profile.exceptions.function])
             assert master.ask(code, 0, [1, 1] if code > 6 else [1]) == refused
-        elif rule.limit is not None and rule.limit < min(STANDARD_LIMITS[code], master.most):
-            refused = ("exception", [profile.exceptions.value])
+        elif (
+            rule.limit is not None
+            and not rule.doubtful
+            and rule.limit < min(STANDARD_LIMITS[code], master.most)
+        ):
+            refused = ("exception", [profile.value_exception(code)])
             count = rule.limit + 1
             assert master.ask(code, 0, [count] if code in READS else [1] * count) == refused
 

@@ -473,3 +473,9 @@ def test_an_error_while_bytes_are_read_is_one_line(
             monkeypatch.setattr(capture, "stream", Broken())
             with pytest.raises(InputError, match="cannot be read: Input/output error"):
                 list(capture.serial(line).pieces)
+
+
+def test_standard_input_that_is_closed_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(InputError, match="standard input: closed; name a file"):
+        open_capture("-", None)

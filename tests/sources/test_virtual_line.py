@@ -134,6 +134,19 @@ def test_a_file_in_the_place_of_a_link_is_an_error_and_stays(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [taken]
 
 
+def test_the_name_of_a_line_that_runs_is_not_taken_over(tmp_path: Path) -> None:
+    name = str(tmp_path / "plc")
+    with VirtualLine(link_names=[name]) as line:
+        port = os.readlink(name)
+        with (
+            pytest.raises(LinkError, match=f"plc: it leads to {port}; end that line"),
+            VirtualLine(link_names=[name]),
+        ):
+            pass
+        assert os.readlink(name) == port
+        assert line.ports[0] == name
+
+
 def test_a_link_that_someone_else_has_changed_stays(tmp_path: Path) -> None:
     name = tmp_path / "master"
     with VirtualLine(link_names=[str(name)]):
