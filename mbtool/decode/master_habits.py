@@ -34,7 +34,7 @@ class MasterHabits:
         self.ids_vary = False
         """True once two requests in a row had different ids."""
         self.ids_count_up = False
-        """True if ids vary, and each was greater than the one before it (modulo 2^16)."""
+        """True if ids vary, and none was less than the one before it (modulo 2^16)."""
         self.has_matching_ids = False
         """True once a response had the id of its request, and ids vary."""
         self.reorders = False
@@ -66,10 +66,24 @@ class MasterHabits:
         slowest_ns = self._slowest_of(function)
         return FIRST_LATE_NS if slowest_ns is None else max(SILENT * slowest_ns, MIN_LATE_NS)
 
+    def slow_ns(self, function: int | None) -> int:
+        """This slave hardly ever takes longer than this for a response."""
+        slowest_ns = self._slowest_of(function)
+        return FIRST_LATE_NS if slowest_ns is None else max(int(LATE * slowest_ns), MIN_LATE_NS)
+
     def _slowest_of(self, function: int | None) -> int | None:
         if function in self._slowest_ns:
             return self._slowest_ns[function]
         return max(self._slowest_ns.values(), default=None)
+
+    def repeats_id(self, transaction_id: int | None) -> bool:
+        """True if a new request has the id that the one behind the last request must have.
+
+        If the capture lacks a request between the two, then both have this id.
+        """
+        if not self.ids_count_up or transaction_id is None or self._last_id is None:
+            return False
+        return (transaction_id - self._last_id) & 0xFFFF == 1
 
     def note_request(self, transaction_id: int | None, *, others_wait: bool) -> None:
         self._in_a_row = 0 if others_wait else self._in_a_row + 1
@@ -79,9 +93,10 @@ class MasterHabits:
         if transaction_id is None:
             return
         if self._last_id is not None:
-            counts_up = 0 < (transaction_id - self._last_id & 0xFFFF) < 0x8000
-            self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
-            self.ids_vary = self.ids_vary or transaction_id != self._last_id
+            if transaction_id != self._last_id:  # A retry may have the same id.
+                counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
+                self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
+                self.ids_vary = True
         self._last_id = transaction_id
 
     def note_answered(self, number: int) -> None:
@@ -103,8 +118,11 @@ class MasterHabits:
         self._fastest_ns[function] = min(fastest_ns, latency_ns)
 
     def is_too_early(self, function: int, latency_ns: int) -> bool:
-        """True if this slave never responded in half as much time."""
-        return 2 * latency_ns < self._fastest_ns.get(function, 0)
+        """True if this slave never responded in half as much time.
+
+        A latency below 0 says nothing: the capture has the two in the wrong order.
+        """
+        return 0 <= 2 * latency_ns < self._fastest_ns.get(function, 0)
 
     def has_own_id(self, request: OpenRequest, waiting: Sequence[OpenRequest]) -> bool:
         """True if the id of a waiting request cannot be that of one that the capture lacks."""

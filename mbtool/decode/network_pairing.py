@@ -42,9 +42,9 @@ from mbtool.decode.dropped_requests import DroppedRequests
 from mbtool.decode.master_habits import MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
+    LATE,
     MARGIN,
     MAX_PASSED,
-    UNANSWERED,
     UNASKED,
     PairOption,
     PairReading,
@@ -73,7 +73,7 @@ TIMEOUT_NS = 60_000_000_000
 """Longer than any master waits, so that a late response is still paired with its request."""
 MAX_HELD = 32
 """Responses that are held back until something decides which request they answer."""
-HOLD_NS = 1_000_000_000
+HOLD_NS = 3_000_000_000
 """The longest time that a response is held back, in ns. Someone may be watching."""
 DOUBTFUL = 0.5
 """The confidence of a pair of which another reading is about as good."""
@@ -94,6 +94,8 @@ class NetworkPairing:
         self._unanswered: dict[tuple[int, bytes], int] = {}
         """By unit and PDU, how many requests in a row had no answer."""
         self._dropped = DroppedRequests()
+        self._is_shifted = False
+        """True after a choice between readings about equally good, until no request waits."""
 
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time."""
@@ -120,8 +122,11 @@ class NetworkPairing:
                 if end is None:  # Responses to these may be lost as well.
                     for reading in self._readings:
                         reading.pass_all(self._habits)
-            for _ in range(min(max(lost // _USUAL_REQUEST, 1), MAX_OPEN_REQUESTS)):
-                self._open(None, None if end is None else AduPlace(end, None), at_ns, done)
+            place = None if end is None else AduPlace(end, None)
+            for number in range(min(max(lost // _USUAL_REQUEST, 1), MAX_OPEN_REQUESTS)):
+                self._open(None, place, at_ns, done)
+                is_one = place is not None and not (number and lost % _USUAL_REQUEST)
+                self._readings[0].waiting[-1].exists = is_one
         else:
             self._lose_responses(lost, at_ns)
         self._settle(done)
@@ -164,12 +169,15 @@ class NetworkPairing:
             waiting = self._readings[0].waiting
             others_wait = is_pipelined and not all(one.adu is None for one in waiting)
             if not others_wait:
-                for one in waiting:  # Nobody knows how many requests were lost.
-                    is_one = self._habits.is_sequential or one.place is None
-                    one.is_given_up = one.is_given_up or (is_one and one.adu is None)
+                self._give_up_lost()
             self._settle(done)
+        else:
+            self._is_shifted = False
+        repeats = self._habits.repeats_id(request.transaction_id)
         self._habits.note_request(request.transaction_id, others_wait=others_wait)
         self._open(request, place, request.end_ns, done, is_pipelined=is_pipelined)
+        if repeats and any(one.adu is None for one in self._readings[0].waiting):
+            self._readings[0].waiting[-1].repeats_lost_id = True
 
     def _open(
         self,
@@ -198,7 +206,7 @@ class NetworkPairing:
         """Close the oldest waiting request, at the limit of waiting requests."""
         self._decide(done)
         oldest = self._readings[0].waiting.pop(0)
-        if oldest.adu is None or (self._habits.is_sequential and oldest.is_given_up):
+        if oldest.adu is None or (self._habits.is_sequential and oldest.number in self._readings[0].given_up):
             self._close(oldest, done)
             return
         self._dropped.note(oldest.adu, now_ns)
@@ -206,17 +214,29 @@ class NetworkPairing:
 
     def _give_up(self, now_ns: int, after_ns: Callable[[int | None], int]) -> None:
         """Give up requests that have waited for long. The slave takes one after the other."""
-        overdue: dict[int, OpenRequest] = {}
         for reading in self._readings:
+            late: list[OpenRequest] = []
             for place, one in enumerate(reading.waiting):
-                if place and one.is_pipelined:
-                    break  # A slave that answers pipelined requests late is slow with the first.
-                since_ns = max(one.since_ns, self._habits.last_response_ns)
-                if not one.is_given_up and now_ns - since_ns > after_ns(one.function):
-                    overdue[one.number] = one
-                    reading.cost += UNANSWERED
-        for one in overdue.values():
-            one.is_given_up = True
+                since_ns = one.since_ns
+                if one.number > reading.newest:
+                    if place and one.is_pipelined:
+                        break  # Pipelined requests that are answered late: the first one is slow.
+                    since_ns = max(since_ns, self._habits.last_response_ns)
+                if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
+                    late.append(one)
+            if late:
+                reading.give_up(late)
+
+    def _give_up_lost(self) -> None:
+        """Give up lost requests: their master sends the next one, and no response has come."""
+        for reading in self._readings:
+            lost = [one for one in reading.waiting if one.adu is None and reading.awaits(one)]
+            for one in lost:
+                one.may_not_exist = one.place is None or (
+                    self._habits.is_sequential and not one.exists
+                )
+            if self._habits.is_sequential:
+                reading.give_up([one for one in lost if not one.may_not_exist])
 
     def _respond(self, response: Adu, place: AduPlace | None, done: list[Transaction]) -> None:
         if self._dropped.take_response(response):
@@ -231,7 +251,7 @@ class NetworkPairing:
             self._habits.last_response_ns = response.end_ns
             done.append(self._with_response(response, step))
             return
-        overlaps = len(first.waiting) > 1 and sum(not one.is_given_up for one in first.waiting) > 1
+        overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
         readings: list[PairReading] = []
         for reading in self._readings:
             found = self._options(reading, response, place, is_only_one=is_only_one)
@@ -274,22 +294,27 @@ class NetworkPairing:
         if len(requests) != 1 or not requests[0].can_get(response, place):
             return None
         (one,) = requests
-        is_doubtful = self._habits.has_matching_ids or one.may_be_lost or one.is_given_up
+        is_doubtful = self._habits.has_matching_ids or one.may_be_lost or not reading.awaits(one)
         if is_doubtful and not one.is_next_to(response, place):
             return None
         return one if one.fits(response) else None
 
     def _lose_responses(self, lost: int, at_ns: int) -> None:
-        readings: list[PairReading] = []
-        for reading in self._readings:
-            if reading.has_different_ids:
-                continue  # Ids will tell which responses are lost, in whatever order they came.
-            for cost, start, count in lost_runs(reading, lost):
-                other = reading.copy()
-                other.lose(start, count, cost, at_ns)
-                readings.append(other)
-        if readings:
-            self._readings = readings
+        runs = [
+            (reading.cost + cost, cost, start, count, reading)
+            for reading in self._readings
+            # Different ids will tell which responses are lost, in whatever order they came.
+            if not reading.has_different_ids
+            for cost, start, count in lost_runs(reading, lost)
+        ]
+        if runs:
+            limit = min(total for total, *_ in runs) + MARGIN
+            self._readings = []
+            for total, cost, start, count, reading in runs:
+                if total <= limit:
+                    other = reading.copy()
+                    other.lose(start, count, cost, at_ns)
+                    self._readings.append(other)
             return
         for reading in self._readings:
             for one in reading.waiting:
@@ -318,6 +343,7 @@ class NetworkPairing:
         self._readings = [best]
         best.steps = ()
         self._show(steps, done)
+        self._is_shifted |= bool(others)
 
     def _show(self, steps: tuple[PairStep, ...], done: list[Transaction]) -> None:
         (reading,) = self._readings
@@ -340,14 +366,15 @@ class NetworkPairing:
             self._habits.has_matching_ids |= self._habits.ids_vary
         else:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
-        if not step.is_sure:
+        is_sure = step.is_sure and not self._is_shifted
+        if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)
-        elif response.start_ns >= one.adu.end_ns and not one.is_given_up:
+        elif response.start_ns >= one.adu.end_ns and not step.is_late:
             since_ns = max(one.adu.end_ns, step.since_ns)
             self._habits.note_latency(one.adu.pdu[0], response.start_ns - since_ns)
-        if step.is_sure and not one.is_given_up:
+        if is_sure and not step.is_late:
             self._habits.note_answered(one.number)
-        confidence = 1.0 if step.is_sure else DOUBTFUL
+        confidence = 1.0 if is_sure else DOUBTFUL
         retries = self._take_retries(one)
         return with_response(self._ends, one.adu, response, retries, verdicts, confidence)
 

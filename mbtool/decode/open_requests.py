@@ -31,10 +31,14 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     place: AduPlace | None = None
     is_pipelined: bool = False
     """True if its master sent it while others waited for their responses."""
-    is_given_up: bool = False
-    """True if its master no longer waits for the response, or its response is overdue."""
+    exists: bool = True
+    """False for a lost request of which the number of lost bytes does not tell that it is one."""
+    may_not_exist: bool = False
+    """True for a lost request of which nobody knows that it was one request more."""
     may_be_lost: bool = False
     """True if the capture lacks bytes that may have been its response."""
+    repeats_lost_id: bool = False
+    """True if its id shows that it has the id of a lost request before it."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if nobody
     knows which requests are equal to it."""

@@ -28,9 +28,13 @@ if TYPE_CHECKING:
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu
 
-UNANSWERED = 1.0
+LATE = 1.0
+"""A request that its master gives up."""
+UNANSWERED = 1.2
+"""A request without a response. More than LATE: of a given-up request, and the one behind it that
+is not answered in time either, the first one may still be answered late."""
 MARGIN = 0.9
-"""Less than UNANSWERED, so that pipelined requests are not held back."""
+"""Less than LATE, so that pipelined requests are not held back."""
 MISFIT = 2.0
 """A response whose form is not the one asked for."""
 OUT_OF_ORDER = 2.0
@@ -69,6 +73,8 @@ class PairStep(NamedTuple):
     since_ns: int = 0
     """When the response before this one was complete."""
     is_sure: bool = True
+    is_late: bool = False
+    """True if the request was given up before the response came."""
 
 
 class PairOption(NamedTuple):
@@ -81,7 +87,7 @@ class PairOption(NamedTuple):
 class PairReading:
     """One way to join requests and responses, as far as that is not decided yet."""
 
-    __slots__ = ("cost", "passed", "steps", "waiting")
+    __slots__ = ("cost", "given_up", "newest", "passed", "steps", "waiting")
 
     def __init__(
         self,
@@ -89,6 +95,8 @@ class PairReading:
         passed: list[OpenRequest],
         steps: tuple[PairStep, ...] = (),
         cost: float = 0.0,
+        newest: int = 0,
+        given_up: frozenset[int] = frozenset(),
     ) -> None:
         self.waiting = waiting
         """Requests that may still be answered, in order."""
@@ -96,11 +104,24 @@ class PairReading:
         """Requests without a response that are before an answered one."""
         self.steps = steps
         self.cost = cost
+        self.newest = newest
+        """The highest number of an answered request; 0 if none was answered while others waited."""
+        self.given_up = given_up
+        """The numbers of the requests for which the master waits no longer, or that are overdue."""
 
     @property
     def someone_waits(self) -> bool:
         """True if the master waits for a response."""
-        return any(not one.is_given_up for one in self.waiting)
+        return any(self.awaits(one) for one in self.waiting)
+
+    def awaits(self, one: OpenRequest) -> bool:
+        """True if the master waits for the response to a request."""
+        return not (one.number in self.given_up or one.may_not_exist)
+
+    def give_up(self, late: list[OpenRequest]) -> None:
+        """Note that the master waits no longer for some requests."""
+        self.given_up |= {one.number for one in late}
+        self.cost += LATE * len(late)
 
     @property
     def has_different_ids(self) -> bool:
@@ -116,7 +137,7 @@ class PairReading:
         return _has_id(one, response) and one.can_get(response, place)
 
     def copy(self) -> PairReading:
-        return PairReading([*self.waiting], [*self.passed], self.steps, self.cost)
+        return PairReading([*self.waiting], [*self.passed], self.steps, self.cost, self.newest, self.given_up)
 
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
         """Give the response to the request of an option."""
@@ -125,12 +146,15 @@ class PairReading:
         if request is None:
             self.steps += (PairStep(response.end_ns, response, (), since_ns),)
             return
-        self.steps += (PairStep(response.end_ns, response, (request,), since_ns),)
+        is_late = request.number in self.given_up
+        step = PairStep(response.end_ns, response, (request,), since_ns, is_late=is_late)
+        self.steps += (step,)
         if request in self.passed:
             self.passed.remove(request)
         else:
             self._pass_over(self.waiting.index(request), request, habits)
             self.waiting.remove(request)
+            self.newest = max(request.number, self.newest)
 
     def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
         """Take lost bytes for the responses of `count` requests from a place on."""
@@ -142,7 +166,7 @@ class PairReading:
         if any(one.adu is None for one in lost):
             for one in self.waiting:
                 # Nobody knows how many of the lost responses are those of lost requests.
-                one.is_given_up = one.is_given_up or one.adu is None
+                one.may_not_exist = one.may_not_exist or one.adu is None
 
     def pass_all(self, habits: MasterHabits) -> None:
         """Pass over the requests that wait, except those with an id of their own."""
@@ -178,7 +202,7 @@ def options(
     best = UNASKED
     for one in reading.waiting:
         if _has_id(one, response) and one.can_get(response, place) and one.number not in too_late:
-            passed = _cost_of_passing_all(skipped, one, habits)
+            passed = _cost_of_passing_all(reading, skipped, one, habits)
             cost = passed + _cost(one, response, reading, habits)
             best = min(best, cost)
             yield PairOption(cost, one)
@@ -193,7 +217,7 @@ def options(
 
 def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
     """The numbers of the requests that were given up too long ago for a response."""
-    late = [one for one in reading.waiting if one.is_given_up and one.adu is not None]
+    late = [one for one in reading.waiting if one.number in reading.given_up and one.adu is not None]
     if len(late) > MAX_LATE:
         late = [one for one in late if _has_id(one, response) and one.can_get(response, place)]
     return {one.number for one in late[:-MAX_LATE]}
@@ -204,20 +228,27 @@ def _has_id(one: OpenRequest, response: Adu) -> bool:
 
 
 def _cost_of_passing_all(
-    skipped: list[OpenRequest], chosen: OpenRequest, habits: MasterHabits
+    reading: PairReading, skipped: list[OpenRequest], chosen: OpenRequest, habits: MasterHabits
 ) -> float:
     """The cost of earlier requests without a response, when a later one has its response."""
     same = others = 0.0
+    late = 0
     for one in skipped:
+        is_late = one.number in reading.given_up
+        if is_late and late == MAX_LATE:
+            continue
+        late += is_late
         if is_before(one, chosen, habits):
-            same += _cost_of_passing(one)
+            same += _cost_of_passing(one, reading)
         elif one.adu is not None and not habits.reorders:
-            others += _cost_of_passing(one)
+            others += _cost_of_passing(one, reading)
     return same + min(others, UNANSWERED)
 
 
-def _cost_of_passing(one: OpenRequest) -> float:
-    return 0.0 if one.is_given_up or one.may_be_lost else UNANSWERED
+def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
+    if one.may_be_lost or one.may_not_exist:
+        return 0.0
+    return UNANSWERED - LATE if one.number in reading.given_up else UNANSWERED
 
 
 def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits) -> float:
@@ -225,16 +256,17 @@ def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterH
         has_other = any(
             each.adu is not None
             and each.transaction_id == response.transaction_id
+            and not each.repeats_lost_id
             and habits.has_own_id(each, reading.waiting)
             for each in (*reading.waiting, *reading.passed)
         )
-        return OTHER_ID if has_other else NOT_LIKELY if one.is_given_up else 0.0
+        return OTHER_ID if has_other else NOT_LIKELY if one.may_not_exist else 0.0
     cost = 0.0 if one.fits(response) else MISFIT
     if habits.is_too_early(one.adu.pdu[0], response.start_ns - one.adu.end_ns):
         return cost + TOO_EARLY
     since_ns = max(one.since_ns, habits.last_response_ns)
-    is_slow = response.start_ns - since_ns > habits.silence_ns(one.function)
-    return cost + TOO_SLOW if is_slow and not one.is_given_up else cost
+    is_slow = response.start_ns - since_ns > habits.slow_ns(one.function)
+    return cost + TOO_SLOW if is_slow and one.number not in reading.given_up else cost
 
 
 def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
@@ -248,7 +280,7 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
         count = _count_in(waiting[start : start + MAX_LOST_RESPONSES], lost)
         if count:
             yield cost, start, count
-        cost += _cost_of_passing(first)
+        cost += _cost_of_passing(first, reading)
         if cost > UNASKED:
             return
 

@@ -56,8 +56,11 @@ class StreamProgress:
         self.received = place.acknowledged
 
     def acknowledge(self, received: int | None) -> int:
-        """Note that the other end received all up to a position. Gives how many bytes are lost."""
-        if received is None:
+        """Note that the other end received all up to a position. Gives how many bytes are lost.
+
+        While a part of an ADU is unread, the gap behind it will tell what is lost.
+        """
+        if received is None or self.unread:
             return 0
         captured = self._begin(received)
         if received > captured:
