@@ -14,6 +14,8 @@ LATE = 1.5
 far has given that one up."""
 SILENT = 3
 """If nothing came for this many times the slowest response, none is to come."""
+UNUSUAL = 3
+"""A response that takes this many times as long as usual is slow."""
 MIN_LATE_NS = 30_000_000
 FIRST_LATE_NS = 100_000_000
 """Both times before the first response: no master times out sooner than this by default."""
@@ -45,6 +47,9 @@ class MasterHabits:
         """When the last response was complete."""
         self._slowest_ns: dict[int | None, int] = {}
         """By function code, the longest that a response took; it falls by 1/FORGET each time."""
+        self._usual_ns: dict[int | None, int] = {}
+        """By function code, the mean latency of the last responses, in which a slow one counts as
+        twice the mean."""
         self._fastest_ns: dict[int | None, int] = {}
         """By function code, the shortest time that a response took."""
         self._in_a_row = 0
@@ -69,7 +74,10 @@ class MasterHabits:
     def slow_ns(self, function: int | None) -> int:
         """This slave hardly ever takes longer than this for a response."""
         slowest_ns = self._slowest_of(function)
-        return FIRST_LATE_NS if slowest_ns is None else max(int(LATE * slowest_ns), MIN_LATE_NS)
+        if slowest_ns is None:
+            return FIRST_LATE_NS
+        usual_ns = self._usual_ns.get(function, slowest_ns)
+        return max(min(int(LATE * slowest_ns), UNUSUAL * usual_ns), MIN_LATE_NS)
 
     def _slowest_of(self, function: int | None) -> int | None:
         if function in self._slowest_ns:
@@ -114,6 +122,8 @@ class MasterHabits:
         """Note how long a response took, in ns."""
         slowest_ns = self._slowest_ns.get(function, 0)
         self._slowest_ns[function] = max(slowest_ns - slowest_ns // FORGET, latency_ns)
+        usual_ns = self._usual_ns.get(function, latency_ns)
+        self._usual_ns[function] = (7 * usual_ns + min(latency_ns, 2 * usual_ns)) // 8
         fastest_ns = self._fastest_ns.get(function, latency_ns)
         self._fastest_ns[function] = min(fastest_ns, latency_ns)
 

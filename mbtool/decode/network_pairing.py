@@ -39,7 +39,7 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.dropped_requests import DroppedRequests
-from mbtool.decode.master_habits import MasterHabits
+from mbtool.decode.master_habits import MIN_LATE_NS, MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
     LATE,
@@ -50,6 +50,7 @@ from mbtool.decode.pairing_readings import (
     PairReading,
     PairStep,
     lost_runs,
+    may_be_among,
     options,
     without_costly,
 )
@@ -165,6 +166,7 @@ class NetworkPairing:
         is_pipelined = others_wait = False
         if len(self._readings) > 1 or self._readings[0].waiting:
             self._give_up(request.start_ns, self._habits.late_ns)
+            self._give_up_repeated(request)
             is_pipelined = all(reading.someone_waits for reading in self._readings)
             waiting = self._readings[0].waiting
             others_wait = is_pipelined and not all(one.adu is None for one in waiting)
@@ -226,6 +228,16 @@ class NetworkPairing:
                     late.append(one)
             if late:
                 reading.give_up(late)
+
+    def _give_up_repeated(self, request: Adu) -> None:
+        """Give up a request that its master sends again, if no other one waits."""
+        for reading in self._readings:
+            awaited = [one for one in reading.waiting if reading.awaits(one)]
+            if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
+                continue
+            (one,) = awaited
+            if one.adu is not None and _key(one.adu) == _key(request):
+                reading.give_up(awaited)
 
     def _give_up_lost(self) -> None:
         """Give up lost requests: their master sends the next one, and no response has come."""
@@ -318,7 +330,7 @@ class NetworkPairing:
             return
         for reading in self._readings:
             for one in reading.waiting:
-                one.may_be_lost = True
+                one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
 
     def _settle(self, done: list[Transaction]) -> None:
         """Show what all good readings agree on."""

@@ -269,6 +269,20 @@ def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterH
     return cost + TOO_SLOW if is_slow and one.number not in reading.given_up else cost
 
 
+def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> bool:
+    """True if the response to a waiting request can be among a number of lost bytes."""
+    if len(waiting) > MAX_LOST_RESPONSES:
+        return True
+    sums = {0}
+    for other in waiting:
+        if other.adu is None:
+            return True
+        if other is not one:
+            sums |= {total + size for total in sums for size in other.response_sizes()}
+    sizes = one.response_sizes()
+    return not sizes or any(lost - size in sums for size in sizes)
+
+
 def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
     """The runs of waiting requests whose responses can have a number of lost bytes together.
 

@@ -321,10 +321,10 @@ class TcpConnection:
         # If the other direction holds bytes behind a hole, the gap for that hole is delivered
         # first.
         has_gap_to_come = other.held and other.held[0].start <= piece.acknowledged
-        return not has_gap_to_come and self._is_overdue(other)
+        return not has_gap_to_come and self._is_overdue(other, piece.acknowledged)
 
-    def _is_overdue(self, stream: Stream) -> bool:
-        return stream.is_overdue(self._arrivals, PATIENCE, self._now_ns, PATIENCE_NS)
+    def _is_overdue(self, stream: Stream, needed: int = 0) -> bool:
+        return stream.is_overdue(self._arrivals, PATIENCE, self._now_ns, PATIENCE_NS, needed)
 
     def _deliver_held(self, *, force: bool = False) -> None:
         """Deliver held bytes that are due, and give up holes that have waited too long.

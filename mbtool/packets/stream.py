@@ -195,13 +195,16 @@ class Stream:
                 _, arrival, ts_ns = known.pop()
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
-    def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int) -> bool:
+    def is_overdue(
+        self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int = 0
+    ) -> bool:
         """True if acknowledged bytes have not come within `packets` packets or `wait_ns`.
 
-        `arrival` and `ts_ns` are the number and the time of the newest packet.
+        `arrival` and `ts_ns` are the number and the time of the newest packet. The time counts from
+        when the bytes up to the position `needed` were acknowledged.
         """
         for position, since, since_ns in self._acknowledgements:
-            if position > self.position:
+            if position > self.position and position >= needed:
                 return arrival - since >= packets or ts_ns - since_ns >= wait_ns
         return False
 
