@@ -49,6 +49,7 @@ from mbtool.decode.pairing_readings import (
     PairOption,
     PairReading,
     PairStep,
+    likely_cost,
     lost_runs,
     may_be_among,
     options,
@@ -154,6 +155,8 @@ class NetworkPairing:
     def close(self) -> list[Transaction]:
         """End the connection: open requests stay without an answer."""
         done: list[Transaction] = []
+        for reading in self._readings:
+            reading.give_up([one for one in reading.waiting if reading.awaits(one)])
         self._decide(done)
         (reading,) = self._readings
         rest = sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
@@ -202,6 +205,8 @@ class NetworkPairing:
             counts=request is not None and not request.missing,
         )
         for reading in self._readings:
+            if reading.waiting and reading.someone_waits:
+                reading.behind_others |= {one.number}
             reading.waiting.append(one)
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
@@ -221,8 +226,8 @@ class NetworkPairing:
             for place, one in enumerate(reading.waiting):
                 since_ns = one.since_ns
                 if one.number > reading.newest:
-                    if place and one.is_pipelined:
-                        break  # Pipelined requests that are answered late: the first one is slow.
+                    if place and one.number in reading.behind_others:
+                        break  # Requests in a row that are answered late: the first one is slow.
                     since_ns = max(since_ns, self._habits.last_response_ns)
                 if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
                     late.append(one)
@@ -345,7 +350,7 @@ class NetworkPairing:
 
     def _decide(self, done: list[Transaction]) -> None:
         """Take the cheapest reading, although another one is about as good."""
-        best, *others = sorted(self._readings, key=lambda reading: reading.cost)
+        best, *others = sorted(self._readings, key=likely_cost)
         steps = best.steps
         for other in others:
             steps = tuple(

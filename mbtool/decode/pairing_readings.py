@@ -33,6 +33,8 @@ LATE = 1.0
 UNANSWERED = 1.2
 """A request without a response. More than LATE: of a given-up request, and the one behind it that
 is not answered in time either, the first one may still be answered late."""
+UNLIKELY = 0.25
+"""A late response at the usual time after the next request."""
 MARGIN = 0.9
 """Less than LATE, so that pipelined requests are not held back."""
 MISFIT = 2.0
@@ -87,7 +89,7 @@ class PairOption(NamedTuple):
 class PairReading:
     """One way to join requests and responses, as far as that is not decided yet."""
 
-    __slots__ = ("cost", "given_up", "newest", "passed", "steps", "waiting")
+    __slots__ = ("behind_others", "cost", "given_up", "newest", "passed", "steps", "waiting")
 
     def __init__(
         self,
@@ -97,6 +99,7 @@ class PairReading:
         cost: float = 0.0,
         newest: int = 0,
         given_up: frozenset[int] = frozenset(),
+        behind_others: frozenset[int] = frozenset(),
     ) -> None:
         self.waiting = waiting
         """Requests that may still be answered, in order."""
@@ -108,6 +111,8 @@ class PairReading:
         """The highest number of an answered request; 0 if none was answered while others waited."""
         self.given_up = given_up
         """The numbers of the requests for which the master waits no longer, or that are overdue."""
+        self.behind_others = behind_others
+        """The numbers of the requests that were sent while their master waited for others."""
 
     @property
     def someone_waits(self) -> bool:
@@ -137,7 +142,15 @@ class PairReading:
         return _has_id(one, response) and one.can_get(response, place)
 
     def copy(self) -> PairReading:
-        return PairReading([*self.waiting], [*self.passed], self.steps, self.cost, self.newest, self.given_up)
+        return PairReading(
+            [*self.waiting],
+            [*self.passed],
+            self.steps,
+            self.cost,
+            self.newest,
+            self.given_up,
+            self.behind_others,
+        )
 
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
         """Give the response to the request of an option."""
@@ -317,15 +330,20 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
     """The readings that are nearly as cheap as the cheapest one; of equal ones only one."""
     limit = min(reading.cost for reading in readings) + MARGIN
     kept: dict[tuple[int, ...], PairReading] = {}
-    for reading in sorted(readings, key=lambda reading: reading.cost):
+    for reading in sorted(readings, key=likely_cost):
         if reading.cost > limit:
-            break
+            continue
         key = tuple(one.number for one in reading.waiting)
         if key in kept:
             _mark_differences(kept[key], reading)
         elif len(kept) < MAX_READINGS:
             kept[key] = reading
     return [*kept.values()]
+
+
+def likely_cost(reading: PairReading) -> float:
+    """The cost by which one of several good readings is taken without further evidence."""
+    return reading.cost + UNLIKELY * sum(step.is_late for step in reading.steps)
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
