@@ -241,7 +241,9 @@ class NetworkPairing:
             if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
                 continue
             (one,) = awaited
-            if one.adu is not None and _key(one.adu) == _key(request):
+            if one.adu is None or one.number in reading.behind_others:
+                continue
+            if _key(one.adu) == _key(request):
                 reading.give_up(awaited)
 
     def _give_up_lost(self) -> None:
@@ -321,7 +323,7 @@ class NetworkPairing:
             (reading.cost + cost, cost, start, count, reading)
             for reading in self._readings
             # Different ids will tell which responses are lost, in whatever order they came.
-            if not reading.has_different_ids
+            if not reading.has_different_ids(self._habits)
             for cost, start, count in lost_runs(reading, lost)
         ]
         if runs:

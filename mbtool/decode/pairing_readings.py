@@ -128,11 +128,11 @@ class PairReading:
         self.given_up |= {one.number for one in late}
         self.cost += LATE * len(late)
 
-    @property
-    def has_different_ids(self) -> bool:
+    def has_different_ids(self, habits: MasterHabits) -> bool:
         """True if several requests wait, and each has its own id."""
         ids = [one.transaction_id for one in self.waiting]
-        return len(ids) > 1 and len(set(ids)) == len(ids)
+        is_known = habits.ids_vary or None not in ids
+        return is_known and len(ids) > 1 and len(set(ids)) == len(ids)
 
     def is_only_answered_by(self, response: Adu, place: AduPlace | None) -> bool:
         """True if one request waits, and the response can be its."""
@@ -179,7 +179,7 @@ class PairReading:
         if any(one.adu is None for one in lost):
             for one in self.waiting:
                 # Nobody knows how many of the lost responses are those of lost requests.
-                one.may_not_exist = one.may_not_exist or one.adu is None
+                one.may_not_exist = one.may_not_exist or not one.exists
 
     def pass_all(self, habits: MasterHabits) -> None:
         """Pass over the requests that wait, except those with an id of their own."""
@@ -270,6 +270,7 @@ def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterH
             each.adu is not None
             and each.transaction_id == response.transaction_id
             and not each.repeats_lost_id
+            and (each.number > one.number or each.number not in reading.given_up)
             and habits.has_own_id(each, reading.waiting)
             for each in (*reading.waiting, *reading.passed)
         )
@@ -304,16 +305,15 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
     cost = 0.0
     waiting = reading.waiting
     for start, first in enumerate(waiting):
-        count = _count_in(waiting[start : start + MAX_LOST_RESPONSES], lost)
-        if count:
+        for count in _counts_in(waiting[start : start + MAX_LOST_RESPONSES], lost):
             yield cost, start, count
         cost += _cost_of_passing(first, reading)
         if cost > UNASKED:
             return
 
 
-def _count_in(waiting: list[OpenRequest], lost: int) -> int:
-    """The number of first requests whose responses have `lost` bytes together; 0 if none fits."""
+def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
+    """The numbers of first requests whose responses can have `lost` bytes together."""
     sums = {0}
     any_size = 0
     for count, one in enumerate(waiting, 1):
@@ -322,8 +322,7 @@ def _count_in(waiting: list[OpenRequest], lost: int) -> int:
         else:
             sums = {total + size for total in sums for size in one.response_sizes()}
         if lost in sums or (any_size and any(total + any_size <= lost for total in sums)):
-            return count
-    return 0
+            yield count
 
 
 def without_costly(readings: list[PairReading]) -> list[PairReading]:
