@@ -176,7 +176,9 @@ class ConnectionDecoder:
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
             # A part of a request waits for the rest: lost requests before it are told first.
-            losses.append(_LostBytes(other, self._progress[other].acknowledge(received), received))
+            of_responses = other is Direction.RESPONSE
+            lost = self._progress[other].acknowledge(received, of_responses=of_responses)
+            losses.append(_LostBytes(other, lost, received))
         decoded: list[Decoded] = []
         for event in events:
             start, end = end, end + (event.size if isinstance(event, Adu) else len(event.raw))

@@ -15,6 +15,9 @@ from mbtool.packets.stream import LEAD
 if TYPE_CHECKING:
     from mbtool.core import StreamPlace
 
+_KNOWN_START = 8
+"""Bytes of a response that tell its unit and function: MBAP and function code."""
+
 OTHER = {Direction.REQUEST: Direction.RESPONSE, Direction.RESPONSE: Direction.REQUEST}
 
 
@@ -55,12 +58,12 @@ class StreamProgress:
         self.unread += size
         self.received = place.acknowledged
 
-    def acknowledge(self, received: int | None) -> int:
+    def acknowledge(self, received: int | None, *, of_responses: bool = False) -> int:
         """Note that the other end received all up to a position. Gives how many bytes are lost.
 
-        While a part of an ADU is unread, the gap behind it will tell what is lost.
+        The gap behind the known start of a response will tell what is lost.
         """
-        if received is None or self.unread:
+        if received is None or (of_responses and self.unread >= _KNOWN_START):
             return 0
         captured = self._begin(received)
         if received > captured:
