@@ -226,13 +226,16 @@ class NetworkPairing:
             for place, one in enumerate(reading.waiting):
                 since_ns = one.since_ns
                 if one.number > reading.newest:
-                    if place and one.number in reading.behind_others:
-                        break  # Requests in a row that are answered late: the first one is slow.
                     since_ns = max(since_ns, self._habits.last_response_ns)
+                    if place and one.number in reading.behind_others:
+                        if late or one.is_pipelined:
+                            break  # Of requests in a row that are answered late, one is slow.
+                        since_ns = max(since_ns, reading.gave_up_ns)
                 if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
                     late.append(one)
             if late:
                 reading.give_up(late)
+                reading.gave_up_ns = now_ns
 
     def _give_up_repeated(self, request: Adu) -> None:
         """Give up a request that its master sends again, if no other one waits."""

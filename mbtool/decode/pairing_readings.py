@@ -89,7 +89,16 @@ class PairOption(NamedTuple):
 class PairReading:
     """One way to join requests and responses, as far as that is not decided yet."""
 
-    __slots__ = ("behind_others", "cost", "given_up", "newest", "passed", "steps", "waiting")
+    __slots__ = (
+        "behind_others",
+        "cost",
+        "gave_up_ns",
+        "given_up",
+        "newest",
+        "passed",
+        "steps",
+        "waiting",
+    )
 
     def __init__(
         self,
@@ -100,6 +109,7 @@ class PairReading:
         newest: int = 0,
         given_up: frozenset[int] = frozenset(),
         behind_others: frozenset[int] = frozenset(),
+        gave_up_ns: int = 0,
     ) -> None:
         self.waiting = waiting
         """Requests that may still be answered, in order."""
@@ -111,6 +121,8 @@ class PairReading:
         """The highest number of an answered request; 0 if none was answered while others waited."""
         self.given_up = given_up
         """The numbers of the requests for which the master waits no longer, or that are overdue."""
+        self.gave_up_ns = gave_up_ns
+        """When a request was given up last."""
         self.behind_others = behind_others
         """The numbers of the requests that were sent while their master waited for others."""
 
@@ -150,6 +162,7 @@ class PairReading:
             self.newest,
             self.given_up,
             self.behind_others,
+            self.gave_up_ns,
         )
 
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
