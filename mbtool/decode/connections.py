@@ -178,22 +178,29 @@ class ConnectionDecoder:
             # A part of a request waits for the rest: lost requests before it are told first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
-            losses.append(_LostBytes(other, lost, received))
+            if lost:
+                losses.append(_LostBytes(other, lost, received))
         decoded: list[Decoded] = []
         for event in events:
             start, end = end, end + (event.size if isinstance(event, Adu) else len(event.raw))
             progress.unread -= len(event.raw)
             if isinstance(event, Adu):
-                losses.append(_LostBytes(direction, progress.read(start, end), start))
-                decoded += self._lost(losses, ts_ns)
-                losses = []
-            decoded += self._paired([event], direction, AduPlace(end, received))
-        return [*decoded, *self._lost(losses, ts_ns)]
+                lost = progress.read(start, end)
+                if lost:
+                    losses.append(_LostBytes(direction, lost, start))
+                if losses:
+                    decoded += self._lost(losses, ts_ns)
+                    losses = []
+                decoded.append(event)
+                decoded += self._pairing.feed(event, AduPlace(end, received))
+            else:
+                decoded += self._paired([event], direction)
+        if losses:
+            decoded += self._lost(losses, ts_ns)
+        return decoded
 
-    def _paired(
-        self, events: list[Adu | Skipped], direction: Direction, place: AduPlace | None = None
-    ) -> list[Decoded]:
-        return _paired(events, self._pairing, self._link, self._endpoints[direction], place)
+    def _paired(self, events: list[Adu | Skipped], direction: Direction) -> list[Decoded]:
+        return _paired(events, self._pairing, self._link, self._endpoints[direction])
 
 
 def _paired(
@@ -201,14 +208,13 @@ def _paired(
     pairing: Pairing | NetworkPairing,
     link: str,
     endpoints: tuple[str, str],
-    place: AduPlace | None = None,
 ) -> list[Decoded]:
     """Pass ADUs through the pairing; `endpoints` are the sender and receiver of skipped bytes."""
     decoded: list[Decoded] = []
     for event in events:
         if isinstance(event, Adu):
             decoded.append(event)
-            decoded += pairing.feed(event, place)
+            decoded += pairing.feed(event)
         else:
             decoded += pairing.advance(event.ts_ns)
             decoded.append(skipped_event(event, link, endpoints))

@@ -72,7 +72,7 @@ class MasterHabits:
         return FIRST_LATE_NS if slowest_ns is None else max(SILENT * slowest_ns, MIN_LATE_NS)
 
     def slow_ns(self, function: int | None) -> int:
-        """This slave hardly ever takes longer than this for a response."""
+        """Give the time in ns that the slave rarely exceeds before it responds."""
         slowest_ns = self._slowest_of(function)
         if slowest_ns is None:
             return FIRST_LATE_NS
@@ -100,11 +100,12 @@ class MasterHabits:
             self._overlaps = 0
         if transaction_id is None:
             return
-        if self._last_id is not None:
-            if transaction_id != self._last_id:  # A retry may have the same id.
-                counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
-                self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
-                self.ids_vary = True
+        if (
+            self._last_id is not None and transaction_id != self._last_id
+        ):  # A retry may have the same id.
+            counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
+            self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
+            self.ids_vary = True
         self._last_id = transaction_id
 
     def note_answered(self, number: int) -> None:

@@ -178,11 +178,15 @@ class NetworkPairing:
             self._settle(done)
         else:
             self._is_shifted = False
-        repeats = self._habits.repeats_id(request.transaction_id)
+        waiting = self._readings[0].waiting
+        repeats = (
+            bool(waiting)
+            and self._habits.repeats_id(request.transaction_id)
+            and any(one.adu is None for one in waiting)
+        )
         self._habits.note_request(request.transaction_id, others_wait=others_wait)
         self._open(request, place, request.end_ns, done, is_pipelined=is_pipelined)
-        if repeats and any(one.adu is None for one in self._readings[0].waiting):
-            self._readings[0].waiting[-1].repeats_lost_id = True
+        self._readings[0].waiting[-1].repeats_lost_id = repeats
 
     def _open(
         self,
@@ -213,7 +217,9 @@ class NetworkPairing:
         """Close the oldest waiting request, at the limit of waiting requests."""
         self._decide(done)
         oldest = self._readings[0].waiting.pop(0)
-        if oldest.adu is None or (self._habits.is_sequential and oldest.number in self._readings[0].given_up):
+        if oldest.adu is None or (
+            self._habits.is_sequential and oldest.number in self._readings[0].given_up
+        ):
             self._close(oldest, done)
             return
         self._dropped.note(oldest.adu, now_ns)

@@ -138,7 +138,7 @@ class PairReading:
     def give_up(self, late: list[OpenRequest]) -> None:
         """Note that the master waits no longer for some requests."""
         self.given_up |= {one.number for one in late}
-        self.cost += LATE * len(late)
+        self.cost += LATE * sum(not one.may_be_lost for one in late)
 
     def has_different_ids(self, habits: MasterHabits) -> bool:
         """True if several requests wait, and each has its own id."""
@@ -243,7 +243,9 @@ def options(
 
 def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
     """The numbers of the requests that were given up too long ago for a response."""
-    late = [one for one in reading.waiting if one.number in reading.given_up and one.adu is not None]
+    late = [
+        one for one in reading.waiting if one.number in reading.given_up and one.adu is not None
+    ]
     if len(late) > MAX_LATE:
         late = [one for one in late if _has_id(one, response) and one.can_get(response, place)]
     return {one.number for one in late[:-MAX_LATE]}

@@ -53,7 +53,8 @@ class StreamProgress:
 
     def take(self, place: StreamPlace, size: int) -> None:
         """Note a segment."""
-        self._begin(place.position)
+        if self._captured is None:
+            self._begin(place.position)
         self._captured = place.position + size
         self.unread += size
         self.received = place.acknowledged
@@ -65,7 +66,7 @@ class StreamProgress:
         """
         if received is None or (of_responses and self.unread >= _KNOWN_START):
             return 0
-        captured = self._begin(received)
+        captured = self._begin(received) if self._captured is None else self._captured
         if received > captured:
             self._captured = received
         elif not self._missing:
@@ -98,9 +99,8 @@ class StreamProgress:
         return missing
 
     def _begin(self, position: int) -> int:
-        if self._captured is None:
-            # Positions count from 0 if the capture has the beginning of the connection.
-            self._captured = self._known = 0 if position < LEAD // 2 else position
+        # Positions count from 0 if the capture has the beginning of the connection.
+        self._captured = self._known = 0 if position < LEAD // 2 else position
         return self._captured
 
     def _tell(self, position: int, known: int) -> int:
