@@ -178,6 +178,7 @@ class ConnectionDecoder:
             # A part of a request waits for the rest: lost requests before it are told first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
+            self._pairing.response_is_cut = of_responses and self._progress[other].has_part
             if lost:
                 losses.append(_LostBytes(other, lost, received))
         decoded: list[Decoded] = []

@@ -42,7 +42,6 @@ from mbtool.decode.dropped_requests import DroppedRequests
 from mbtool.decode.master_habits import MIN_LATE_NS, MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
-    LATE,
     MARGIN,
     MAX_PASSED,
     UNASKED,
@@ -96,8 +95,13 @@ class NetworkPairing:
         self._unanswered: dict[tuple[int, bytes], int] = {}
         """By unit and PDU, how many requests in a row had no answer."""
         self._dropped = DroppedRequests()
+        self.response_is_cut = False
+        """True while the capture has only the start of a response that is not yet read."""
         self._is_shifted = False
-        """True after a choice between readings about equally good, until no request waits."""
+        """True after a choice between readings about equally good, until a silence, or until a
+        response fits its request and does not fit the one before."""
+        self._last_two: tuple[OpenRequest | None, OpenRequest | None] = (None, None)
+        """The last two requests."""
 
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time."""
@@ -176,8 +180,9 @@ class NetworkPairing:
             if not others_wait:
                 self._give_up_lost()
             self._settle(done)
-        else:
-            self._is_shifted = False
+        elif self._is_shifted:
+            since_ns = request.start_ns - self._habits.last_response_ns
+            self._is_shifted = since_ns <= self._habits.silence_ns(request.pdu[0])
         waiting = self._readings[0].waiting
         repeats = (
             bool(waiting)
@@ -186,7 +191,9 @@ class NetworkPairing:
         )
         self._habits.note_request(request.transaction_id, others_wait=others_wait)
         self._open(request, place, request.end_ns, done, is_pipelined=is_pipelined)
-        self._readings[0].waiting[-1].repeats_lost_id = repeats
+        one = self._readings[0].waiting[-1]
+        one.repeats_lost_id = repeats
+        self._last_two = (self._last_two[1], one)
 
     def _open(
         self,
@@ -277,6 +284,10 @@ class NetworkPairing:
             # Most responses; without this, pairing takes 13 instead of 8 us for each ADU.
             step = PairStep(response.end_ns, response, (first.waiting.pop(),), since_ns)
             self._habits.last_response_ns = response.end_ns
+            if self._is_shifted:
+                before, latest = self._last_two
+                is_other = before is None or not before.fits(response)
+                self._is_shifted = not (is_other and latest is not None and latest.fits(response))
             done.append(self._with_response(response, step))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
@@ -429,7 +440,7 @@ class NetworkPairing:
         """Close a request without a response."""
         if one.adu is None:
             return
-        if one.may_be_lost or one.adu.missing:
+        if one.may_be_lost or one.adu.missing or self.response_is_cut:
             done.append(response_not_captured(self._ends, one.adu))
             return
         retries = 0

@@ -39,12 +39,16 @@ class StreamProgress:
         self.received: int | None = None
         """The position in the other direction that the last segment acknowledged; None if
         unknown."""
+        self.has_part = False
+        """True while the end of a response is lost whose start was captured."""
         self._missing = 0
         """Bytes of the gaps behind the last ADU, as they were reported."""
         self._captured: int | None = None
         """The position behind the last byte captured; None before the first one."""
         self._known = 0
         """The position behind the last ADU, or behind lost bytes that were told."""
+        self._acknowledged = 0
+        """The highest position that was acknowledged behind the known start of a response."""
 
     @property
     def first_unread(self) -> int | None:
@@ -64,7 +68,11 @@ class StreamProgress:
 
         The gap behind the known start of a response will tell what is lost.
         """
-        if received is None or (of_responses and self.unread >= _KNOWN_START):
+        if received is None:
+            return 0
+        if of_responses and self.unread >= _KNOWN_START:
+            self._acknowledged = max(received, self._acknowledged)
+            self.has_part = received > (self._captured or 0)
             return 0
         captured = self._begin(received) if self._captured is None else self._captured
         if received > captured:
@@ -78,6 +86,7 @@ class StreamProgress:
         lost = self._tell(start, end) if self._missing else 0
         self._known = max(end, self._known)
         self._missing = 0
+        self.has_part = False
         return lost
 
     def skip(self, missing: int, known: int) -> None:
@@ -89,9 +98,10 @@ class StreamProgress:
 
     def end(self) -> int:
         """End the stream. Gives how many bytes are lost at its end."""
-        if not self._missing or self._captured is None:
+        if self._captured is None:
             return 0
-        return self._tell(self._captured, self._captured)
+        end = max(self._captured, self._acknowledged)
+        return self._tell(end, end) if self._missing or end > self._captured else 0
 
     def without_places(self) -> int:
         """Gives how many bytes gaps have reported, for a source that tells no positions."""

@@ -129,6 +129,57 @@ def test_a_response_with_another_id_is_unsolicited_if_several_requests_are_open(
     assert outcomes(done) == [Outcome.UNSOLICITED, Outcome.NO_ANSWER, Outcome.NO_ANSWER]
 
 
+def polled(pairing: NetworkPairing, count: int = 10) -> None:
+    """Let a master with one id poll a slave that responds after 5 ms."""
+    for at in range(count):
+        joined_so_far = [*pairing.feed(asked(READ, 100 * at, 3))]
+        joined_so_far += pairing.feed(told(ANSWER, 100 * at + 5, 3))
+        assert [one.outcome for one in joined_so_far] == [Outcome.OK]
+
+
+def pairs_of(done: list[Transaction]) -> dict[int, tuple[int, bool]]:
+    """For each request by its time in ms: that of its response, and True if the pair is sure."""
+    return {
+        one.request_ns // MS: (one.response_ns // MS, Verdict.AMBIGUOUS not in one.verdicts)
+        for one in done
+        if one.request_ns is not None and one.response_ns is not None
+    }
+
+
+def test_two_late_responses_one_after_the_other_go_to_their_own_requests() -> None:
+    pairing = network()
+    polled(pairing)
+    late = [asked(READ, 1000, 3), asked(READ, 2000, 3), told(ANSWER, 2008, 3)]
+    late += [asked("04 006B 0001", 2010, 3), asked("04 006B 0001", 3010, 3)]
+    late += [told(ANSWER, 3030, 3), told("04 02 022B", 3035, 3), told("04 02 022B", 3040, 3)]
+    pairs = pairs_of(joined(pairing, *late))
+    assert pairs[1001] == (2009, True)
+    assert pairs[2001] == (3031, True)
+
+
+def test_the_pairs_after_a_choice_without_evidence_are_ambiguous() -> None:
+    pairing = network()
+    polled(pairing)
+    done = [one for at in (1000, 1200) for one in pairing.feed(asked(READ, at, 3))]
+    for at in range(1205, 1205 + 50 * 10, 10):
+        done += pairing.feed(told(ANSWER, at, 3))
+        done += pairing.feed(asked(READ, at + 2, 3))
+    pairs = pairs_of(done)
+    assert len(pairs) > 40
+    assert not any(is_sure for _, is_sure in pairs.values())
+
+
+def test_a_retry_is_answered_although_other_functions_take_longer_than_the_timeout() -> None:
+    pairing = network()
+    polled(pairing)
+    slow = [asked("04 006B 0001", 1000, 3), told("04 02 022B", 1150, 3)]
+    silent = [asked(WRITE, 1200, 3), asked(WRITE, 1400, 3), told(WRITE, 1405, 3)]
+    after = [asked(READ, 1500, 3), told(ANSWER, 1505, 3)]
+    done = joined(pairing, *slow, *silent, *after)
+    assert pairs_of(done)[1401] == (1406, True)
+    assert [one.request_ns for one in done if one.outcome is Outcome.NO_ANSWER] == [1201 * MS]
+
+
 def test_a_response_without_a_request_is_unsolicited() -> None:
     (done,) = joined(network(), told("06 0001 0003", 5, 9))
     assert (done.outcome, done.request_ns, done.request_raw) == (Outcome.UNSOLICITED, None, None)
