@@ -46,7 +46,7 @@ from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
-"""How many connections may hold bytes back at once, to wait for earlier ones."""
+"""How many connections may hold bytes at once until the bytes before those have come."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096

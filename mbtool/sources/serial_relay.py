@@ -162,7 +162,10 @@ class _SerialDirection:
         self.unsent = self.unsent[self.onward.write(self.unsent) :]
 
     def finish(self, records: RecordWriter) -> None:
-        """Send pending bytes, then read the port a last time and send that: LAST_S for each."""
+        """Send pending bytes, then read the port a last time and send what it gave.
+
+        Each of the two sends may take at most LAST_S.
+        """
         self._send_rest()
         if not self.unsent:
             self.take(records)

@@ -45,11 +45,12 @@ SAMPLE = 100
 MAX_LINES = 4
 """The most lines on a terminal of a row's text; with --full there is no limit."""
 _MIN_TEXT = 24
-"""The least characters of a line of text; on a narrower terminal lines are too long."""
+"""The least width of a line of text, in characters; a narrower terminal breaks the line."""
 _INDENT = 12
-"""By how many characters a line is indented that continues the text of a row."""
+"""The indent, in characters, of a line that continues the text of a row."""
 MANY_CHANGES, FEW_ROWS = 3, 16
-"""A place that changed MANY_CHANGES times within FEW_ROWS rows is shown in each row."""
+"""A link, master or unit that changes MANY_CHANGES times within FEW_ROWS rows gets a column, and
+leaves the heading."""
 
 
 _WIDTHS = {
@@ -105,14 +106,14 @@ class TransactionTable:
         self._is_chosen = bool(self._columns)
         self._heading = ""
         self._link = self._place = ""
-        """The link of the last row, and what the heading says of its places."""
+        """The link of the last row; the text about link, master and unit in its heading."""
         self._titled: tuple[TableColumn, ...] = ()
         """The columns that the last line of titles names."""
 
     def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
         """Add a transaction, `number` of the capture, or a wire event.
 
-        With a profile, findings have its figures.
+        With a profile, the texts of findings contain the profile's figures.
         """
         row = _TableRow(
             None if isinstance(record, WireEvent) else number, record, profile, _places(record)
@@ -247,10 +248,10 @@ class _Places:
         self._last = ["", "", ""]
         self._count = 0
         self._changes: list[deque[int]] = [deque(maxlen=MANY_CHANGES) for _ in _PLACES]
-        """For each place, at which rows it changed."""
+        """For link, master and unit: the numbers of the last rows in which it changed."""
 
     def note(self, places: tuple[str, str, str]) -> None:
-        """Take the places of the next row."""
+        """Take the link, master and unit of the next row."""
         self._count += 1
         for index, text in enumerate(places):
             if not text or text == self._last[index]:
@@ -265,7 +266,7 @@ class _Places:
                 )
 
     def heading(self, record: NamedTransaction) -> str:
-        """What the heading says of a row's places: those that do not stand in each row."""
+        """The heading's text: link, master and unit, except those with a column of their own."""
         link, master, unit = self._last
         parts = []
         if TableColumn.LINK not in self.in_row:

@@ -50,11 +50,11 @@ class _Master:
     first_ns: int
     last_ns: int
     predecessor: str | None
-    """A host that had asked the slave for the limit's time when this one came, and still asked.
+    """A host that was already a master of the slave when this one came.
 
-    None if there was none."""
+    It had sent requests for at least the limit's time, and still did. None if there was none."""
     window: SlidingWindow
-    """Its writes as a second master."""
+    """Counts this host's writes as the second master of the slave (SEC-101)."""
     uncounted_ns: deque[int]
     """The times of its last writes that are not in `window`."""
     last_write: NamedTransaction | None = None
@@ -73,7 +73,7 @@ class MasterRules:
         """The hosts that were heard at the beginning of the capture."""
         late = SecurityLimit(limits.identification.number, _EVER_NS)
         self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
-        """Those of each host that was not heard at the beginning."""
+        """Counts, for each host not heard at the beginning, its reads of an identification."""
 
     def heard(self, host: str, at_ns: int) -> None:
         """Take into account that a host spoke or opened a connection."""

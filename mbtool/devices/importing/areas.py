@@ -60,9 +60,10 @@ def _goes_on(last: RowPoint, one: RowPoint) -> bool:
 
 
 def _area(run: Sequence[RowPoint], taken: Collection[str]) -> Area:
-    """Make the area of rows that follow one another.
+    """Make one area of neighbouring rows, named after its table and the list's numbers.
 
-    If its name is in `taken`, because numbers of the list repeat, the address is added to the name.
+    If the list uses the same numbers twice, `taken` has the name already. Then the address is added
+    to the name.
     """
     rights = {one.area.access for one in run}
     access = rights.pop() if len(rights) == 1 else Access.READ_WRITE

@@ -34,8 +34,8 @@ _ADDRESS_WANTED = "is no address, as 40001, 4x0001, 12, 0x0102, 0102H and HR12 a
 
 
 def tell_columns(sheet: Sheet, report: ImportReport) -> None:
-    """Add remarks to the report: what each column that the user did not name is taken for, and
-    which columns are not used.
+    """Report the row taken for the headings, the meaning guessed for each column that the user did
+    not name, and the columns that are not used.
     """
     if any(cell.strip() for row in sheet.rows[: sheet.heading_row] for cell in row):
         row = sheet.heading_row + 1

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 MAX_PENDING = 16
 """How many responses, or pieces of them, may wait to be sent."""
 _NEVER = 32.0
-"""The extra cost, in bits, of reading a frame as what it cannot be here: more than any other."""
+"""The extra cost, in bits, of a direction that this model excludes: more than any other cost."""
 
 
 class SerialSlave(Shell):
@@ -133,9 +133,10 @@ class SerialSlave(Shell):
 
 
 class _NobodysTurn(BusModel):
-    """Reads each frame that can be a request as a request, and only others as responses.
+    """Reads each frame that can be a request as a request, whatever frames came before it.
 
-    This holds for a slave, as no other slave answers for its units.
+    A frame for a unit played here is always a request: no other slave responds for that unit. A
+    frame for another unit gets no response in either direction.
     """
 
     def classify(

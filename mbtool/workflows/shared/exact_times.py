@@ -2,8 +2,9 @@
 
 # A file of byte times comes from a logic analyser, whose times are exact, or from a program that
 # noted when it read each byte. On a wire a byte ends no sooner than one character time after the
-# byte before it. A program reads several bytes at once now and then, so that they are nearer. So
-# the times of a line are exact if nearly no byte is nearer than MIN_CHARACTERS.
+# byte before it. A program now and then reads several bytes at once, and so gives them nearly the
+# same time. So the times of a line are exact if at most MAX_NEAR_SHARE of its bytes come less than
+# MIN_CHARACTERS after the byte before.
 #
 # Holds three numbers for each line.
 
@@ -21,7 +22,7 @@ MIN_CHARACTERS = 0.9
 """The least time from the end of one byte to the end of the next, in character times: senders and
 analysers are a few percent fast or slow."""
 MAX_NEAR_SHARE = 0.01
-"""The largest share of bytes, 0 to 1, that may be nearer: a disturbance may look like a byte."""
+"""The largest share of bytes, 0 to 1, that may come sooner: a disturbance may look like a byte."""
 
 
 @dataclass(slots=True)
@@ -37,7 +38,7 @@ class ExactTimes:
         self._lines: dict[str, _LineBytes] = {}
 
     def noted(self, pieces: Iterator[Chunk], line: SerialFormat) -> Iterator[Chunk]:
-        """Give the bytes of a line, each of which is a piece, and note how near they are."""
+        """Pass on the bytes of a line, one in each piece, and count those that come too soon."""
         least_ns = MIN_CHARACTERS * line.character_ns
         last_ns = -(1 << 63)
         for piece in pieces:
@@ -48,6 +49,6 @@ class ExactTimes:
             yield piece
 
     def is_exact(self, link: str) -> bool:
-        """True if the times of a line are exact, as far as it was heard."""
+        """True if the times of the bytes heard so far on a line are exact; False if it has none."""
         noted = self._lines.get(link)
         return noted is not None and noted.near <= MAX_NEAR_SHARE * noted.heard

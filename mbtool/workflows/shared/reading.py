@@ -343,7 +343,7 @@ class Reading:
     def _decoded(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
-        """Decode a file; if it is the next part, with the decoder of the file before it."""
+        """Decode a file. If it continues the capture of the file before, use that decoder."""
         if not part.follows(self._part):
             yield from self._end_capture()
         self._part = part

@@ -7,8 +7,8 @@
 # (settings_fit.py).
 #
 # A line is unreadable if at least MIN_BYTES of its bytes are in no frame, and less than
-# MAX_READ_SHARE of all are. It is told while it is heard, once SOON_BYTES bytes or SOON_NS have
-# gone by, or at the end.
+# MAX_READ_SHARE of all are. The user is told while the line is heard, after SOON_BYTES unreadable
+# bytes or SOON_NS after the first of them; otherwise at the end.
 #
 # Holds, for each serial line, some numbers and at most SAMPLE_BYTES bytes and one event more.
 
@@ -42,7 +42,7 @@ _RTU_DATA_BITS = 8
 _UNREAD = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 LineOf = Callable[[str], SerialLink | None]
-"""Returns the serial line of a link's name; None if it is none, or is not known."""
+"""Returns the serial line with the given link name; None if the link is unknown or not serial."""
 
 
 @dataclass(slots=True)
@@ -77,9 +77,9 @@ class UnreadableLines:
         self._lines: dict[str, _HeardLine] = {}
 
     def note(self, record: Record) -> str | None:
-        """Take the next record; return a line for the user if its line is unreadable so far.
+        """Take the next record; return a message if its serial line is unreadable so far.
 
-        That is told once for each line.
+        There is one message for each serial line.
         """
         if not isinstance(record, WireEvent):
             if record.transport.is_serial:
@@ -96,7 +96,7 @@ class UnreadableLines:
         return self._tell(record.link, heard)
 
     def untold(self) -> Iterator[str]:
-        """A line for the user for each unreadable line that has not been told; at the end."""
+        """At the end: a message for each unreadable serial line that `note` has not reported."""
         for link, heard in self._lines.items():
             if heard.is_unreadable and not heard.is_told:
                 yield self._tell(link, heard)
