@@ -58,14 +58,42 @@ class Connection:
         return self.slave.host if self.slave.port == 502 else str(self.slave)
 
 
+class LinkAddresses(NamedTuple):
+    """What the header of the link layer says of a packet."""
+
+    source_mac: str | None
+    """The sender's MAC address, as `00:0a:e4:01:02:03`; None on the loopback interface."""
+    destination_mac: str | None
+    """The receiver's MAC address; None also if the capture does not keep it."""
+    vlan: int | None
+    """The VLAN id, of several tags that of the innermost; None without a tag, or for id 0."""
+
+
+class Origin(NamedTuple):
+    """Where bytes come from: a packet, or a place in a file of serial bytes."""
+
+    file: str
+    """The capture file, as the user named it; empty if the bytes were heard live."""
+    packet: int
+    """The number of the packet in its file, counted from 1; 0 if it has none."""
+    addresses: LinkAddresses | None = None
+    """The addresses of the packet on the link layer, if it has any."""
+    offset: int | None = None
+    """The number of bytes of the line before these in a file of serial bytes; None for packets."""
+
+
 class StreamPlace(NamedTuple):
-    """The position of a TCP segment's bytes in their connection, in bytes."""
+    """The position of the bytes of a TCP segment in their connection, or of a serial line's bytes
+    in their file. It counts bytes.
+    """
 
     position: int
     """The position of the first byte in its direction."""
     acknowledged: int | None
     """The position in the other direction up to which the sender had received all bytes when it
     sent the segment; None if unknown."""
+    origin: Origin | None = None
+    """The packet or the file that the bytes come from; None if unknown."""
 
     def after(self, count: int) -> StreamPlace:
         """The place of the bytes after the first `count` bytes."""
@@ -88,7 +116,8 @@ class Chunk:
     connection: Connection | None = None
     """The TCP connection that carried the bytes; None on a serial line."""
     place: StreamPlace | None = field(default=None, compare=False)
-    """Its place in the TCP connection; None if unknown, as with a tap or a serial line."""
+    """Its place in the TCP connection, or in the file of a serial line; None if unknown, as with
+    bytes that were heard live on a serial line or by a tap."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +133,10 @@ class Packet:
     data: bytes
     original_length: int
     """Bytes that the packet had on the wire; more than len(data) if the capture cut it."""
+    file: str = field(default="", compare=False)
+    """The capture file, as the user named it; empty for a packet that is heard live."""
+    number: int = field(default=0, compare=False)
+    """Its number in the file, counted from 1 over all interfaces; 0 for one heard live."""
 
 
 @dataclass(frozen=True, slots=True)

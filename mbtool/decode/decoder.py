@@ -176,7 +176,7 @@ class Decoder:
             bus = self._bus(chunk)
             if isinstance(bus, TapPair):
                 return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
-            return self._to_records(bus.feed(chunk.data, chunk.ts_ns))
+            return self._to_records(bus.feed(chunk.data, chunk.ts_ns, chunk.place))
         # Without a StreamOpened before it, the connection may go on from a log's previous file.
         detector = self._detector(chunk.connection, joined=True)
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)

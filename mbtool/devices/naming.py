@@ -137,18 +137,14 @@ class _Vocabulary:
             function_name = meaning.function_name
         if transaction.exception is not None and self.profile is not None:
             exception_name = self.profile.exception_name(transaction.exception)
-        named = transaction
-        if not isinstance(named, NamedTransaction):
-            named = NamedTransaction(**msgspec.structs.asdict(transaction))
-        return msgspec.structs.replace(
-            named,
-            function_name=function_name,
-            exception_name=exception_name,
-            device=self._device,
-            reference=meaning.reference,
-            points=points,
-            findings=self._findings(meaning, transaction, points),
-        )
+        fields = msgspec.structs.asdict(transaction)
+        fields["function_name"] = function_name
+        fields["exception_name"] = exception_name
+        fields["device"] = self._device
+        fields["reference"] = meaning.reference
+        fields["points"] = points
+        fields["findings"] = self._findings(meaning, transaction, points)
+        return NamedTransaction(**fields)
 
     def _findings(
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]

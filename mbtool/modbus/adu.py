@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import msgspec
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, Origin
 
 MAX_PDU = 253
 MAX_RTU_ADU = 256
@@ -131,6 +131,9 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     longest_silence_ns: int | None = None
     """On an RTU line, the longest silence inside the frame, in ns; None if unknown."""
     verdicts: tuple[Verdict, ...] = ()
+    origin: Origin | None = None
+    """The packet that brought the ADU's last byte, or the place of its first byte in a file of
+    serial bytes; None if unknown."""
 
     @property
     def size(self) -> int:

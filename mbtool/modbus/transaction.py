@@ -73,6 +73,26 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     verdicts: list[Verdict] = []
     direction_by: DirectionBy
     confidence: float
+    file: str | None = None
+    """The capture file of the request, or of the response if there is no request, as the user named
+    it; None if it was heard live."""
+    response_file: str | None = None
+    """The capture file of the response, if it is another one than `file`."""
+    request_packet: int | None = None
+    """The number of the packet in the file that brought the last byte of the request. Packets are
+    counted from 1, as Wireshark does."""
+    response_packet: int | None = None
+    """The same of the response."""
+    request_offset: int | None = None
+    """In a file of the bytes of a serial line, the number of bytes before the request."""
+    response_offset: int | None = None
+    """The same of the response."""
+    source_mac: str | None = None
+    """The MAC address that the master's packets have, as `00:0a:e4:01:02:03`."""
+    destination_mac: str | None = None
+    """The MAC address that the slave's packets have."""
+    vlan: int | None = None
+    """The VLAN of the packets: the id of the innermost tag."""
 
     @property
     def written_quantity(self) -> int:

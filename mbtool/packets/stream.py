@@ -22,7 +22,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from mbtool.core import Direction, Endpoint
+    from mbtool.core import Direction, Endpoint, Origin
 
 MAX_HELD_BYTES = 64 * 1024
 MAX_HELD_PIECES = 64
@@ -54,6 +54,8 @@ class HeldBytes(NamedTuple):
     """The number of the packet that brought these bytes, counted in the connection."""
     receipt: int | None = None
     """The position in the other direction that the segment acknowledges; None if unknown."""
+    origin: Origin | None = None
+    """The packet that brought these bytes."""
 
     def part(self, start: int, end: int) -> HeldBytes:
         data = self.data[start - self.start : end - self.start]

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
-from mbtool.core import Chunk, CutError, InputError, Stamp
+from mbtool.core import Chunk, CutError, InputError, Origin, Stamp, StreamPlace
 
 if TYPE_CHECKING:
     import io
@@ -46,12 +46,12 @@ class SerialBytes(NamedTuple):
 
 def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
     """Read a file that holds the bytes and nothing else."""
-    return SerialBytes(line, _back_to_back(_blocks(stream), link, line))
+    return SerialBytes(line, _back_to_back(_blocks(stream), name, link, line))
 
 
 def read_hex(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
     """Read a text that has the bytes in hexadecimal."""
-    return SerialBytes(line, _back_to_back(_from_hex(stream, name), link, line))
+    return SerialBytes(line, _back_to_back(_from_hex(stream, name), name, link, line))
 
 
 def _blocks(stream: BinaryIO) -> Iterator[bytes]:
@@ -61,12 +61,17 @@ def _blocks(stream: BinaryIO) -> Iterator[bytes]:
         yield data
 
 
-def _back_to_back(parts: Iterable[bytes], link: str, line: LineSettings) -> Iterator[Chunk]:
+def _back_to_back(
+    parts: Iterable[bytes], name: str, link: str, line: LineSettings
+) -> Iterator[Chunk]:
     character_ns = line.format.character_ns
+    origin = Origin(name, 0)
     count = 0
     for data in parts:
+        place = StreamPlace(count, None, origin)
         count += len(data)
-        yield Chunk(ts_ns=count * character_ns, link=link, data=data, stamp=Stamp.UNKNOWN)
+        ts_ns = count * character_ns
+        yield Chunk(ts_ns=ts_ns, link=link, data=data, stamp=Stamp.UNKNOWN, place=place)
 
 
 def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:

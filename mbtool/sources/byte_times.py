@@ -26,7 +26,15 @@ from itertools import chain, islice, pairwise
 from statistics import median_low
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from mbtool.core import Chunk, CutError, InputError, LineSettings, SerialFormat
+from mbtool.core import (
+    Chunk,
+    CutError,
+    InputError,
+    LineSettings,
+    Origin,
+    SerialFormat,
+    StreamPlace,
+)
 from mbtool.sources.byte_files import SerialBytes
 
 if TYPE_CHECKING:
@@ -72,7 +80,7 @@ def read_byte_times(
     except InputError as error:
         problem = error  # It is raised once the rows before it are given.
     line = line or LineSettings(_format(first))
-    return SerialBytes(line, _chunks(chain(first, rows), link, line, problem))
+    return SerialBytes(line, _chunks(chain(first, rows), name, link, line, problem))
 
 
 def is_byte_times(head: bytes) -> bool:
@@ -82,12 +90,14 @@ def is_byte_times(head: bytes) -> bool:
 
 
 def _chunks(
-    rows: Iterator[_Row], link: str, line: LineSettings, problem: InputError | None
+    rows: Iterator[_Row], name: str, link: str, line: LineSettings, problem: InputError | None
 ) -> Iterator[Chunk]:
     character_ns = line.format.character_ns
-    for row in rows:
+    origin = Origin(name, 0)
+    for offset, row in enumerate(rows):
         ts_ns = max(row.end_ns, row.start_ns + character_ns)
-        yield Chunk(ts_ns=ts_ns, link=link, data=bytes((row.byte,)))
+        place = StreamPlace(offset, None, origin)
+        yield Chunk(ts_ns=ts_ns, link=link, data=bytes((row.byte,)), place=place)
     if problem is not None:
         raise problem
 
