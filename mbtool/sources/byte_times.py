@@ -3,20 +3,22 @@
 #     t_start_s,t_end_s,line,byte_hex
 #     0.0311790,0.0315970,tx,01
 #
-# The header names the columns, in any order. Other columns are not used, also not `line`: all rows
-# are of one bus, in the order of time. Times are seconds, since the start of the recording or since
-# 1970; a recording that starts at 0 is shown as starting in 1970. An analyser that counts from its
-# trigger gives negative times to the bytes before it: then the time of the first row is shown as 0.
+# The header names the columns, in any order. Only the times and the byte are used, not `line` or
+# any other column: all rows are of one bus, in the order of time. Times are seconds, since the
+# start of the recording or since 1970; a recording that starts at 0 is shown as starting in 1970.
+# An analyser that counts from its trigger gives negative times to the bytes before the trigger:
+# then the time of the first row is shown as 0.
 #
 # The time of a byte is the arrival of its last bit. sigrok's decoder gives the end of the data bits
 # as t_end_s. If t_end_s is less than one character time after t_start_s, the time is t_start_s plus
 # one character time.
 #
-# The first bytes show the line's settings: their length gives the baud rate, and their shortest
-# distance the number of bits of a character. 10 bits are read as 8N1 and 11 as 8E1; all formats
-# with 11 bits have the same times. If no usual baud rate fits, the settings are the default.
+# The line's settings are found from the first rows: the duration of a byte gives the baud rate, and
+# the shortest time between the starts of two bytes gives the number of bits of a character. 10 bits
+# are taken as 8N1 and 11 as 8E1; all formats with 11 bits have the same times. If no usual baud
+# rate fits, the default settings are used.
 #
-# Holds LOOKED_AT rows, and MAX_ROW bytes of a row.
+# Memory: LOOKED_AT rows, each of at most MAX_ROW bytes.
 
 from __future__ import annotations
 
@@ -42,9 +44,9 @@ if TYPE_CHECKING:
 
 START, END, BYTE = "t_start_s", "t_end_s", "byte_hex"
 LOOKED_AT = 1000
-"""How many of the first rows the line's settings are found from."""
+"""The line's settings are found from this number of first rows."""
 MAX_ROW = 4096
-"""How many bytes a row may have."""
+"""The most bytes that a row may have."""
 
 _BYTE = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}", re.ASCII)
 _MAX_NS = 2**63 - 1
@@ -53,9 +55,9 @@ _BAUDS = (
     250000, 460800, 500000, 921600, 1000000,
 )  # fmt: skip
 _TOLERANCE = 0.02
-"""By what share of a usual baud rate a measured rate may differ from it."""
+"""A measured baud rate counts as a usual one if it differs from it by at most 2 %."""
 _LENGTHS = (8, 11, 10)
-"""How many bits may lie between a row's start and end: the data bits, or the whole character."""
+"""The possible numbers of bits between start and end of a row: 8 data bits, or a character."""
 _SHOWN = 40
 
 
@@ -70,7 +72,8 @@ def read_byte_times(
 ) -> SerialBytes:
     """Read the header and the first rows, which give the line's settings if `line` is None.
 
-    A wrong header or row raises InputError only when the pieces before it have been taken.
+    A wrong header or row raises InputError, but only after the iterator has returned the bytes
+    before it.
     """
     rows = _rows(stream, name)
     first: list[_Row] = []
@@ -78,7 +81,7 @@ def read_byte_times(
     try:
         first.extend(islice(rows, LOOKED_AT))
     except InputError as error:
-        problem = error  # It is raised once the rows before it are given.
+        problem = error  # Raised later, after the rows before it are returned.
     line = line or LineSettings(_format(first))
     return SerialBytes(line, _chunks(chain(first, rows), name, link, line, problem))
 
@@ -116,8 +119,8 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return SerialFormat()
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step >= width_ns), default=0)
-    # A character of 10 bits is told from one of 11 by the middle between them: no clock is off by
-    # half a bit in one character.
+    # The limit between 10 and 11 bits is 10.5 bits: no clock is off by half a bit in one
+    # character.
     is_short = bits == 10 or 0 < shortest_ns * baud < 10.5e9
     return SerialFormat(baud, 8, "N" if is_short else "E", 1)
 
@@ -163,7 +166,7 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
     """Read a row; return its cells, and true if it ends with a line feed.
 
-    At the end of the file there are no cells. Raises InputError if the row is too long.
+    Returns no cells at the end of the file. Raises InputError if the row is too long.
     """
     line = stream.readline(MAX_ROW)
     if not line:
