@@ -30,8 +30,7 @@ _COUNTER_MASK = 0xFFFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class ErrorCounts:
-    """A driver's error counters of 32 bits. Only their growth means something, as they start at any
-    value and wrap around."""
+    """A driver's error counters, 32 bits each. They start at any value and wrap around."""
 
     frame: int = 0
     overrun: int = 0

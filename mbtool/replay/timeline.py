@@ -38,8 +38,7 @@ class Timeline:
                 known.append(value)
 
     def at(self, address: int, at_ns: int) -> tuple[int, int] | None:
-        """The value of an address at a time, and when it changed to this value; None if never seen.
-        """
+        """The value of an address at a time, and when it changed to it; None if never seen."""
         history = self._history.get(address)
         if history is None:
             return None
