@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-MAX_PLACES = 20
+MAX_PLACES = 5
 """How many places a summary shows for each code; a scan of all addresses breaks a rule at more."""
 _INDENT = "    "
 _NARROWEST = 20

@@ -75,7 +75,7 @@ def test_an_attack_has_an_entry_for_each_host_that_makes_it() -> None:
     assert [line.split()[2] for line in text.splitlines() if "SEC" in line] == ["2", "1"]
 
 
-def test_places_beyond_the_first_twenty_are_counted_together() -> None:
+def test_places_beyond_the_first_five_are_counted_together() -> None:
     text = shown(*(finding(unit=unit) for unit in range(MAX_PLACES + 2)), finding(unit=0))
     assert text.count("FT1A-Q16") == MAX_PLACES
     assert text.endswith("\n    and 2 times at other places\n")

@@ -3,8 +3,9 @@
 # tcpdump -G and -C, dumpcap -b and sniff --rotate go on in a next file while connections are open,
 # so a transaction may begin in one file and end in the next. A file is the next part
 #
-#     of packets    if its first packet is not earlier than the last one of the file before it, and
-#                   has a link type that was in that file
+#     of packets    if its first packet is not earlier than the last one of the file before it (by
+#                   more than BACK_NS), but later than the first one, and has a link type that was
+#                   in that file
 #     of a log      if it has the same run, links, devices and profiles, and the next part number;
 #                   and it does not begin earlier
 #
@@ -70,8 +71,10 @@ class Seam:
 
     def is_continued_by(self, item: Evidence) -> bool:
         """True if a file that begins with this item can be the next part."""
-        if self._last_ns is None:
+        if self._last_ns is None or self._first_ns is None:
             return True
+        if item.ts_ns <= self._first_ns < self._last_ns:
+            return False
         if isinstance(item, Packet) and self._types and item.link_type not in self._types:
             return False
         return item.ts_ns >= self._last_ns - BACK_NS

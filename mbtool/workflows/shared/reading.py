@@ -8,7 +8,8 @@
 # since a connection may begin in one part and end in the next. If a part is cut or damaged, the
 # next parts are read behind a gap.
 #
-# Raises InputError for a file that cannot be read. If a file is cut (CutError) or damaged
+# Raises InputError for a file that cannot be read; where demand_files() has found one before, after
+# the records of the others. If a file is cut (CutError) or damaged
 # (DamageError), the first such error is raised after everything else has been given.
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
 from mbtool.workflows.shared.exact_times import ExactTimes
+from mbtool.workflows.shared.file_result import FileResult, file_table
 from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
 from mbtool.workflows.shared.missing_parts import MissingParts
@@ -88,6 +90,11 @@ class ReadingOptions:
     """True to decode the packets and bytes of a log again."""
 
 
+def _shown(path: str) -> str:
+    """The name of a file in messages."""
+    return "standard input" if path == STANDARD_INPUT else path
+
+
 class Reading:
     """One pass over some files, which gives their transactions and events."""
 
@@ -118,6 +125,10 @@ class Reading:
         self._unclosed_logs: list[str] = []
         self._broken: list[InputError] = []
         """The errors of files that are cut or damaged."""
+        self._refused: dict[str, InputError] = {}
+        """Why files cannot be read at all, by path; others are read in spite of them."""
+        self._results: dict[str, FileResult] = {}
+        """What each file gave that has been opened, by name."""
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
@@ -152,6 +163,12 @@ class Reading:
         return None if part is None else (self._files_read + part) / len(self._paths)
 
     @property
+    def progress_text(self) -> str:
+        """Which file is being read, for a progress bar: `file 3 of 60`."""
+        number = min(self._files_read + 1, len(self._paths))
+        return f"file {number} of {len(self._paths)}"
+
+    @property
     def why_empty(self) -> str | None:
         """Why a whole pass gave neither a transaction nor an event, in one line for the user."""
         if self._has_found or not self._is_complete:
@@ -176,13 +193,16 @@ class Reading:
             raise InputError(f"{self._names}: nothing in it could be read: {why}")
 
     @property
+    def _current_name(self) -> str:
+        return self._current.name if self._current is not None else ""
+
+    @property
     def _is_complete(self) -> bool:
         return self._files_read == len(self._paths)
 
     @property
     def _names(self) -> str:
-        names = ("standard input" if one == STANDARD_INPUT else one for one in self._paths)
-        return ", ".join(names)
+        return ", ".join(map(_shown, self._paths))
 
     @property
     def remarks(self) -> list[str]:
@@ -196,25 +216,44 @@ class Reading:
             remarks.append("--link has no effect: these are packets of a network")
         if self._has_found and self._is_complete:
             remarks += self._options.assignments.remarks
-        broken = [str(error) for error in self._broken[1:]]  # The first is raised.
-        return remarks + self._misordered + self._unclosed_logs + broken
+        return remarks + self._misordered + self._unclosed_logs + file_table(self._file_results)
 
     def demand_files(self) -> None:
         """Check that each file exists, is named once, and is of a kind that can be read.
 
-        A pipe is not opened, as it can be read only once. Raises InputError for a file that is
-        absent or of another kind, UsageError for one that is named twice or does not go with the
-        options.
+        A pipe is not opened, as it can be read only once. Raises InputError if every file is absent
+        or of another kind, UsageError for one that is named twice or does not go with the options.
         """
         known: set[object] = set()
         for path in self._paths:
-            place, is_pipe = place_of(path)
-            if not is_pipe:
-                with open_capture(path, self._options.line) as capture:
-                    self._demand_line_is_open(capture)
-            if place in known:
-                raise UsageError(f"{path}: named twice; what is in it would count twice")
-            known.add(place)
+            try:
+                self._demand_file(path, known)
+            except InputError as error:
+                self._refused[path] = error
+        if len(self._refused) == len(self._paths):
+            raise self._refused[self._paths[0]]
+
+    def _demand_file(self, path: str, known: set[object]) -> None:
+        """Check one file; `known` has the files checked so far."""
+        place, is_pipe = place_of(path)
+        if not is_pipe:
+            with open_capture(path, self._options.line) as capture:
+                self._demand_line_is_open(capture)
+        if place in known:
+            raise UsageError(f"{path}: named twice; what is in it would count twice")
+        known.add(place)
+
+    @property
+    def _file_results(self) -> list[FileResult]:
+        """What each file gave, and why one was not read, in the order of the names."""
+        results = []
+        opened = iter(self._results.values())
+        for path in self._paths:
+            error = self._refused.get(path)
+            result = next(opened, None) if error is None else FileResult(path, error=error)
+            if result is not None:
+                results.append(result)
+        return results
 
     def profiles_of_logs(self) -> list[Profile]:
         """The profiles in the logs among the files; pipes are not opened.
@@ -239,6 +278,9 @@ class Reading:
             self._has_found = True
             self._missing.note_record(record)
             self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+            result = self._results.get(self.file)
+            if result is not None:
+                result.note(record)
             if isinstance(record, WireEvent) and record.kind in _UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
             else:
@@ -248,10 +290,14 @@ class Reading:
     def _records(self) -> Iterator[Record]:
         try:
             for number, path in enumerate(self._paths, 1):
+                if path in self._refused:
+                    self._files_read += 1
+                    continue
                 try:
                     yield from self._file_records(path)
                 except (CutError, DamageError) as error:
                     self._broken.append(error)
+                    self._results[_shown(path)].error = error
                     if number < len(self._paths):
                         yield from self._break_off(error)
                 self._files_read += 1
@@ -259,10 +305,12 @@ class Reading:
             yield from self._end_capture()
             raise
         yield from self._end_capture()
-        if self._broken:
-            raise self._broken[0]
+        for why in (*self._broken, *self._refused.values()):
+            raise why
 
     def _file_records(self, path: str) -> Iterator[Record]:
+        name = _shown(path)
+        self._results[name] = FileResult(name)
         with open_capture(path, self._options.line) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
@@ -369,7 +417,7 @@ class Reading:
         """Remember the first file that begins before the file named ahead of it ends."""
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
-                f"{self._current.name if self._current is not None else ''}: begins before "
+                f"{self._current_name}: begins before "
                 f"{self.file} ends, so it is read as another capture; "
                 "name the parts of one capture in the order of their times"
             )
@@ -385,7 +433,7 @@ class Reading:
 
     def _enter(self, *, is_log: bool = False) -> None:
         """Set `file` and `is_log`: the next records come from the file that is open now."""
-        self.file = self._current.name if self._current is not None else ""
+        self.file = self._current_name
         self.is_log = is_log
 
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
