@@ -32,6 +32,7 @@ from mbtool.cli.links import links
 from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
+from mbtool.cli.stats import stats
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 
@@ -52,7 +53,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (sniff, decode, check, replay, diff, slave, links, line, demo):
+for command in (sniff, decode, check, stats, replay, diff, slave, links, line, demo):
     app.command(cls=Command)(command)
 app.add_typer(devices, name="devices")
 

@@ -26,6 +26,7 @@ COMMANDS = (
     "sniff",
     "decode",
     "check",
+    "stats",
     "replay",
     "diff",
     "slave",
