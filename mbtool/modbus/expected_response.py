@@ -30,8 +30,8 @@ is forgotten."""
 
 _ECHOED = ECHOING - {0x08}  # 08 echoes only some of its sub-functions.
 _SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}
-"""The size in bytes of the response's PDU, by function code; UNKNOWN_SIZE if the function alone does
-not tell it."""
+"""The size in bytes of the response's PDU, by function code; UNKNOWN_SIZE if the function alone
+does not tell it."""
 _FORCE_LISTEN_ONLY = 4
 """The sub-function of 08 that has no response (V1.1b3, 6.8.1)."""
 

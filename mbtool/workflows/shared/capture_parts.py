@@ -4,9 +4,9 @@
 # connections are open, so a transaction may begin in one file and end in the next. A file is the
 # next part of the capture
 #
-#     of packets    if its first packet is not earlier (by more than BACK_NS) than the last packet of
-#                   the file before it, is later than the first packet of that file, and has a link
-#                   type that the file before has, too
+#     of packets    if its first packet is not earlier (by more than BACK_NS) than the last packet
+#                   of the file before it, is later than the first packet of that file, and has a
+#                   link type that the file before has, too
 #     of a log      if it has the same run, links, devices and profiles, and the next part number;
 #                   and it does not begin earlier
 #
