@@ -1,7 +1,7 @@
-"""The limits of the rules about attacks and scans: a number of cases, and the time for them."""
+"""The limits of the rules about attacks and scans: a number of cases within a time."""
 
 # The defaults are chosen so that ordinary operation stays below them; docs/findings.md gives the
-# reason of each. The module that checks a rule says what the rule's time means.
+# reason of each. The module that checks a rule says how the rule uses the time.
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SecurityLimits:
     write_flood: SecurityLimit = SecurityLimit(300, 5 * _SECOND_NS)
     """The limit for writes on a network."""
     line_write_flood: SecurityLimit = SecurityLimit(150, 5 * _SECOND_NS)
-    """The limit for writes on a serial line: at 9600 baud it carries at most about 40 a second."""
+    """The limit for writes on a serial line; at 9600 baud it carries about 40 per second."""
     stop_command: SecurityLimit = SecurityLimit(1, 60 * _SECOND_NS)
     host_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
     unit_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
