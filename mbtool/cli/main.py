@@ -26,6 +26,7 @@ from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
 from mbtool.cli.diff import diff
+from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
 from mbtool.cli.links import links
@@ -53,7 +54,19 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (sniff, decode, check, stats, replay, diff, slave, links, line, demo):
+for command in (
+    sniff,
+    decode,
+    inventory,
+    check,
+    stats,
+    replay,
+    diff,
+    slave,
+    links,
+    line,
+    demo,
+):
     app.command(cls=Command)(command)
 app.add_typer(devices, name="devices")
 
