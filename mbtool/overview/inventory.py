@@ -312,8 +312,7 @@ def _count(
     request_ns, response_ns = transaction.request_ns, transaction.response_ns
     start_ns = request_ns if request_ns is not None else response_ns or 0
     end_ns = response_ns if response_ns is not None else start_ns
-    source_mac, destination_mac = _macs(transaction)
-    slave.seen.note(start_ns, end_ns, destination_mac)
+    slave.seen.note(start_ns, end_ns, transaction.destination_mac)
     slave.outcomes[transaction.outcome] += 1
     if transaction.exception is not None:
         slave.exceptions[transaction.exception] += 1
@@ -327,12 +326,7 @@ def _count(
             use.unsupported += 1
     if master is not None:
         master.requests += 1
-        master.seen.note(start_ns, end_ns, source_mac)
-
-
-def _macs(transaction: NamedTransaction) -> tuple[str | None, str | None]:
-    """The MAC addresses of master and slave, where the capture has them."""
-    return getattr(transaction, "source_mac", None), getattr(transaction, "destination_mac", None)
+        master.seen.note(start_ns, end_ns, transaction.source_mac)
 
 
 def _widen(

@@ -10,7 +10,17 @@ import pytest
 from mbtool.modbus import Outcome
 from mbtool.overview.baseline import ChangeKind, changes
 from mbtool.overview.inventory_rows import InventoryDocument
-from tests.overview.plant import DRIVE, GATEWAY, PANEL, SCADA, asked, inventory_of, named, plant
+from tests.overview.plant import (
+    DRIVE,
+    GATEWAY,
+    PANEL,
+    SCADA,
+    asked,
+    inventory_of,
+    macs,
+    named,
+    plant,
+)
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
@@ -87,6 +97,16 @@ INJECTED: dict[str, tuple[list[NamedTransaction], Found]] = {
         (ChangeKind.SILENT, GATEWAY, "units 3, 4: neither asked nor heard"),
     ),
 }
+
+
+def test_another_mac_address_is_told_once_for_all_units_of_a_host() -> None:
+    here, there = "00:90:e8:00:00:01", "00:0c:29:00:00:02"
+    old = [macs(one, "00:30:de:00:00:01", here) for one in plant()]
+    new = [
+        macs(one, "00:30:de:00:00:01", there if one.link == GATEWAY else here) for one in plant()
+    ]
+    assert found(old, new) == [(ChangeKind.MAC, GATEWAY, f"{here} -> {there}")]
+    assert found(plant(), new) == []  # Nothing is known of the addresses before.
 
 
 def test_the_same_plant_is_unchanged() -> None:

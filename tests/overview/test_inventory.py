@@ -16,6 +16,7 @@ from tests.overview.plant import (
     START_NS,
     asked,
     inventory_of,
+    macs,
     named,
     plant,
 )
@@ -171,3 +172,12 @@ def test_more_masters_and_functions_than_there_is_room_for_are_counted(
         "transactions are of masters without a row": 3,
         "transactions are of functions without a row": 3,
     }
+
+
+def test_macs_are_those_of_master_and_slave_with_their_makers() -> None:
+    rows = [macs(one, "aa:00", "bb:00") for one in (asked(3, 0, 1), asked(3, 0, 1))]
+    other = macs(asked(3, 0, 1), "aa:00", "cc:00")
+    document = inventory_of([*rows, other], maker={"aa:00": "A", "bb:00": "B", "cc:00": "B"}.get)
+    (slave,), (master,) = document.slaves, document.masters
+    assert (slave.macs, slave.makers) == (["bb:00", "cc:00"], ["B"])
+    assert (master.macs, master.makers) == (["aa:00"], ["A"])
