@@ -73,7 +73,7 @@ class _Seen:
 
 
 @dataclass(slots=True)
-class _Use:
+class _SeenUse:
     function: int
     name: str
     master: str | None
@@ -86,7 +86,7 @@ class _Use:
 
 
 @dataclass(slots=True)
-class _Slave:
+class _SeenSlave:
     host: str
     port: int | None
     unit: int
@@ -96,7 +96,7 @@ class _Slave:
     transports: set[str] = field(default_factory=set)
     device: str | None = None
     identity: dict[tuple[int, str], list[str]] = field(default_factory=dict)
-    uses: dict[tuple[int, str | None, bool], _Use] = field(default_factory=dict)
+    uses: dict[tuple[int, str | None, bool], _SeenUse] = field(default_factory=dict)
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     exceptions: Counter[int] = field(default_factory=Counter)
     answered_ns: int = 0
@@ -118,7 +118,7 @@ class _Slave:
 
 
 @dataclass(slots=True)
-class _Master:
+class _SeenMaster:
     seen: _Seen
     requests: int = 0
     slaves: set[int] = field(default_factory=set)
@@ -126,7 +126,7 @@ class _Master:
     written: set[int] = field(default_factory=set)
 
 
-_Poll = tuple[_Slave, "_Master | None", tuple[_Use, ...]]
+_Poll = tuple[_SeenSlave, "_SeenMaster | None", tuple[_SeenUse, ...]]
 
 
 class Inventory:
@@ -135,8 +135,8 @@ class Inventory:
     def __init__(self) -> None:
         self.transactions = 0
         self.left_out: Counter[str] = Counter()
-        self._slaves: dict[tuple[str, int | None, int], _Slave] = {}
-        self._masters: dict[str, _Master] = {}
+        self._slaves: dict[tuple[str, int | None, int], _SeenSlave] = {}
+        self._masters: dict[str, _SeenMaster] = {}
         self._polls: dict[tuple[object, ...], _Poll] = {}
         self._uses = 0
         self._requests = 0
@@ -219,7 +219,7 @@ class Inventory:
                 asker.written.add(number)
         return slave, asker, uses
 
-    def _slave(self, transaction: NamedTransaction) -> _Slave | None:
+    def _slave(self, transaction: NamedTransaction) -> _SeenSlave | None:
         destination = transaction.destination
         if destination is None:
             host, port = transaction.link, None
@@ -232,7 +232,7 @@ class Inventory:
             if len(self._slaves) >= MAX_SLAVES:
                 self.left_out["transactions are of slaves without a row"] += 1
                 return None
-            slave = self._slaves[key] = _Slave(
+            slave = self._slaves[key] = _SeenSlave(
                 *key,
                 is_on_line=transaction.transport.is_serial and destination is None,
                 seen=_Seen(transaction.start_ns),
@@ -240,7 +240,7 @@ class Inventory:
             )
         return slave
 
-    def _master(self, transaction: NamedTransaction, host: str | None) -> _Master | None:
+    def _master(self, transaction: NamedTransaction, host: str | None) -> _SeenMaster | None:
         if host is None:
             return None
         master = self._masters.get(host)
@@ -248,12 +248,12 @@ class Inventory:
             if len(self._masters) >= MAX_MASTERS:
                 self.left_out["transactions are of masters without a row"] += 1
                 return None
-            master = self._masters[host] = _Master(_Seen(transaction.start_ns))
+            master = self._masters[host] = _SeenMaster(_Seen(transaction.start_ns))
         return master
 
     def _uses_of(
-        self, slave: _Slave, transaction: NamedTransaction, master: str | None
-    ) -> tuple[_Use, ...]:
+        self, slave: _SeenSlave, transaction: NamedTransaction, master: str | None
+    ) -> tuple[_SeenUse, ...]:
         """The entries of a transaction's function: one, or a read and a write for 17H."""
         function = transaction.function
         known = FUNCTIONS.get(function)
@@ -268,8 +268,8 @@ class Inventory:
         return () if use is None else (use,)
 
     def _use(
-        self, slave: _Slave, transaction: NamedTransaction, master: str | None, *, writes: bool
-    ) -> _Use | None:
+        self, slave: _SeenSlave, transaction: NamedTransaction, master: str | None, *, writes: bool
+    ) -> _SeenUse | None:
         key = (transaction.function, master, writes)
         use = slave.uses.get(key)
         if use is None:
@@ -278,10 +278,10 @@ class Inventory:
                 return None
             self._uses += 1
             name = transaction.function_name
-            use = slave.uses[key] = _Use(transaction.function, name, master, writes)
+            use = slave.uses[key] = _SeenUse(transaction.function, name, master, writes)
         return use
 
-    def _observe(self, slave: _Slave, transaction: NamedTransaction) -> None:
+    def _observe(self, slave: _SeenSlave, transaction: NamedTransaction) -> None:
         """Keep a request and its response, to be compared with profiles."""
         if slave.observed is None:
             if transaction.outcome in _UNANSWERED:
@@ -306,7 +306,10 @@ class Inventory:
 
 
 def _count(
-    transaction: NamedTransaction, slave: _Slave, master: _Master | None, uses: tuple[_Use, ...]
+    transaction: NamedTransaction,
+    slave: _SeenSlave,
+    master: _SeenMaster | None,
+    uses: tuple[_SeenUse, ...],
 ) -> None:
     """Count a transaction at everything that it belongs to."""
     request_ns, response_ns = transaction.request_ns, transaction.response_ns
@@ -330,7 +333,7 @@ def _count(
 
 
 def _widen(
-    use: _Use | None, transaction: NamedTransaction, address: int | None, quantity: int | None
+    use: _SeenUse | None, transaction: NamedTransaction, address: int | None, quantity: int | None
 ) -> None:
     """Add the addresses of a request to those of its function."""
     if use is None or address is None:
@@ -339,7 +342,7 @@ def _widen(
     ranges.add(address, address + max(1 if quantity is None else quantity, 1) - 1)
 
 
-def _note_identity(slave: _Slave, transaction: NamedTransaction) -> None:
+def _note_identity(slave: _SeenSlave, transaction: NamedTransaction) -> None:
     """Keep the texts that a response gives of its slave."""
     if transaction.response_raw is None or transaction.exception is not None:
         return
@@ -354,7 +357,7 @@ def _note_identity(slave: _Slave, transaction: NamedTransaction) -> None:
             known.append(text)
 
 
-def _slave_row(slave: _Slave, is_gateway: bool, maker: Callable[[str], str | None]) -> SlaveRow:
+def _slave_row(slave: _SeenSlave, is_gateway: bool, maker: Callable[[str], str | None]) -> SlaveRow:
     return SlaveRow(
         host=slave.host,
         port=slave.port,
@@ -380,7 +383,7 @@ def _slave_row(slave: _Slave, is_gateway: bool, maker: Callable[[str], str | Non
     )
 
 
-def _role(slave: _Slave, *, is_gateway: bool) -> Role:
+def _role(slave: _SeenSlave, *, is_gateway: bool) -> Role:
     if slave.is_broadcast:
         return Role.BROADCAST
     if slave.answered:
@@ -390,12 +393,12 @@ def _role(slave: _Slave, *, is_gateway: bool) -> Role:
     return Role.UNHEARD
 
 
-def _use_order(item: tuple[tuple[int, str | None, bool], _Use]) -> tuple[bool, int, str]:
+def _use_order(item: tuple[tuple[int, str | None, bool], _SeenUse]) -> tuple[bool, int, str]:
     function, master, writes = item[0]
     return writes, function, master or ""
 
 
-def _use_row(use: _Use) -> FunctionUse:
+def _use_row(use: _SeenUse) -> FunctionUse:
     asked = use.asked.pairs
     return FunctionUse(
         function=use.function,
@@ -410,7 +413,7 @@ def _use_row(use: _Use) -> FunctionUse:
     )
 
 
-def _master_row(host: str, master: _Master, maker: Callable[[str], str | None]) -> MasterRow:
+def _master_row(host: str, master: _SeenMaster, maker: Callable[[str], str | None]) -> MasterRow:
     return MasterRow(
         host=host,
         macs=master.seen.macs,

@@ -25,6 +25,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 COMMANDS = (
     "sniff",
     "decode",
+    "inventory",
     "check",
     "stats",
     "replay",
