@@ -114,15 +114,19 @@ def inventory(
     if baseline and chosen in _WITHOUT_CHANGES:
         raise UsageError("--baseline goes with --format table, json and csv")
     run = InventoryRun(files, options)
-    with opened(path, run.reading.demand_files) as (file, name), told_as_lost(name):
-        document = run.take(say, with_progress)
-        new = changes_since(baseline, document, options, say) if baseline else None
+    # The output is opened when all is read, so that an error leaves an older one as it is.
+    run.reading.demand_files()
+    document = run.take(say, with_progress)
+    new = changes_since(baseline, document, options, say) if baseline else None
+    with opened(path, lambda: None) as (file, name), told_as_lost(name):
         _write(file, chosen, document, new, __version__, everything=each)
         file.flush()
     say_if_empty(run.reading)
     say(_sentence(document, new) + ("" if path is None else f" -> {path}"))
     for what, count in document.left_out.items():
         say(f"mbtool: {count:,} {what}: there are more than are kept at once")
+    if run.error is not None:
+        raise run.error
     if new:
         raise typer.Exit(exit_codes.NO)
 

@@ -17,7 +17,7 @@ from mbtool.overview.identification import identify
 from mbtool.overview.inventory import Inventory
 from mbtool.overview.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.makers import maker
-from mbtool.workflows.shared.read_all import read_all, unwatched
+from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -42,20 +42,29 @@ class InventoryRun:
         self._files = files
         self._options = options
         self.reading = Reading(files, options.reading)
+        self.error: InputError | None = None
+        """Why some file could not be read, or not to its end; the others were read."""
 
     def take(
         self, on_remark: Callable[[str], None] = lambda _: None, watch: Watch = unwatched
     ) -> InventoryDocument:
-        """Read the files to their end.
+        """Read the files as far as they can be read.
 
-        `on_remark` gets a line for each thing a user should know of the files. Raises InputError
-        for a file that cannot be read.
+        `on_remark` gets a line for each thing a user should know of the files. Raises InputError if
+        nothing could be read because of it.
         """
         inventory = Inventory()
         wanted = self._options.wanted
-        for record in read_all(self.reading, on_remark, "{error}; what is there was read", watch):
-            if not isinstance(record, WireEvent) and wanted(record):
-                inventory.add(record)
+        try:
+            for record in watch(self.reading, self.reading.records()):
+                if not isinstance(record, WireEvent) and wanted(record):
+                    inventory.add(record)
+        except InputError as error:
+            if not inventory.transactions:
+                raise
+            self.error = error
+        for remark in self.reading.remarks:
+            on_remark(remark)
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}
         return inventory.document(
@@ -76,7 +85,11 @@ def changes_since(
     first = baseline[0]
     old = _stored(first) if len(baseline) == 1 and _is_stored(first) else None
     if old is None:
-        old = InventoryRun(baseline, options).take(on_remark)
+        run = InventoryRun(baseline, options)
+        run.reading.demand_files()
+        old = run.take(on_remark)
+        if run.error is not None:
+            on_remark(f"{run.error}; compared with what is there")
     if not old.transactions:
         raise InputError(f"{', '.join(baseline)}: no transaction in it to compare with")
     return changes(old, document)

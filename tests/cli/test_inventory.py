@@ -106,3 +106,23 @@ def test_a_file_that_is_absent_is_told(mbtool: CommandLine) -> None:
 def test_the_filter_chooses_what_counts(mbtool: CommandLine) -> None:
     told = mbtool("inventory", FA3, "--where", "function == 4")
     assert "in 1 transaction" in told.err
+
+
+def test_a_file_that_cannot_be_read_stops_no_other(mbtool: CommandLine, tmp_path: Path) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("no capture")
+    told = mbtool("inventory", FA3, notes)
+    assert told.code == exit_codes.UNREADABLE
+    assert told.lines[1].startswith("127.0.0.1     0  slave")
+    assert "not read: " in told.err
+
+
+def test_an_output_is_left_as_it_is_if_nothing_can_be_read(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    out = tmp_path / "old.json"
+    out.write_text("old")
+    assert mbtool("inventory", "absent.pcap", "-o", out).code == exit_codes.UNREADABLE
+    told = mbtool("inventory", FA3, "--baseline", "absent.pcap", "-o", out)
+    assert told.code == exit_codes.UNREADABLE
+    assert out.read_text() == "old"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InputError
+from mbtool.core import CutError, InputError
 from mbtool.modbus import mbap_adu
 from mbtool.overview.baseline import ChangeKind
 from mbtool.views.inventory_documents import inventory_json
@@ -143,10 +143,19 @@ def test_what_is_not_wanted_is_left_out() -> None:
 def test_a_cut_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     path = tmp_path / "cut.pcap"
     path.write_bytes(capture_file(3)[:-20])
+    run = InventoryRun([str(path)], OPTIONS)
+    assert run.take().transactions == 3
+    assert isinstance(run.error, CutError)
+
+
+def test_a_baseline_that_is_cut_is_compared_as_far_as_it_goes(tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole.pcap", tmp_path / "cut.pcap"
+    whole.write_bytes(capture_file(3))
+    cut.write_bytes(capture_file(3)[:-20])
     remarks: list[str] = []
-    document = InventoryRun([str(path)], OPTIONS).take(remarks.append)
-    assert document.transactions == 3
-    assert remarks[0].endswith("; what is there was read")
+    new = InventoryRun([str(whole)], OPTIONS).take()
+    assert changes_since([str(cut)], new, OPTIONS, remarks.append) == []
+    assert remarks[-1].endswith("; compared with what is there")
 
 
 def test_a_baseline_is_an_inventory_or_a_capture(tmp_path: Path) -> None:
