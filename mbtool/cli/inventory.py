@@ -84,7 +84,7 @@ def inventory(
     source: SourceOptions,
     silences: SilenceOptions,
 ) -> None:
-    """List the hosts and units of captures: what they are, and who asks them what.
+    """List hosts and units of captures, and who asks them what.
 
     A profile is named only where enough was seen to be sure. docs/inventory.md explains the
     columns.
