@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 MAX_PLACES = 5
-"""How many places a summary shows for each code; a scan of all addresses breaks a rule at more."""
+"""The most places that a summary shows for each code; a scan of all addresses would give many."""
 _INDENT = "    "
 _NARROWEST = 20
 _ORDER = tuple(Severity)
@@ -41,7 +41,7 @@ _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cy
 
 @dataclass(slots=True)
 class PlaceSummary:
-    """The cases of one code at one place."""
+    """The cases of one code at one place: link, unit and device, and file if there are several."""
 
     place: str
     first: Finding
@@ -63,11 +63,11 @@ class CodeSummary:
         self.severity = severity
         self._places: dict[tuple[str, str], PlaceSummary] = {}
         self.number_elsewhere = 0
-        """The cases at places that are not kept, as there are MAX_PLACES others."""
+        """Number of cases at further places, which are not kept."""
 
     def add(self, finding: Finding, file: str) -> None:
         place = _place(finding, file)
-        # What an attack is depends on who makes it, so each source has an entry.
+        # For an attack it matters who makes it, so each source gets an entry of its own.
         is_attack = finding.code.startswith("SEC")
         key = (place, host_of(finding.source) if is_attack else "")
         summary = self._places.get(key)
@@ -90,7 +90,7 @@ class Summaries:
         self._by_code: dict[str, CodeSummary] = {}
 
     def add(self, finding: Finding, file: str = "") -> None:
-        """Add a finding. `file` belongs to its place; it is empty where one file is checked."""
+        """Add a finding. `file` is the file that it was found in; empty if only one is checked."""
         code = self._by_code.get(finding.code)
         if code is None:
             code = self._by_code[finding.code] = CodeSummary(finding.severity)
@@ -141,7 +141,7 @@ def _print_cases(console: Console, place: PlaceSummary) -> None:
 
 
 def _print_indented(console: Console, text: str) -> None:
-    """Print an indented text. Only a terminal gets it wrapped into several lines."""
+    """Print an indented text; only on a terminal it is wrapped into several lines."""
     text = printable(text)
     lines = [text]
     if console.is_terminal:
@@ -160,13 +160,13 @@ def finding_line(finding: Finding) -> Text:
 
 
 def _place(finding: Finding, file: str) -> str:
-    """Where a finding is: link, unit, device, and the file if several are checked."""
+    """The place of a finding as text: link, unit, device, and the file if several are checked."""
     device = f", {finding.device}" if finding.device else ""
     return f"{where(finding)}{device}{', ' * bool(file)}{file}"
 
 
 def where(finding: Finding) -> str:
-    """The link, and the unit if the finding has one."""
+    """The link and the unit of a finding as text; without the unit if the finding has none."""
     text = finding.link
     if finding.unit is not None:
         text += f" unit {finding.unit}"

@@ -1,7 +1,8 @@
 """Shows the profiles that explain the traffic of each slave."""
 
-# For each slave: a sentence, and a table of the best profiles with the reasons for and against. Of
-# more than MAX_DETAILED slaves, each sentence once, with the number of slaves and some of them.
+# For each slave there is a sentence, and a table of the best profiles with the reasons for and
+# against them. If there are more than MAX_DETAILED slaves, there are no tables, and each sentence
+# comes only once, with the number of slaves and the names of some.
 
 from __future__ import annotations
 
@@ -69,7 +70,7 @@ def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
 
 
 def match_record(result: MatchResult) -> dict[str, Any]:
-    """A result as JSON data, with all profiles, also those that explain nothing."""
+    """A result as JSON data, with all profiles, even those with score 0."""
     slave = result.slave
     where: dict[str, Any] = {"link": slave.link, "destination": slave.destination}
     return {

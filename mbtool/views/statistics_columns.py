@@ -1,9 +1,9 @@
-"""Lines of a table whose first column takes the room that the others leave."""
+"""Lines of a table; the first column is as wide as the other columns allow."""
 
 # On a terminal, columns with the highest rank are left out until the first column has room for its
-# longest text or for ENOUGH characters, and what is still too long for it ends in "..". In a pipe
-# (width None) all columns are there, with the same widths in each run, and a long text makes its
-# line longer.
+# longest text or for ENOUGH characters. A text that is still too long is cut and ends in "..". In a
+# pipe (width None) no column is left out, widths are the same in each run, and a long text makes
+# its line longer.
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StatisticsColumn:
     title: str
     width: int
     rank: int = 0
-    """Columns of the highest rank are left out first where there is little room; 0 always stays."""
+    """If there is little room, columns of the highest rank are left out first; rank 0 never is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +95,14 @@ def shortened(text: str, room: int | None) -> str:
 
 
 def more_line(number: int, what: str) -> list[StyledLine]:
-    """A line that says how many rows are not shown; none if there are no more."""
+    """A line with the number of rows that are not shown; no line if the number is 0."""
     if number <= 0:
         return []
     return [StyledLine(f"  ... {number:,} more {what}; --top shows them", "dim")]
 
 
 def wrapped(line: StyledLine, width: int | None) -> list[StyledLine]:
-    """The lines of a text that is longer than the terminal is wide."""
+    """Break a text into lines that fit the width of the terminal."""
     text = printable(line.text)
     if width is None:
         return [StyledLine(text, line.style)]

@@ -36,13 +36,13 @@ _STEP = (
     StatisticsColumn("miss", 6),
 )
 _LISTS_WITH_STEPS = 5
-"""Of so many rows of a section there is one list whose polls are listed."""
+"""The polls of one list are shown for every so many rows that a section may have."""
 
 Found = tuple["LinkReport", "MasterReport", "PollList[PollStatistics]"]
 
 
 def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
-    """A row for each list, then the polls of the longest lists, in the order they are asked in."""
+    """A row for each poll list, then the polls of the longest lists, in their order."""
     found = [
         (link, master, one)
         for link in links
@@ -108,7 +108,7 @@ def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[Sty
 
 
 def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
-    """Name what a master asks that is in no list of it, and how long it waits for answers."""
+    """Lines about polls that are in no list of their master, and about the master's timeout."""
     lines = []
     for link in links:
         for master in link.masters:

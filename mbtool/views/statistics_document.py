@@ -1,7 +1,7 @@
 """Writes statistics as one JSON document; docs/stats.md describes its keys."""
 
-# Keys are added, never renamed or given another meaning. The key names the unit of a figure; what
-# does not apply is null.
+# Later versions may add keys, but never rename one or change its meaning. The key names the unit of
+# a figure. A figure that does not apply is null.
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def statistics_document(
     sources: Sequence[str],
     where: str | None,
 ) -> str:
-    """The document. `sources` are the files or links, `where` the filter that was given."""
+    """The document as text. `sources` are the files or links, `where` is the user's filter."""
     document = {
         "schema": SCHEMA,
         "sources": list(sources),

@@ -1,7 +1,7 @@
 """Shows statistics: the verdict first, then links, functions, polls, cycles and the rest."""
 
-# Each section is left out if there is nothing in it, and lists at most `top` rows; a last line says
-# how many more there are. On a terminal, sections are shortened and then left out until all fit.
+# An empty section is left out. A section lists at most `top` rows; the last line says how many more
+# there are. On a terminal, sections are shortened, then left out, until the lines fit the height.
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from mbtool.overview.statistics_report import FunctionReport, LinkReport, PollReport
 
 FEWEST = 3
-"""The least rows of a section, however small the terminal is."""
+"""A section is not shortened to fewer rows than this, however small the terminal is."""
 USUAL = 10
 MOST_IMPORTANT = 3
-"""So many sections are shown on the smallest terminal, too."""
+"""The first so many sections are shown even on the smallest terminal."""
 _ALIKE = 0.7
 _BAR = 30
 _EATERS = 3
@@ -148,7 +148,7 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
 def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     found = [(link, one) for link in links for one in link.functions]
     if len(found) > _ALIKE * sum(len(link.polls) for link in links):
-        return []  # The section of the polls says nearly the same.
+        return []  # It would nearly repeat the section of polls.
     found.sort(key=lambda one: (-one[1].tally.unanswered, -one[1].tally.transactions))
     rows = [
         StatisticsRow(
@@ -244,12 +244,12 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
         parts.append(f"free {percent(load.share(load.pauses_ns))}")
         text = f"{_prefix(link, links)}line: {', '.join(parts)}"
         lines.append(StyledLine(shortened(text, width)))
-        lines += _eaters(link, width)
+        lines += _longest_polls(link, width)
     return lines
 
 
-def _eaters(link: LinkReport, width: int | None) -> list[StyledLine]:
-    """Name the polls that keep the line longest."""
+def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
+    """A line that names the polls that occupy the serial line longest."""
     load = link.load
     if load is None or len(link.polls) < 2:
         return []
@@ -263,7 +263,7 @@ def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:
     latency = merged([link.tally for link in links]).latency
     if latency.count < _LEAST_OF_HISTOGRAM:
         return []
-    buckets = _from(_FINEST_NS, latency.histogram())
+    buckets = _joined_below(_FINEST_NS, latency.histogram())
     most = max(one.number for one in buckets)
     lines = [StyledLine("latency of all", "bold")]
     for one in buckets:
@@ -272,8 +272,8 @@ def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:
     return lines
 
 
-def _from(finest_ns: int, buckets: list[Bucket]) -> list[Bucket]:
-    """The same buckets, with all below a time in one."""
+def _joined_below(finest_ns: int, buckets: list[Bucket]) -> list[Bucket]:
+    """The histogram's buckets, with all latencies below `finest_ns` joined into one bucket."""
     below = sum(one.number for one in buckets if one.high_ns <= finest_ns)
     first = [Bucket(0, finest_ns, below)] if below else []
     return [*first, *(one for one in buckets if one.high_ns > finest_ns)]
@@ -321,5 +321,5 @@ def _connections(links: Sequence[LinkReport], width: int | None, top: int) -> li
 
 
 def _is_notable(one: ConnectionTally) -> bool:
-    """True unless it is just one connection that was open all the time."""
+    """False for a single connection that stayed open, without resets or keep-alive probes."""
     return bool(one.resets or one.refused or one.keep_alives or one.opened + one.joined > 1)

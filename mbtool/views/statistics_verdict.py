@@ -1,4 +1,4 @@
-"""The first lines of statistics: how well it goes, and what fails most."""
+"""The first lines of statistics: a summary, and the most frequent failures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _BAD, _DOUBT = "red", "yellow"
 _MOST_UNITS = 3
 _SLOW = 3
-"""A unit is called slow if its median latency is so many times that of all."""
+"""A unit is called slow if its median latency is at least so many times the median of all units."""
 
 
 def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
@@ -52,7 +52,10 @@ def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
 
 
 def _answered(total: RequestTally) -> str:
-    """The share of answers among requests that a slave had to answer and the capture shows."""
+    """A text with the share of requests that were answered, such as `98 % answered`.
+
+    Broadcasts, and requests whose outcome the capture does not show, are not counted.
+    """
     answers = sum(total.count(one) for one in (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED))
     asked = answers + total.unanswered
     return f"{percent(answers / asked)} answered" if asked else "no request to be answered"

@@ -1,4 +1,4 @@
-"""Writes figures of statistics: durations, shares, rates, and which poll is meant."""
+"""Writes the figures of statistics as text: durations, shares, rates, counts and polls."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def duration(ns: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share of 0 to 1: 34 %, 3.4 %; never 100 % for what is less, or 0 % for what is more."""
+    """A share of 0 to 1 in percent: 34 %, 3.4 %. Only 1 gives 100 %, and only 0 gives 0 %."""
     if 0 < share < 0.001:
         return "<0.1 %"
     if 0.999 < share < 1:
@@ -59,7 +59,7 @@ def percent(share: float) -> str:
 
 
 def per_second(rate: float | None) -> str:
-    """A rate: 39.1, 0.25, 0.0012; `-` where no time passed."""
+    """A rate per second: 39.1, 0.25, 0.0012; `-` for None."""
     if rate is None:
         return "-"
     if rate >= 99.95:
@@ -68,12 +68,12 @@ def per_second(rate: float | None) -> str:
 
 
 def counted(number: int) -> str:
-    """A count in a cell, empty if there is none."""
+    """A count for a cell; empty for 0."""
     return f"{number:,}" if number else ""
 
 
 def poll_text(poll: PollStatistics) -> str:
-    """A poll in a cell: `1 03 HR400001..400004`."""
+    """A poll for a cell: unit, function and reference, as in `1 03 HR400001..400004`."""
     key = poll.key
     what = poll.reference or short_name(key.function, poll.function_name)
     if not poll.reference and key.sub_function is not None:
