@@ -128,10 +128,10 @@ def check(
 def _finished(
     file: TextIO, printer: _Printer, run: CheckRun, path: str | None
 ) -> Iterator[_Printer]:
-    """Give the printer while the context is open.
+    """Yield the printer while the context is open.
 
-    When the context ends, also by an error, the output is completed, and remarks and a count of the
-    findings are told to the user.
+    When the context ends, even by an error, the output is completed, and the user gets remarks and
+    the number of findings.
     """
     from mbtool.cli.talk import say
 
@@ -150,7 +150,7 @@ class _Printer(ABC):
     def add(self, found: FileFinding) -> None: ...
 
     def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
-        """Print the findings that were collected, at the end of the run."""
+        """At the end of the run, print the findings that were only collected so far."""
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool, names_files: bool) -> _Printer:

@@ -1,4 +1,4 @@
-"""Makes the sniffer of the commands that listen on links."""
+"""Makes the sniffer for the commands that listen on links."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """The TCP ports of --port and --rtu-port; 502 if --port names none.
 
-    Raises UsageError for what is no port, and for a port that both options name.
+    Raises UsageError for a text that is no port, and for a port that both options name.
     """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
@@ -37,7 +37,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
 def allowed_networks(links: Sequence[LinkSpec], networks: Sequence[str] | None) -> AllowedPeers:
     """The networks whose masters a tap accepts.
 
-    Raises UsageError for what is no network, and if there are networks but no tap.
+    Raises UsageError for a text that is no network, and if there are networks but no tap.
     """
     from mbtool.core import TapLink, UsageError
     from mbtool.ports.allowed_peers import AllowedPeers
@@ -54,7 +54,7 @@ def sniffer_of(
     allowed: AllowedPeers,
     begin: Callable[[], LogWriter | RotatingLog] | None = None,
 ) -> Sniffer:
-    """Make a sniffer that tells a person what goes wrong while it runs."""
+    """Make a sniffer that prints a message to the user when something goes wrong."""
     from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder
     from mbtool.devices import Namer

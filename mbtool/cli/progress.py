@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _APPEARS_S = 1.0
 _SHOW_EVERY = 500
-"""Records between two updates of the bar."""
+"""The bar is updated once for so many records."""
 
 
 def with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:

@@ -102,7 +102,7 @@ def sniff(
     tcp_ports = heard_ports(specs, ports)
     timing = LineTiming(devices, *silences.read())
     rotation = None if rotate is None else Rotation.parse(rotate)
-    # Finding the settings of a line may take minutes, so errors are raised before it begins.
+    # Finding the settings of a line may take minutes, so check for errors before that.
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
@@ -144,7 +144,7 @@ def sniff(
 def _end(
     interrupt: Interrupt, out: RecordOutput, duration_s: float | None
 ) -> Callable[[int], bool]:
-    """A function that is given the time (ns) and tells whether the run ends now."""
+    """Return a function that takes the time in ns and returns True if the run must end."""
     from mbtool.ports.clock import now_ns
 
     end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
@@ -163,9 +163,7 @@ def _show(
     lines: Mapping[str, SerialLink],
     ends: Callable[[int], bool],
 ) -> None:
-    """Print records as they come; say which devices tell their model, and which serial lines cannot
-    be read.
-    """
+    """Print records as they come, with messages about models of devices and unreadable lines."""
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines

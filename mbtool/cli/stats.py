@@ -100,7 +100,7 @@ def _is_link(text: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """What is shown of which sources."""
+    """The sources, and the options that say what is shown of them."""
 
     sources: Sequence[str]
     where: str | None
@@ -145,7 +145,7 @@ class _Shown:
 
 
 def _read(shown: _Shown, options: ReadingOptions) -> None:
-    """Count what is in files, and print it."""
+    """Compute the statistics of files, and print them."""
     from mbtool.cli.options import condition
     from mbtool.cli.output import say_if_empty
     from mbtool.cli.progress import with_progress
@@ -180,7 +180,7 @@ def _listen(
     allow: list[str] | None,
     duration_s: float | None,
 ) -> None:
-    """Count what is heard on links; show it each second on a terminal, and at the end."""
+    """Compute the statistics of links; show them each second on a terminal, and at the end."""
     from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.talk import interruptible, say
@@ -220,7 +220,7 @@ def _end(
     live: LiveStatistics,
     refresh: Callable[[], None],
 ) -> Callable[[int], bool]:
-    """A function that is given the time (ns), refreshes the view, and tells if the run ends."""
+    """Return a function that takes the time in ns, refreshes the view, and is True at the end."""
     from mbtool.ports.clock import now_ns
 
     end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
@@ -239,7 +239,7 @@ def _end(
 
 @contextmanager
 def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]:
-    """Give a function that shows the figures anew; it does nothing where no terminal is."""
+    """Yield a function that refreshes the figures; without a terminal it does nothing."""
     from mbtool.cli.console import PipeConsole
 
     console = PipeConsole(file=sys.stdout)
