@@ -70,6 +70,7 @@ test-peers: $(VENV)/installed-test
 
 truth: $(VENV)/installed-test
 	$(RUN)/python -m tests.differential.truth
+	$(RUN)/python -m tests.differential.inventory_truth
 
 format: $(VENV)/installed-test
 	$(RUN)/ruff check --fix .

@@ -29,8 +29,8 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("capt
 
 MAX_LINES = 450
 PURE_ROOMS = (
-    "core", "modbus", "packets", "framing", "devices", "serial_line", "decode", "query", "replay",
-    "slave/device", "slave/families", "slave/faults",
+    "core", "modbus", "packets", "framing", "devices", "serial_line", "decode", "query",
+    "overview", "replay", "slave/device", "slave/families", "slave/faults",
 )  # fmt: skip
 
 ROOMS_OF_TESTS_ONLY = {

@@ -75,7 +75,10 @@ def check(
         ),
     ] = None,
     each: Annotated[
-        bool, typer.Option("--all", help="In a table, a line for each finding, not for each code.")
+        bool,
+        typer.Option(
+            "--all", help="In a table, a line for each finding, not for each code and place."
+        ),
     ] = False,
     raw: RawOption = False,
     source: SourceOptions,
@@ -110,7 +113,9 @@ def check(
         opened(path, run.reading.demand_files) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
-        _finished(file, _printer(chosen, file, each=each), run, path) as printer,
+        _finished(
+            file, _printer(chosen, file, each=each, names_files=len(files) > 1), run, path
+        ) as printer,
     ):
         for found in interrupt.breakable(run.findings()):
             printer.add(found)
@@ -123,10 +128,10 @@ def check(
 def _finished(
     file: TextIO, printer: _Printer, run: CheckRun, path: str | None
 ) -> Iterator[_Printer]:
-    """Give the printer while the context is open.
+    """Yield the printer while the context is open.
 
-    When the context ends, also by an error, the output is completed, and remarks and a count of the
-    findings are told to the user.
+    When the context ends, even by an error, the output is completed, and the user gets remarks and
+    the number of findings.
     """
     from mbtool.cli.talk import say
 
@@ -145,24 +150,25 @@ class _Printer(ABC):
     def add(self, found: FileFinding) -> None: ...
 
     def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
-        """Print the findings that were collected, at the end of the run."""
+        """At the end of the run, print the findings that were only collected so far."""
 
 
-def _printer(format_: CheckFormat, file: TextIO, *, each: bool) -> _Printer:
+def _printer(format_: CheckFormat, file: TextIO, *, each: bool, names_files: bool) -> _Printer:
     if format_ is CheckFormat.TABLE:
-        return _EachPrinter(file) if each else _FindingsTablePrinter(file)
+        return _EachPrinter(file) if each else _FindingsTablePrinter(file, names_files=names_files)
     return _DocumentPrinter(file, format_)
 
 
 class _FindingsTablePrinter(_Printer):
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: TextIO, *, names_files: bool) -> None:
         from mbtool.views.findings_table import Summaries
 
         self._file = file
+        self._names_files = names_files
         self._summaries = Summaries()
 
     def add(self, found: FileFinding) -> None:
-        self._summaries.add(found.finding)
+        self._summaries.add(found.finding, found.file if self._names_files else "")
 
     def end(self, run: CheckRun) -> None:
         from mbtool.cli.console import PipeConsole

@@ -8,7 +8,10 @@ from rich.console import Console
 
 
 class PipeConsole(Console):
-    """A console that raises BrokenPipeError; main.py turns it into the exit code."""
+    """A console that raises BrokenPipeError when the reader of a pipe has gone.
+
+    main.py turns the error into an exit code.
+    """
 
     def on_broken_pipe(self) -> NoReturn:
         raise BrokenPipeError

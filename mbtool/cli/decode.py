@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
-"""Time between two looks of --follow for more in the log."""
+"""With --follow, the time in s between two attempts to read on in the log."""
 
 
 @takes_groups
@@ -118,7 +118,7 @@ def decode(
             records = followed(files[0], options.assignments, wait)
         else:
             records = interrupt.breakable(reading.records())
-        # A pipe may bring a live capture, so each line is printed at once, also for a program.
+        # A live capture may come through a pipe, so each line is printed at once, even into a pipe.
         is_live = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
         lines = UnreadableLines(lambda link: reading.line_of(link))
         for record in records if follow or out.on_terminal else with_progress(reading, records):
@@ -141,7 +141,7 @@ def decode(
 
 @contextmanager
 def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
-    """When the context ends, also by an error, say what a user should know of the files."""
+    """When the context ends, even by an error, print the remarks about the files."""
     from mbtool.cli.talk import say
 
     try:
@@ -155,5 +155,5 @@ def _is_piped() -> bool:
     """True if standard input is not a regular file, such as a pipe."""
     try:
         return not stat.S_ISREG(os.fstat(0).st_mode)
-    except OSError:  # It is closed; the error comes when it is opened.
+    except OSError:  # Standard input is closed: opening it will raise the error.
         return False

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class AddressesChoice(StrEnum):
-    """The meaning of a register list's numbers: from 0, from 1, references, hexadecimal."""
+    """How a register list writes addresses: from 0, from 1, as references or hexadecimal."""
 
     ZERO_BASED = "zero-based"
     ONE_BASED = "one-based"
@@ -28,7 +28,7 @@ class AddressesChoice(StrEnum):
 
 
 class ScalingChoice(StrEnum):
-    """The use of a register list's factors: they multiply or divide the registers' values."""
+    """The use of the factors in a register list: to multiply or to divide values of registers."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
@@ -221,7 +221,7 @@ def schema() -> None:
 def survey(
     file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
 ) -> ObservedSlaves:
-    """Read a capture or log to its end, tell remarks about it, and return its slaves."""
+    """Read a capture or log to its end, print remarks about it, and return its slaves."""
     from mbtool.cli.talk import interruptible, say
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
     from mbtool.workflows.shared.reading import Reading
@@ -262,7 +262,7 @@ def _is_file(output: str | None) -> bool:
 def _demand_new(output: str | None) -> None:
     """Raise UsageError if a profile cannot be written to a new file of this name.
 
-    The name must end in .toml, and the file must not exist: what is edited by hand is not lost.
+    The name must end in .toml, and the file must not exist, as it may have been edited by hand.
     """
     from mbtool.core import UsageError
 
@@ -286,7 +286,7 @@ def _write(file: str, text: str) -> None:
 
     _demand_new(file)
     try:
-        # "x": does not overwrite a file that was made since _demand_new looked.
+        # Mode "x" does not overwrite a file that was made after the check of _demand_new.
         with Path(file).open("x", encoding="utf-8") as stream:
             stream.write(text)
     except OSError as error:

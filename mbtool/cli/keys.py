@@ -1,12 +1,12 @@
 """The keys that control a player, and the one line that shows its progress."""
 
 # Keys are read only if standard input is a terminal and this program is in its foreground: the
-# system would stop a program that changes the settings of a terminal from the background. While
-# keys are read, the terminal gives each key at once and does not echo it; Ctrl-C remains a signal.
-# At the end the terminal has its former settings. The line is redrawn on standard error if that is
-# a terminal, too.
+# system would stop a background program that changes the settings of a terminal. While keys are
+# read, the terminal delivers each key at once and does not echo it; Ctrl-C remains a signal. At the
+# end the terminal gets its former settings back. The progress line is redrawn on standard error if
+# this is a terminal, too.
 #
-# Linux and macOS only. Elsewhere there are no keys, and everything else works.
+# Keys work on Linux and macOS only. Elsewhere there are no keys, but everything else works.
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 KEYS = "space pauses, s steps, + and - change the speed, q ends"
 
 _LOOK_S = 0.03
-"""Time between two looks for keys: a person sees no delay."""
+"""Time in s between two checks for keys: too short for a person to notice."""
 _DRAW_S = 0.1
 _READ_BYTES = 64
 _QUIT = "q"
 _CONTROLS = {
     " ": Control.PAUSE,
     "s": Control.STEP,
-    "\x1b[C": Control.STEP,  # The arrows right, up and down, in the two codes of terminals.
+    "\x1b[C": Control.STEP,  # The arrows right, up and down; terminals have two codes.
     "\x1bOC": Control.STEP,
     "+": Control.FASTER,
-    "=": Control.FASTER,  # The same key without shift, on many keyboards.
+    "=": Control.FASTER,  # On many keyboards, + is = with shift.
     "\x1b[A": Control.FASTER,
     "\x1bOA": Control.FASTER,
     "-": Control.SLOWER,
@@ -63,7 +63,7 @@ class Keyboard:
         self.has_quit = False
 
     def controls(self) -> Sequence[Control]:
-        """The keys that were pressed since the last call; looks every 30 ms at most."""
+        """The keys pressed since the last call; really checked only once in 30 ms."""
         now_s = time.monotonic()
         if not self._is_open or now_s - self._looked_s < _LOOK_S:
             return ()
@@ -103,7 +103,7 @@ class Keyboard:
 
 @contextmanager
 def keyboard() -> Iterator[Keyboard | None]:
-    """The keyboard while the context is open; None where there is no terminal."""
+    """Yield the keyboard while the context is open; None if there is no terminal."""
     try:
         import termios
         import tty
@@ -128,17 +128,17 @@ def keyboard() -> Iterator[Keyboard | None]:
 
 @contextmanager
 def controlled() -> Iterator[tuple[Keyboard | None, Callable[[], bool]]]:
-    """The keyboard, and a function that tells whether the user wants to end: Ctrl-C or q."""
+    """Yield the keyboard, and a function that is True once the user has pressed Ctrl-C or q."""
     with interruptible() as interrupt, keyboard() as keys:
         yield keys, lambda: interrupt.asked or (keys is not None and keys.has_quit)
 
 
 def _terminal() -> int | None:
-    """The descriptor of standard input if it is a terminal with this program in its foreground."""
+    """The descriptor of standard input if it is a terminal with this program in the foreground."""
     try:
         descriptor = sys.stdin.fileno()
         is_ours = os.isatty(descriptor) and os.tcgetpgrp(descriptor) == os.getpgrp()
-    except (AttributeError, OSError, ValueError):  # Closed, or replaced.
+    except (AttributeError, OSError, ValueError):  # Standard input is closed, or was replaced.
         return None
     return descriptor if is_ours else None
 

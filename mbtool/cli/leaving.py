@@ -1,4 +1,4 @@
-"""Ends the program on a signal while nothing has to be completed."""
+"""Ends the program on a signal, at times when no file or output must be completed."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from mbtool.cli import exit_codes
 
 
 def leave(*_: object) -> None:
-    """End at once and without a message, also in the middle of an import."""
+    """End at once, without a message, even in the middle of an import."""
     os._exit(exit_codes.INTERRUPTED)

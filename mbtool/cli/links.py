@@ -56,7 +56,7 @@ def _print_tables(ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalIn
 def _print_json_lines(
     ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalInterface]
 ) -> None:
-    """One object in each line, without the fields that are empty or unknown."""
+    """Print one JSON object for each port and interface, without empty or unknown fields."""
     for port in ports:
         _print_json({"kind": "serial", "link": port.link, **_fields(port)})
     for one in interfaces:
@@ -74,5 +74,5 @@ def _fields(here: LocalSerialPort | LocalInterface) -> dict[str, Any]:
 
 
 def _print_json(record: dict[str, Any]) -> None:
-    # Not with msgspec, which fails on the name of an interface that is not UTF-8.
+    # msgspec is not used: it fails on an interface name that is not UTF-8.
     typer.echo(json.dumps(record, separators=(",", ":")))

@@ -1,9 +1,9 @@
 """The command line: mbtool COMMAND."""
 
-# Each command has a file of its own. It imports what it needs when it runs, calls a workflow and
-# prints the result. Errors become one line and an exit code here and nowhere else.
+# Each command has a file of its own. It imports other modules only when it runs, calls a workflow
+# and prints the result. Only this file turns errors into a line and an exit code.
 #
-# Help is plain text, without rich, which would take words in brackets for markup.
+# Help is printed without the library rich, which would take words in brackets as markup.
 
 from __future__ import annotations
 
@@ -26,12 +26,14 @@ from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
 from mbtool.cli.diff import diff
+from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
 from mbtool.cli.links import links
 from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
+from mbtool.cli.stats import stats
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 
@@ -52,7 +54,19 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (sniff, decode, check, replay, diff, slave, links, line, demo):
+for command in (
+    sniff,
+    decode,
+    inventory,
+    check,
+    stats,
+    replay,
+    diff,
+    slave,
+    links,
+    line,
+    demo,
+):
     app.command(cls=Command)(command)
 app.add_typer(devices, name="devices")
 
@@ -77,10 +91,10 @@ def _root(
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    # A stream that was closed before the program began is None; its output is dropped.
+    # If a stream was closed before the program began, it is None; its output is dropped.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    # A terminal without Unicode gets escapes such as \xe4 in place of an error.
+    # On a terminal without Unicode, print escapes such as \xe4 instead of raising an error.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -105,8 +119,8 @@ def run(arguments: list[str]) -> int:
     try:
         sys.stdout.flush()
     except OSError as error:
-        # From here on standard output goes nowhere. Otherwise the interpreter would flush it when
-        # it ends, and fail again.
+        # Redirect standard output to nowhere. Otherwise the interpreter would flush it when it
+        # ends, and fail again.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
@@ -136,7 +150,7 @@ def _told(arguments: list[str]) -> int:
 
 
 def _usage(error: typer.TyperException) -> str:
-    """The message of a wrong command line, with the command whose --help says what is right."""
+    """The message for a wrong command line; it names the --help that shows the right usage."""
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "mbtool"

@@ -1,8 +1,8 @@
-"""Lets a command take several of its options as one object."""
+"""Lets a command get several options as one object."""
 
-# typer makes an option of each parameter of a function. A parameter whose type is a subclass of
-# OptionGroup stands for the fields of that class, in their order: each field becomes an option, and
-# the command gets an object that holds their values.
+# typer makes an option from each parameter of a function. A parameter whose type is a subclass of
+# OptionGroup stands for all fields of that class: each field becomes an option, and the command
+# gets one object with their values.
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class OptionGroup:
-    """Base of the groups. Each field of a subclass is typed as a parameter of a command would be.
+    """Base class of groups of options. A subclass has one field for each option.
 
-    Every field has a default.
+    A field is annotated like a parameter of a command, and has a default.
     """
 
 

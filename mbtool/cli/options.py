@@ -95,14 +95,14 @@ AllowOption = Annotated[
 
 
 class TcpPorts(NamedTuple):
-    """The TCP ports on which Modbus is looked for."""
+    """The TCP ports on which mbtool looks for Modbus."""
 
     ports: list[int]
     """Ports of Modbus/TCP."""
     rtu_ports: list[int]
     """Ports of RTU over TCP."""
     any_port: bool
-    """True if both are looked for on all other ports, too."""
+    """True to look for both on all other ports, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class PortOptions(OptionGroup):
     def tcp_ports(self) -> TcpPorts:
         """Read the TCP ports of --port and --rtu-port.
 
-        Raises UsageError for what is no port, and for a port that both options name.
+        Raises UsageError for a text that is no port, and for a port that both options name.
         """
         from mbtool.core import UsageError
 

@@ -33,7 +33,7 @@ _STANDARD_OUTPUT_NAME = "standard output"
 F = TypeVar("F")
 
 CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
-"""Events that tell of no trouble: a connection was opened or closed."""
+"""Events that are no trouble: a connection was opened or closed."""
 
 _WORDS = {
     Outcome.OK: "ok",
@@ -52,19 +52,19 @@ _SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
     SortKey.TIME: lambda one: _start_ns(one[0]),
     SortKey.LATENCY: lambda one: _latency_ns(one[0]),
     SortKey.LINK: lambda one: one[0].link,
-    SortKey.UNIT: lambda one: _of(one[0], "unit") or 0,
-    SortKey.FUNCTION: lambda one: _of(one[0], "function") or 0,
-    SortKey.ADDRESS: lambda one: _of(one[0], "address") or 0,
+    SortKey.UNIT: lambda one: _field_of(one[0], "unit") or 0,
+    SortKey.FUNCTION: lambda one: _field_of(one[0], "function") or 0,
+    SortKey.ADDRESS: lambda one: _field_of(one[0], "address") or 0,
 }
 
 
 def _latency_ns(record: Record) -> float:
-    """The latency, negative, so that the slowest is first and a record without one is last."""
-    latency_ns = _of(record, "latency_ns")
+    """The negative latency in ns: sorting puts the slowest first, records without one last."""
+    latency_ns = _field_of(record, "latency_ns")
     return inf if latency_ns is None else -latency_ns
 
 
-def _of(record: Record, field: str) -> int | None:
+def _field_of(record: Record, field: str) -> int | None:
     """A field of a transaction; None for an event."""
     value: int | None = getattr(record, field, None)
     return value
@@ -98,9 +98,9 @@ class RecordOutput:
         self._limit = limit
         self._order = order
         self._held: list[tuple[Record, int]] = []
-        """Records that are sorted when all have come, with their numbers."""
+        """Records with their numbers, held to be sorted at the end."""
         self._read = 0
-        """The number of transactions that have come, printed or not."""
+        """The number of transactions so far, printed or not."""
         self._tally = Tally()
 
     @property
@@ -109,7 +109,7 @@ class RecordOutput:
 
     @property
     def is_full(self) -> bool:
-        """True if the limit of transactions has been printed."""
+        """True if as many transactions as the limit allows have been printed."""
         return self._limit is not None and self._tally.transactions >= self._limit
 
     @property
@@ -176,7 +176,7 @@ def open_output(
     table: TableOptions | None = None,
     order: SortKey | None = None,
 ) -> Iterator[RecordOutput]:
-    """Open an output that is flushed and summed up when its context ends.
+    """Open an output. When its context ends, it is flushed and a summary is printed.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
@@ -237,10 +237,10 @@ def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F
 def opened(
     path: str | None, demand_inputs: Callable[[], None], *, is_kept: bool = False
 ) -> Iterator[tuple[TextIO, str]]:
-    """Open a file or standard output; give it together with its name for messages.
+    """Open a file or standard output; yield it with its name for messages.
 
     The arguments are those of `open_output`. Raises UsageError if the file cannot be written,
-    OutputError if standard output is closed, and what `demand_inputs` raises.
+    OutputError if standard output is closed, and the errors of `demand_inputs`.
     """
     if path is None and not is_kept:
         _demand_standard_output()
@@ -258,9 +258,9 @@ def _demand_standard_output() -> None:
 
 
 def say_if_empty(reading: Reading) -> None:
-    """Say why a whole pass over the files gave neither a transaction nor an event.
+    """Print the reason if the files gave no transaction and no event.
 
-    Raises InputError if it gave nothing but events of data that cannot be decoded.
+    Raises InputError if they gave only events about data that cannot be decoded.
     """
     reading.demand_readable()
     if reading.why_empty is not None:
@@ -281,7 +281,7 @@ def _is_same(file: str, output: str) -> bool:
         return False
     try:
         return os.path.samefile(file, output)
-    except OSError:  # One of them does not exist.
+    except OSError:  # One of the two files does not exist.
         return os.path.abspath(file) == os.path.abspath(output)
 
 
@@ -304,7 +304,7 @@ def _open_file(path: str | None) -> Iterator[TextIO]:
     except BaseException as error:
         _close(file)
         size = os.path.getsize(path) if os.path.isfile(path) else 0
-        if is_new and not size:  # An empty file is not left behind.
+        if is_new and not size:  # Delete a new file that stayed empty.
             with suppress(OSError):
                 os.unlink(path)
         if size and isinstance(error, OutputError):
@@ -320,7 +320,7 @@ def _close(file: TextIO) -> None:
 
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
-    """Raise OutputError in place of an OSError such as a full disk; BrokenPipeError passes."""
+    """Turn an OSError, such as a full disk, into an OutputError; BrokenPipeError stays."""
     try:
         yield
     except BrokenPipeError:

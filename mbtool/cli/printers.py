@@ -24,7 +24,7 @@ class Printer(ABC):
 
     @abstractmethod
     def print(self, record: Record, number: int) -> None:
-        """Print a record; `number` is how many transactions have been read, this one included."""
+        """Print a record; `number` counts the transactions read so far, from 1."""
 
     def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
         """Print buffered rows now, as the next record may take a while."""

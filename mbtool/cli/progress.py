@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _APPEARS_S = 1.0
 _SHOW_EVERY = 500
-"""Records between two updates of the bar."""
+"""The bar is updated once for so many records."""
 
 
 def with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
@@ -36,7 +36,9 @@ def with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Recor
         is_shown = False
         for number, record in enumerate(records, 1):
             if number % _SHOW_EVERY == 0 and time.monotonic() - began_s >= _APPEARS_S:
-                bar.update(task, completed=reading.fraction)
+                rate = number / (time.monotonic() - began_s)
+                told = f"{reading.progress_text}, {rate:,.0f} rows/s"
+                bar.update(task, completed=reading.fraction, description=told)
                 if not is_shown:
                     shown.enter_context(bar)
                     is_shown = True

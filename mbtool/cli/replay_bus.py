@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:
-    """Send the recording, and say how late its bytes were."""
+    """Send the recording, and print how late bytes were sent."""
     link = line_link(on)
     run = BusRun(file, options, link, say, with_progress)
     say(_what_is_played(file, run, link, options))

@@ -98,7 +98,7 @@ def _add_ranges(file: Path, learned: Sequence[str]) -> None:
 def _demand_writable(file: Path) -> None:
     """Raise OutputError, before a long run, if a file cannot be written; leave no file behind."""
     if file.exists() and not (file.is_file() or file.is_dir()):
-        return  # Opening a pipe would wait for its reader.
+        return  # Opening a pipe would wait until somebody reads it.
     was_there = file.exists() or file.is_symlink()
     with told_as_lost(str(file)):
         file.open("ab").close()

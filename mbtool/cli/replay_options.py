@@ -1,4 +1,4 @@
-"""The options of `mbtool replay`: for each side that can be played, and what all sides share."""
+"""The options of `mbtool replay`: those of each side that can be played, and those of all sides."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ AS_SLAVE, AS_MASTER, AS_BUS = "--as-slave", "--as-master", "--as-bus"
 _MAX_S = 1e9
 """The largest --start and --end in seconds: 31 years."""
 _MAX_SPEED = 1000
-"""The greatest factor of --speed; its reciprocal is the least."""
+"""The greatest factor of --speed; the least is 1 / 1000."""
 _MAX_SPEED_CHARACTERS = 20
-"""The longest text of --speed: times are divided by it exactly, and a longer number is slow."""
+"""The most characters of --speed. It becomes an exact fraction, slow to use with more digits."""
 
 
-# The values of replay.MatchStrategy, OnMiss and OnEnd. To import those would make --help slow.
+# The values of MatchStrategy, OnMiss and OnEnd in replay/. They are repeated here because importing
+# replay/ would make --help slow.
 MatchChoice = Literal["auto", "sequence", "key", "time", "image"]
 MissChoice = Literal["image", "exception", "silent"]
 EndChoice = Literal["last", "loop", "image", "silent"]
@@ -71,10 +72,9 @@ class SideOptions(OptionGroup):
     ] = None
 
     def side_and_link(self) -> tuple[str, str]:
-        """The one side that is chosen, and the text of its link.
+        """The chosen side, and the text of its link.
 
-        Raises UsageError if not exactly one side is chosen, or if its link is missing or another is
-        given.
+        Raises UsageError unless exactly one side is chosen with its own kind of link.
         """
         from mbtool.core import UsageError
 
@@ -323,11 +323,11 @@ _SIDE_OF_OPTION = {
     "allow": AS_SLAVE,
     **dict.fromkeys([field.name for field in fields(AsMasterOptions)], AS_MASTER),
 }
-"""The only side with which an option goes, by the name of the option's parameter."""
+"""The only side that an option can be used with, by the name of the option's parameter."""
 
 
 def demand_side(context: typer.Context, side: str) -> None:
-    """Raise UsageError if an option is given that goes with another side only."""
+    """Raise UsageError if the user gave an option that is only for another side."""
     from mbtool.core import UsageError
 
     for name, only in _SIDE_OF_OPTION.items():

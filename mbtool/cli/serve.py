@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY_S = 0.2
 _SILENT_LOOKS = 50
-"""After it has told of refused connections, the loop tells of further ones only so many looks
-later, which is ten seconds: a master that is turned away usually connects again at once."""
+"""After a message about refused connections, the next such message comes at least so many rounds of
+the loop later (50 x 0.2 s = 10 s), as a refused master usually connects again at once."""
 
 
 def serve(shell: Shell, who: str, look: Callable[[], None] = lambda: None) -> None:
     """Answer until Ctrl-C; `look` is called every 0.2 s and at the end.
 
-    Raises LinkError when the link is lost, and what `look` raises.
+    Raises LinkError when the link is lost, and the errors of `look`.
     """
     with interruptible() as interrupt, shell:
         say(f"{who} on {shell.place}; Ctrl-C ends")

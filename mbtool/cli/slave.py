@@ -135,7 +135,7 @@ def slave(
 
 
 def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
-    """Show the requests, responses and outputs that are new since the last call."""
+    """Print the requests, responses and changed outputs since the last call."""
     from mbtool.cli.talk import say
 
     for record in monitor.records():
@@ -150,7 +150,7 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
 def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
     """The unit of the first device, and the profiles of the others by unit.
 
-    Raises UsageError for what is no unit, and if two devices have the same unit.
+    Raises UsageError for a text that is no unit, and if two devices have the same unit.
     """
     from mbtool.core import UsageError
     from mbtool.core.numbers import parse_unit
@@ -182,7 +182,7 @@ def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
 
 
 def _images(texts: Sequence[str], own: int, others: dict[int, str]) -> dict[int, Path]:
-    """The files of values by the unit that each is for.
+    """The files of values, by the unit of the device that each is for.
 
     Raises UsageError for a unit without a device, and for a unit with two files.
     """

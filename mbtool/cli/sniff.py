@@ -22,16 +22,12 @@ from mbtool.cli.options import (
 from mbtool.cli.tls_options import TlsOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from mbtool.cli.options import TcpPorts
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.talk import Interrupt
-    from mbtool.core import LinkSpec, SerialLink
-    from mbtool.decode.line_timing import LineTiming
+    from mbtool.core import SerialLink
     from mbtool.devices import Assignments
-    from mbtool.logs import LogWriter, RotatingLog
-    from mbtool.ports.allowed_peers import AllowedPeers
     from mbtool.workflows.sniff import Sniffer
 
 
@@ -85,6 +81,7 @@ def sniff(
     Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
     shown; the log gets everything.
     """
+    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
     from mbtool.cli.talk import interruptible, say
@@ -100,12 +97,12 @@ def sniff(
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
-    allowed = _allowed(specs, allow)
+    allowed = allowed_networks(specs, allow)
     devices, wanted = assignments(device), condition(where)
-    tcp_ports = _tcp_ports(specs, ports)
+    tcp_ports = heard_ports(specs, ports)
     timing = LineTiming(devices, *silences.read())
     rotation = None if rotate is None else Rotation.parse(rotate)
-    # Finding the settings of a line may take minutes, so errors are raised before it begins.
+    # Finding the settings of a line may take minutes, so check for errors before that.
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
@@ -121,7 +118,7 @@ def sniff(
             overwrite=overwrite,
             **tcp_ports._asdict(),
         )
-    sniffer = _sniffer(specs, timing, tcp_ports, allowed, begin)
+    sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin)
     with (
         interruptible() as interrupt,
         sniffer,
@@ -144,66 +141,10 @@ def sniff(
         raise KeyboardInterrupt
 
 
-def _tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
-    """The TCP ports of --port and --rtu-port; 502 if --port names none.
-
-    Raises UsageError for what is no port, and for a port that both options name.
-    """
-    from mbtool.cli.talk import say
-    from mbtool.core import InterfaceLink
-    from mbtool.workflows.shared.reading import DEFAULT_PORT
-
-    given = options.tcp_ports()
-    if (
-        options.port
-        and not given.any_port
-        and not any(isinstance(one, InterfaceLink) for one in links)
-    ):
-        say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
-    return given if given.ports else given._replace(ports=[DEFAULT_PORT])
-
-
-def _allowed(links: Sequence[LinkSpec], networks: Sequence[str] | None) -> AllowedPeers:
-    """The networks whose masters a tap accepts.
-
-    Raises UsageError for what is no network, and if there are networks but no tap.
-    """
-    from mbtool.core import TapLink, UsageError
-    from mbtool.ports.allowed_peers import AllowedPeers
-
-    if networks and not any(isinstance(one, TapLink) for one in links):
-        raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")
-    return AllowedPeers.parse(networks or ())
-
-
-def _sniffer(
-    links: Sequence[LinkSpec],
-    timing: LineTiming,
-    ports: TcpPorts,
-    allowed: AllowedPeers,
-    begin: Callable[[], LogWriter | RotatingLog] | None,
-) -> Sniffer:
-    """Make a sniffer that tells a person what goes wrong while it runs."""
-    from mbtool.cli.talk import say
-    from mbtool.decode.decoder import Decoder
-    from mbtool.devices import Namer
-    from mbtool.workflows.sniff import Sniffer, serial_lines
-
-    namer, lines = Namer(timing.assignments), serial_lines(links)
-    return Sniffer(
-        links,
-        Decoder(namer, lines=lines, timing=timing, **ports._asdict()),
-        begin_log=begin,
-        ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
-        allowed=allowed,
-        on_remark=lambda text: say(f"mbtool: {text}"),
-    )
-
-
 def _end(
     interrupt: Interrupt, out: RecordOutput, duration_s: float | None
 ) -> Callable[[int], bool]:
-    """A function that is given the time (ns) and tells whether the run ends now."""
+    """Return a function that takes the time in ns and returns True if the run must end."""
     from mbtool.ports.clock import now_ns
 
     end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
@@ -222,9 +163,7 @@ def _show(
     lines: Mapping[str, SerialLink],
     ends: Callable[[int], bool],
 ) -> None:
-    """Print records as they come; say which devices tell their model, and which serial lines cannot
-    be read.
-    """
+    """Print records as they come, with messages about models of devices and unreadable lines."""
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines

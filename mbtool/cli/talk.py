@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 _wipes: list[Callable[[], None]] = []
-"""Functions that erase the lines that are redrawn in place."""
+"""Functions that erase lines that are redrawn in place, such as the progress line."""
 
 
 def say(text: str) -> None:
@@ -30,7 +30,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
-    """Register `wipe` while the context is open: it erases a line before each message."""
+    """While the context is open, call `wipe` before each message, to erase a redrawn line."""
     _wipes.append(wipe)
     try:
         yield
@@ -39,7 +39,7 @@ def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
 
 
 class Interrupt:
-    """A request of the user to stop the command, made by a signal."""
+    """The user's wish to stop the command, given by a signal (Ctrl-C or SIGTERM)."""
 
     # `ask` runs as a signal handler, at any line of the main thread, also while `wait` runs. So it
     # takes no lock that `wait` may hold: Event.set() would, and Ctrl-C could hang the program.
@@ -52,22 +52,21 @@ class Interrupt:
         self._woken.acquire()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until someone asks, at most `timeout_s` seconds. True if someone has asked."""
+        """Wait for a signal, at most `timeout_s` seconds. True if a signal has come."""
         return self.asked or self._woken.acquire(timeout=timeout_s)
 
     def ask(self, _signal: int, _frame: FrameType | None) -> None:
-        """Handle a signal: note the first one, and end the program at once on a second one."""
+        """Signal handler: note the first signal; on the second one, end the program at once."""
         if self.asked or self._at_once:
             raise KeyboardInterrupt
         self.asked = True
         self._woken.release()
 
     def breakable(self, items: Iterator[T]) -> Iterator[T]:
-        """Give the items; raise KeyboardInterrupt if a signal comes while waiting for the next.
+        """Yield the items; raise KeyboardInterrupt if a signal comes while waiting for the next.
 
-        A signal that comes while the caller works on an item does not interrupt that work, so that
-        no line is left half written; KeyboardInterrupt is raised when the caller asks for the next
-        item.
+        A signal does not interrupt the caller's work on an item, so that no line is left half
+        written; KeyboardInterrupt is then raised when the caller asks for the next item.
         """
         while True:
             self._at_once = True

@@ -110,7 +110,7 @@ class TlsOptions(OptionGroup):
     def listen(self) -> ListenTls | None:
         """TLS towards masters; None without --tls-cert.
 
-        Raises UsageError for an option that goes with --tls-cert only.
+        Raises UsageError for an option that needs --tls-cert, if this is missing.
         """
         from mbtool.core import ListenTls, UsageError
 

@@ -1,4 +1,4 @@
-"""The errors that this program raises, one class for each origin. Bytes from a wire never raise."""
+"""The errors that this program raises, one class for each cause. Bytes from a wire never raise."""
 
 # Examples:
 #
@@ -39,11 +39,11 @@ class InputError(MbtoolError):
 
 
 class CutError(InputError):
-    """A file ends in the middle of a record. All records before were delivered."""
+    """A file ends in the middle of a record. Raised after all earlier records were returned."""
 
 
 class DamageError(InputError):
-    """A log that is read is damaged. All its whole records were delivered before this is raised."""
+    """A log is damaged. Raised after all its undamaged records were returned."""
 
 
 class LinkError(MbtoolError):
@@ -51,7 +51,7 @@ class LinkError(MbtoolError):
 
 
 class OutputError(MbtoolError):
-    """An output could not be written, or accepts no more data."""
+    """An output file could not be written, or nobody reads the output any more."""
 
 
 def reason_of(error: OSError | ValueError) -> str:

@@ -1,4 +1,4 @@
-"""The data that sources deliver: bytes and packets with their times, not decoded."""
+"""The data that sources deliver: bytes and packets with their times, not yet decoded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 class Direction(StrEnum):
     """Who sent: REQUEST if it was the master, RESPONSE if it was a slave.
 
-    What is heard on a two-wire bus is UNKNOWN until the decoder has decided.
+    Bytes from a two-wire bus are UNKNOWN until the decoder has found out who sent them.
     """
 
     REQUEST = "request"
@@ -19,7 +19,7 @@ class Direction(StrEnum):
 
 
 class Stamp(StrEnum):
-    """Which bytes of a chunk the time of the chunk belongs to."""
+    """Says which bytes of a chunk have the time of the chunk."""
 
     AT_ONCE = "at-once"
     """All bytes have the time of the chunk, as in a TCP segment."""
@@ -58,14 +58,40 @@ class Connection:
         return self.slave.host if self.slave.port == 502 else str(self.slave)
 
 
+class LinkAddresses(NamedTuple):
+    """The MAC addresses and the VLAN in the link-layer header of a packet."""
+
+    source_mac: str | None
+    """The sender's MAC address, as `00:0a:e4:01:02:03`; None on the loopback interface."""
+    destination_mac: str | None
+    """The receiver's MAC address; None on the loopback, and if the capture does not keep it."""
+    vlan: int | None
+    """The VLAN id of the innermost tag; None without a tag, or if the id is 0."""
+
+
+class Origin(NamedTuple):
+    """Where bytes come from: a packet, or a position in a file of serial bytes."""
+
+    file: str
+    """The capture file, as the user named it; empty in a live capture."""
+    packet: int
+    """The number of the packet in its file, counted from 1; 0 if it has none."""
+    addresses: LinkAddresses | None = None
+    """The addresses of the packet on the link layer, if it has any."""
+    offset: int | None = None
+    """In a file of serial bytes, the number of bytes before these; None for a packet."""
+
+
 class StreamPlace(NamedTuple):
-    """The position of a TCP segment's bytes in their connection, in bytes."""
+    """The position, in bytes, of a TCP segment in its connection, or of serial bytes in a file."""
 
     position: int
-    """The position of the first byte in its direction."""
+    """The number of bytes before the first one, in the same direction of the connection."""
     acknowledged: int | None
     """The position in the other direction up to which the sender had received all bytes when it
     sent the segment; None if unknown."""
+    origin: Origin | None = None
+    """The packet or the file that the bytes come from; None if unknown."""
 
     def after(self, count: int) -> StreamPlace:
         """The place of the bytes after the first `count` bytes."""
@@ -77,8 +103,8 @@ class Chunk:
     """The bytes of one read of a port, or the payload of one TCP segment."""
 
     ts_ns: int
-    """When the bytes were read or captured, in UTC ns. For a read of a port, the clock is read
-    right after it."""
+    """When the bytes were read or captured, in UTC ns. After a read of a port, the clock is read at
+    once."""
     link: str
     """The name of the serial line, or the slave's address. It contains no slash, because it is a
     part of the names of topics in a log."""
@@ -88,7 +114,8 @@ class Chunk:
     connection: Connection | None = None
     """The TCP connection that carried the bytes; None on a serial line."""
     place: StreamPlace | None = field(default=None, compare=False)
-    """Its place in the TCP connection; None if unknown, as with a tap or a serial line."""
+    """The position of the bytes in the TCP connection, or in the file of a serial line. None if
+    unknown, as in a live capture of a serial line or a tap."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,17 +125,21 @@ class Packet:
     ts_ns: int
     """When the packet was captured, in UTC ns."""
     link: str
-    """The name of the network interface, or `if` and the number that the capture file gives it."""
+    """The name of the network interface, or `if` with its number in the capture file: `if0`."""
     link_type: int
     """A LINKTYPE_ value of the pcap registry (tcpdump.org/linktypes.html)."""
     data: bytes
     original_length: int
     """Bytes that the packet had on the wire; more than len(data) if the capture cut it."""
+    file: str = field(default="", compare=False)
+    """The capture file, as the user named it; empty in a live capture."""
+    number: int = field(default=0, compare=False)
+    """The packet's number in the file, from 1, counted over all interfaces; 0 in a live capture."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Tells a decoder that nothing more has arrived on a link up to `ts_ns`."""
+    """Says that all bytes that arrived on a link up to `ts_ns` have been delivered."""
 
     ts_ns: int
     link: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 MAX_OPEN_REQUESTS = 256
-"""The most pending requests of one link; the oldest is given up when one more comes."""
+"""The most pending requests of one link; if one more comes, the oldest is given up."""
 
 MAX_CLOCK_STEP_NS = 1_000_000_000
 """If a time is earlier than the one before it by more than this, in ns, the clock was set back."""
@@ -25,6 +25,6 @@ class LinkLimits:
     one_at_a_time: bool = False
     """True on a serial line and on RTU over TCP: no request while another one is pending."""
     pause_ns: int = 0
-    """The shortest pause between the last byte heard and the next request, in ns."""
+    """The shortest pause between the last byte on the link and the next request, in ns."""
     turnaround_ns: int = TURNAROUND_NS
     """The pause after a broadcast, which has no response, before the next request, in ns."""

@@ -3,11 +3,11 @@
 #     rtu:/dev/ttyUSB0@19200-8E1         serial RTU
 #     rtu:/dev/ttyUSB0,/dev/ttyUSB1@...  two taps on one line: the master's side, the slaves' side
 #     ascii:/dev/ttyUSB0@9600-7E1        serial ASCII
-#     rtutap:/dev/A@19200-8E1=/dev/B     a relay in a cut line: the master's end, the slaves' end
+#     rtutap:/dev/A@19200-8E1=/dev/B     a relay in a line cut in two: master's end, slaves' end
 #     rtu:/dev/ttyUSB0@auto              settings and mode that are found by listening
 #     net:eth0                           a network interface
-#     net:eth0,eth1                      several interfaces that hear one network; packets of one
-#                                        connection may come from any of them
+#     net:eth0,eth1                      several interfaces of one network; packets of one
+#                                        connection may arrive at any of them
 #     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where it listens, where it connects
 #     tcp:127.0.0.1:1502                 a Modbus/TCP endpoint
 #     rtu+tcp:127.0.0.1:1502             an endpoint that speaks RTU over TCP
@@ -59,13 +59,13 @@ class SerialLink:
     """A line that carries RTU or ASCII, and its one or two ports."""
 
     port: str
-    """The port on the line; if each side has its own tap, the port that hears the master."""
+    """The port on the line; if there are two, the port that receives the master's bytes."""
     format: SerialFormat
     ascii: bool = False
     slave_port: str | None = None
-    """The port that hears the slaves; None if one port hears the whole line."""
+    """The port that receives the slaves' bytes; None if one port receives both sides."""
     is_relay: bool = field(default=False, kw_only=True)
-    """True if the ports are the ends of a cut line, and each sends on what the other hears."""
+    """True if the line is cut in two, and mbtool passes bytes between its two ports."""
 
     def __post_init__(self) -> None:
         if self.is_relay and self.slave_port is None:
@@ -102,7 +102,7 @@ class AutoLink:
     """A line whose settings are found by listening."""
 
     ports: tuple[str, ...]
-    """The line's only port, or the port that hears the master and the one that hears the slaves."""
+    """The line's only port, or two ports: the one at the master's side, then the slaves' side."""
     only_ascii: bool = False
 
     def settled(self, format_: SerialFormat, *, ascii: bool) -> SerialLink:  # noqa: A002
@@ -119,7 +119,7 @@ class AutoLink:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceLink:
-    """One network interface to listen on, or several that hear one network."""
+    """One network interface to listen on, or several on one network."""
 
     interfaces: tuple[str, ...]
 
@@ -140,8 +140,8 @@ class ListenTls:
     key: str | None = None
     """The file with the private key; None if the key is in the file of the certificate."""
     ca: str | None = None
-    """The file with the CA that must have signed the masters' certificates; None if masters need no
-    certificate."""
+    """The file with the certificate of the CA that must have signed the masters' certificates; None
+    if masters need no certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +149,12 @@ class TargetTls:
     """TLS between a tap and its target: the files that the tap needs, all in PEM format."""
 
     ca: str | None
-    """The file with the CA that must have signed the target's certificate; None if the certificate
-    is not checked."""
+    """The file with the certificate of the CA that must have signed the target's certificate; None
+    if the target's certificate is not checked."""
     cert: str | None = None
     key: str | None = None
     name: str | None = None
-    """The name that the target's certificate must have; None if that is the host of the link."""
+    """The name that the target's certificate must have; None for the host in the link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +201,7 @@ LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
 def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
     """Read a LINK string. Raises UsageError if it has none of the forms in docs/links.md.
 
-    `offer` is a text with forms of LINK that the message of this error proposes.
+    `offer` is a text with the forms of LINK that the error message proposes.
     """
     scheme, colon, rest = text.partition(":")
     if not colon or not rest:

@@ -1,7 +1,7 @@
 """The serial ports and network interfaces of this machine, and obstacles to opening them."""
 
-# These classes only hold what the package mbtool.ports finds out. A property that cannot be found
-# out is None.
+# These classes only hold facts that the packages mbtool.ports and mbtool.sources find out. A
+# property that cannot be found out is None.
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ class LocalSerialPort:
     serial_number: str | None = None
     driver: str | None = None
     latency_timer_ms: int | None = None
-    """How long the adapter waits for more bytes, in ms, before it hands over those it has."""
+    """The longest time in ms that the adapter waits for more bytes before it delivers bytes."""
     fifo_bytes: int | None = None
-    """How many bytes a UART gathers before it hands them over."""
+    """The number of bytes that a UART collects before it delivers them."""
     low_latency: bool | None = None
-    """True if the driver hands over each byte at once."""
+    """True if the driver delivers each byte at once."""
     low_latency_support: bool | None = None
     holders: tuple[Holder, ...] = ()
     unseen_processes: int = 0
-    """How many processes this user may not inspect; one of them may have the port open."""
+    """Number of processes that this user may not inspect; one of them may have the port open."""
     troubles: tuple[Trouble, ...] = ()
 
     @property

@@ -5,8 +5,8 @@ from __future__ import annotations
 from mbtool.core.errors import UsageError
 
 UNITS = range(0x100)
-"""The unit numbers that a user may write: all that a byte can hold. Serial lines use 0 to 247;
-Modbus/TCP also has 255."""
+"""The unit numbers that a user may write: 0 to 255. Serial lines use 0 to 247; Modbus/TCP also uses
+255."""
 
 
 def parse_unit(text: str, where: str, others: str = "") -> int:

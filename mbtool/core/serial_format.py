@@ -8,7 +8,7 @@
 #     9600-8E1,t3.5=28bits
 #     19200-8N2,t1.5=1ms,t3.5=5ms
 #
-# If t1.5 is not given, it is never longer than t3.5.
+# If only t3.5 is given and is shorter than the standard's t1.5, t1.5 is set to t3.5.
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class SerialFormat:
     """The parity: N (none), E (even) or O (odd)."""
     stop_bits: int = 1
     t1_5: Silence | None = None
-    """The t1.5 of this line; None for the standard's. `t3_5` is the same for t3.5."""
+    """The t1.5 that the user gives; None for the standard's t1.5. `t3_5` likewise."""
     t3_5: Silence | None = None
 
     def __post_init__(self) -> None:
@@ -85,7 +85,7 @@ class SerialFormat:
         return line.with_silences(given.get(_T1_5), given.get(_T3_5))
 
     def with_silences(self, t1_5: Silence | None, t3_5: Silence | None) -> Self:
-        """The same line settings with these silences; None keeps the silence that they have.
+        """The same line settings with other silences; None keeps the present silence.
 
         Raises UsageError if a silence is 0 or longer than 1 s, or if t1.5 is longer than t3.5.
         """
@@ -137,7 +137,7 @@ class SerialFormat:
 
     @property
     def has_fixed_silences(self) -> bool:
-        """True if t3.5 is the standard's fixed 1.75 ms, and no number of characters."""
+        """True if t3.5 is the standard's fixed 1.75 ms, not a number of character times."""
         return self.t3_5 is None and self.baud > _FIXED_ABOVE_BAUD
 
     def _standard_ns(self, half_characters: int, fixed_ns: int) -> int:
@@ -147,13 +147,13 @@ class SerialFormat:
 
     @classmethod
     def usual(cls, *, is_ascii: bool) -> Self:
-        """The settings of an RTU or an ASCII line if the user gives none."""
+        """The default settings of an RTU or an ASCII line."""
         return cls(9600, 7) if is_ascii else cls()
 
     def demand_rtu(self, given: str, example: str) -> None:
-        """Raise UsageError unless there are 8 data bits, as RTU needs them.
+        """Raise UsageError unless there are 8 data bits, which RTU needs.
 
-        The text of the error names `given`, what the user wrote, and `example`, a correct one.
+        The error text shows `given`, the text that the user wrote, and `example`, a correct one.
         """
         if self.data_bits != 8:  # Serial Line V1.02, 2.5.1.
             raise UsageError(f"{given}: RTU needs 8 data bits, for example {example}")

@@ -1,4 +1,4 @@
-"""The length of a silence on a line, in a user's or a manual's unit: 28bits, 3.5chars, 5ms."""
+"""The length of a silence on a line, in bit times, character times, ms or us (28bits, 5ms)."""
 
 # The time of a bit or a character depends on the baud rate and format of the line. So a silence
 # keeps the unit in which it was given: 28 bit times stay 28 bit times at 9600 and at 19200 baud.
@@ -16,7 +16,7 @@ from mbtool.core.errors import UsageError
 _PATTERN = re.compile(r"(?P<amount>\d{1,6}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
 
 MAX_NS = 1_000_000_000
-"""The longest silence that can be given, in ns: no line needs more between two frames."""
+"""The longest silence that a user can give, in ns: no line needs more between two frames."""
 
 
 class SilenceUnit(StrEnum):

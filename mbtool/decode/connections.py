@@ -12,6 +12,7 @@ from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.core.wording import counted
 from mbtool.decode.network_pairing import NetworkPairing
 from mbtool.decode.pairing import Pairing
+from mbtool.decode.serial_origins import SerialOrigins
 from mbtool.decode.stream_progress import OTHER, AduPlace, StreamProgress
 from mbtool.decode.transactions import Ends
 from mbtool.framing.mbap import MbapSplitter
@@ -62,9 +63,13 @@ class Bus:
             model = BusModel(timed=timed, response_timeout_ns=response_timeout_ns)
             self._splitter = RtuSplitter(line, model, timed=timed)
         self._pairing = Pairing(self._ends)
+        self._origins: SerialOrigins | None = None
+        """None until the first bytes with a known place."""
 
-    def feed(self, data: bytes, ts_ns: int) -> list[Decoded]:
+    def feed(self, data: bytes, ts_ns: int, place: StreamPlace | None = None) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one."""
+        if self._origins is not None or place is not None:
+            self._note_origin(len(data), place)
         events = self._splitter.feed(data, ts_ns)
         # Most bytes complete no frame; testing for that here makes RTU decoding 8 % faster.
         return self._paired(events) if events else []
@@ -79,7 +84,14 @@ class Bus:
         """End the line: return everything that is still held."""
         return [*self._paired(self._splitter.close()), *self._pairing.close()]
 
+    def _note_origin(self, size: int, place: StreamPlace | None) -> None:
+        if self._origins is None:
+            self._origins = SerialOrigins()
+        self._origins.note(size, place)
+
     def _paired(self, events: list[Adu | Skipped]) -> list[Decoded]:
+        if self._origins is not None:
+            events = self._origins.added_to(events)
         return _paired(events, self._pairing, self._ends.link, ("", ""))
 
 
@@ -108,7 +120,8 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Take the payload of one segment."""
         self._last_ns = ts_ns
-        events = self._splitters[direction].feed(data, ts_ns)
+        origin = None if place is None else place.origin
+        events = self._splitters[direction].feed(data, ts_ns, origin)
         if place is None:
             gaps = [
                 _LostBytes(one, progress.without_places(), None)

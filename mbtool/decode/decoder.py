@@ -176,7 +176,7 @@ class Decoder:
             bus = self._bus(chunk)
             if isinstance(bus, TapPair):
                 return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
-            return self._to_records(bus.feed(chunk.data, chunk.ts_ns))
+            return self._to_records(bus.feed(chunk.data, chunk.ts_ns, chunk.place))
         # Without a StreamOpened before it, the connection may go on from a log's previous file.
         detector = self._detector(chunk.connection, joined=True)
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
@@ -251,7 +251,7 @@ class Decoder:
         return [item.event] if is_reported else []
 
     def _wire_event(self, event: WireEvent) -> list[Record]:
-        """Pass an event on, after what it leaves incomplete."""
+        """Return the event. If it means lost bytes, first end the links on which they were lost."""
         if event.kind is EventKind.GAP and not event.link:
             # A damaged place in a log: bytes of any link may be missing.
             return [*self._close_all(), event]
@@ -310,7 +310,7 @@ class Decoder:
         return self._reported(detector, detector.close())
 
     def _reported(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Record]:
-        """The records, but the FOREIGN event of an unnamed port only once for each endpoint."""
+        """Return the records; report FOREIGN once per endpoint, unless the user named its port."""
         if not decoded or not self._any_port or detector.state is not ProtocolState.FOREIGN:
             return self._to_records(decoded)
         if self._is_expected(detector.connection):

@@ -1,4 +1,4 @@
-"""Learns from a connection its ids, whether requests overlap, and the latencies of its slave."""
+"""Learns how the master of a connection sends requests, and how long its slave takes."""
 
 from __future__ import annotations
 
@@ -10,25 +10,27 @@ if TYPE_CHECKING:
     from mbtool.decode.open_requests import OpenRequest
 
 LATE = 1.5
-"""A master that sends the next request although one waited this many times the slowest response so
-far has given that one up."""
+"""A request counts as given up if, when the master sends the next one, it has waited for this many
+times the longest latency so far."""
 SILENT = 3
-"""If nothing came for this many times the slowest response, none is to come."""
+"""After a silence of this many times the longest latency so far, no response is expected."""
 UNUSUAL = 3
 """A response that takes this many times as long as usual is slow."""
 MIN_LATE_NS = 30_000_000
 FIRST_LATE_NS = 100_000_000
-"""Both times before the first response: no master times out sooner than this by default."""
+"""`late_ns` and `silence_ns` before the first response: no master times out sooner by default."""
 FORGET = 20
-"""The slowest response counts less with each further one: it may have been retransmitted."""
+"""Each response lowers the longest latency by 1/FORGET of itself: TCP may have retransmitted the
+segment of the slowest response."""
 ENOUGH_OVERLAPS = 3
-"""So many responses while a further request waits show that the master pipelines."""
+"""The master is said to pipeline once this many responses came while a further request waited."""
 ENOUGH_REQUESTS = 8
-"""So many requests in a row without another one waiting show that the master never pipelines."""
+"""The master is said never to pipeline once this many requests in a row came while no other one
+waited."""
 
 
 class MasterHabits:
-    """Learns from each request and each pair of a connection."""
+    """Learns ids, pipelining and latencies from the requests and responses of a connection."""
 
     def __init__(self) -> None:
         self.pipelines = False
@@ -60,14 +62,14 @@ class MasterHabits:
         self._last_id: int | None = None
 
     def late_ns(self, function: int | None) -> int:
-        """A request that waited longer than this when the next one is sent is given up."""
+        """The wait, in ns, after which a request counts as given up when the next one is sent."""
         slowest_ns = self._slowest_of(function)
         if slowest_ns is None:
             return FIRST_LATE_NS
         return slowest_ns if self.is_sequential else max(int(LATE * slowest_ns), MIN_LATE_NS)
 
     def silence_ns(self, function: int | None) -> int:
-        """If nothing came for longer than this, no response is to come."""
+        """The silence, in ns, after which no response is expected any more."""
         slowest_ns = self._slowest_of(function)
         return FIRST_LATE_NS if slowest_ns is None else max(SILENT * slowest_ns, MIN_LATE_NS)
 

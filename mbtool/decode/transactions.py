@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from mbtool.core import Direction
+from mbtool.core import Direction, LinkAddresses, Origin
 from mbtool.modbus.adu import Adu, Verdict
 from mbtool.modbus.functions import READ_BITS, WRITE_ONE, exception_name, function_name
 from mbtool.modbus.layouts import COIL_VALUES
@@ -60,6 +60,7 @@ def with_response(
     return _record(
         ends,
         request,
+        response,
         facts,
         exception,
         outcome=outcome,
@@ -85,6 +86,7 @@ def _cut(
     return _record(
         ends,
         request,
+        response,
         facts,
         whole.exception_code if whole is not None else None,
         outcome=Outcome.NOT_CAPTURED,
@@ -138,6 +140,7 @@ def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITE
     malformed = [Verdict.MALFORMED_RESPONSE] if pdu.problem else []
     return _record(
         ends,
+        None,
         response,
         _RequestFacts.of(Pdu(pdu.function, pdu.fields, None)),
         pdu.exception_code,
@@ -159,6 +162,7 @@ def _alone(
     return _record(
         ends,
         request,
+        None,
         facts,
         None,
         outcome=outcome,
@@ -221,8 +225,20 @@ def _facts(request: Adu) -> _RequestFacts:
 
 
 def _record(
-    ends: Ends, adu: Adu, facts: _RequestFacts, exception: int | None, **fields: Any
+    ends: Ends,
+    request: Adu | None,
+    response: Adu | None,
+    facts: _RequestFacts,
+    exception: int | None,
+    **fields: Any,
 ) -> Transaction:
+    """The record of a transaction that has a request, a response or both."""
+    adu = request or response
+    assert adu is not None
+    asked = None if request is None else request.origin
+    answered = None if response is None else response.origin
+    if asked is not None or answered is not None:
+        _add_origins(fields, asked, answered)
     return Transaction(
         link=ends.link,
         transport=adu.transport,
@@ -242,6 +258,32 @@ def _record(
         direction_by=adu.direction_by,
         **fields,
     )
+
+
+def _add_origins(fields: dict[str, Any], request: Origin | None, response: Origin | None) -> None:
+    """Add the fields that say where the request and the response come from."""
+    addresses: LinkAddresses | None = None
+    if request is not None:
+        fields["file"] = request.file or None
+        fields["request_packet"] = request.packet or None
+        fields["request_offset"] = request.offset
+        addresses = request.addresses
+        if addresses is not None:
+            fields["source_mac"] = addresses.source_mac
+            fields["destination_mac"] = addresses.destination_mac
+            fields["vlan"] = addresses.vlan
+    if response is not None:
+        if request is None:
+            fields["file"] = response.file or None
+        elif response.file != request.file:
+            fields["response_file"] = response.file or None
+        fields["response_packet"] = response.packet or None
+        fields["response_offset"] = response.offset
+        own = response.addresses
+        if own is not None and (addresses is None or addresses.destination_mac is None):
+            fields["source_mac"] = own.destination_mac or fields.get("source_mac")
+            fields["destination_mac"] = own.source_mac
+            fields["vlan"] = own.vlan
 
 
 def _values(pdu: Pdu) -> tuple[int, ...] | None:

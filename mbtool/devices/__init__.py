@@ -1,4 +1,4 @@
-"""Device profiles: what vendors' manuals say, and transactions with the names from them."""
+"""Device profiles (the contents of vendors' manuals), and transactions named by them."""
 
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
 from mbtool.devices.difference import Difference, DifferenceKind, Side

@@ -79,7 +79,7 @@ class Who:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """One WHO=PROFILE of the user: the profile of the slaves that match WHO."""
+    """One WHO=PROFILE from the user: the profile for all slaves that match WHO."""
 
     who: Who
     profile: Profile
@@ -130,7 +130,7 @@ class Assignments:
     ) -> None:
         """Raises UsageError if one WHO has two profiles, or two profiles have one name."""
         self.applied = set() if applied is None else applied
-        """Who of the assignments was found so far."""
+        """The patterns (WHO) that have matched at least one slave so far."""
         # The first assignment that matches a slave must be the most specific one.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
         self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
@@ -164,7 +164,7 @@ class Assignments:
 
     @property
     def remarks(self) -> list[str]:
-        """A line for each assignment that has fitted no slave so far."""
+        """A line for the user about each assignment that has matched no slave so far."""
         return [
             f"--device {one.who}={one.profile.name}: has no effect, as no such slave is there"
             for one in self._assignments

@@ -1,9 +1,9 @@
 """The ranges that a master may read from a device with blocks of registers."""
 
-# A block is read from its first address, as a whole or in part. A read that begins elsewhere does
-# not reach the block, and a read must not extend beyond it. The points of a profile say which
-# registers a block has (`block`). If an area of another table has the same notation, the block is
-# in that table, too: WAGO's 0x2020 is the same for functions 03 and 04.
+# A read of a block must begin at the block's first address, and must not extend beyond its end. A
+# read that begins elsewhere does not reach the block. In a profile, each point of a block has the
+# key `block`. If an area of another table has the same notation, the block is in that table, too:
+# WAGO's 0x2020 is the same for functions 03 and 04.
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
     from_start = [point for point in in_blocks if point.block == span.start]
     if from_start:
         return span.stop <= 1 + max(max(point.all_addresses) for point in from_start)
-    # A read that begins elsewhere than a block reaches only registers that also have a point
-    # outside all blocks.
+    # A read that does not begin at a block reaches only registers outside all blocks. So each
+    # address must have a point outside all blocks.
     return _addresses(in_blocks, span) <= _addresses(readable, span)
 
 

@@ -20,12 +20,12 @@ class DifferenceKind(StrEnum):
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What one of the two captures contains where they differ."""
+    """The content of one of the two captures where they differ."""
 
     text: str
     """The content in words, for readers; empty if the capture has nothing there."""
     count: int | None = None
-    """How many transactions of the capture the difference is about."""
+    """Number of transactions in this capture that the difference is about."""
     values: list[int] | None = None
     """The values of the register, if the difference is about a single register; otherwise None."""
     median_ns: int | None = None
@@ -45,11 +45,11 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     name: str | None = None
     """The name of these addresses in the device's manual."""
     what: str
-    """What differs: the values that are `read` or `written`, a function by its name, or `slave`."""
+    """What differs: `read` or `written` values, the function with this name, or the `slave`."""
     a: Side
     b: Side
     p: float | None = None
-    """The probability that chance alone causes such a difference, 0 to 1; None if it was not
+    """The p-value: the probability, 0 to 1, that chance alone causes such a difference; None if not
     computed."""
     alike: list[str] = []
     """Other requests with this function whose latencies changed by about the same factor in the

@@ -1,10 +1,11 @@
 """Writes a profile as the text of a TOML file."""
 
-# The text contains all that the profile extends, and loading it gives an equal profile. Keys with
-# default values are left out. A profile has no comments, but the caller can add some.
+# The text contains everything from the profiles that the profile extends; loading it gives an equal
+# profile. Keys with default values are left out. A profile has no comments, but the caller can add
+# some.
 #
-# No library is used, because numbers must be readable: addresses are hexadecimal where they are so
-# in the manual, and so are codes.
+# No library writes the TOML, because numbers must be readable: codes are hexadecimal, and addresses
+# are, too, if the manual writes them so.
 
 from __future__ import annotations
 
@@ -37,8 +38,8 @@ _WRITTEN_IN_HEX = (
 def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None = None) -> str:
     """The TOML text of a profile.
 
-    `comments` are sentences to write as comments before a part of the file. A key names the part:
-    "" the whole file, or `functions`, `areas "NAME"` or `points "NAME"`.
+    `comments` holds sentences to write as comments before a part of the file. The key names the
+    part: "" for the whole file, `functions`, `areas "NAME"` or `points "NAME"`.
     """
     about = comments or {}
     blocks = [
@@ -168,7 +169,8 @@ def _value(value: Any) -> str:
         case float():
             return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
         case str():
-            # JSON and TOML write a text alike, except that TOML must escape the character DEL.
+            # A text in quotes is the same in JSON and TOML, but TOML must also escape the character
+            # DEL.
             return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         case list():
             return f"[{', '.join(map(_value, value))}]"

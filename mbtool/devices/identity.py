@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 
 
 def identity_points(transaction: Transaction) -> list[PointValue]:
-    """A point value for each part of the identity that a response reports; none for other
-    responses.
+    """A point value for each part of the identity (such as the vendor's name) in a response.
+
+    Empty for a response that reports no identity.
     """
     return [
         PointValue(

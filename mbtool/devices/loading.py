@@ -1,14 +1,14 @@
 """Loads device profiles: built-in ones by name, a user's own by path."""
 
-# A profile file is TOML; docs/devices.md lists its keys. A file may extend another one, which
-# `extends` names: a built-in name, or a path relative to the file. Then the file has only what
-# differs, and is merged with the extended file:
+# A profile file is TOML; docs/devices.md lists its keys. A file may extend another one, given by
+# the key `extends`: a built-in name, or a path relative to the file. Then the file has only keys
+# that differ, and is merged with the extended file:
 #
 #   functions, exceptions,
 #   timing                  merged key by key
-#   areas, points           added to the extended ones, or replace one of the same name
-#   notes                   added to the extended ones
-#   any other key           replaces the extended one
+#   areas, points           added to those of the extended file; replace one of the same name
+#   notes                   added to those of the extended file
+#   any other key           replaces the key of the extended file
 #
 # Each file is checked key by key before it is merged, so that an error names the right file.
 #
@@ -46,7 +46,7 @@ _T = TypeVar("_T", bound=msgspec.Struct)
 
 def builtin_profiles() -> list[str]:
     """The names of the built-in profiles, sorted. Reads no file."""
-    # A file whose name begins with an underscore is no device; other profiles extend it.
+    # A file whose name begins with an underscore is no device; it only serves to be extended.
     return sorted(path.stem for path in _BUILT_IN.glob("[!_]*.toml"))
 
 
@@ -70,7 +70,7 @@ def profile_to_json(profile: Profile) -> bytes:
 
 
 def profile_from_json(data: bytes, file: str) -> Profile:
-    """Make a profile of the result of profile_to_json. `file` is its name for messages.
+    """Make a profile from the JSON that profile_to_json makes. `file` is the name for messages.
 
     Raises ProfileError if the data is no JSON object, or has mistakes.
     """
@@ -303,7 +303,7 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
     return texts
 
 
-# A message of msgspec is like "Expected `int` <= 65535 - at `$.first`".
+# An error message of msgspec looks like "Expected `int` <= 65535 - at `$.first`".
 _MESSAGE = re.compile(r"(?P<problem>.*?)(?:, got .*?)?(?: - at `\$\.?(?P<path>[^`]*)`)?")
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 _WORDS = {
@@ -318,7 +318,7 @@ _WORDS = {
 
 
 def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, str]:
-    """Return the key that a message of msgspec is about, and the problem in words for users."""
+    """Return the key that an error message of msgspec is about, and a text for the user."""
     match = _MESSAGE.fullmatch(message)
     if match is None or not match["path"]:
         return "", message

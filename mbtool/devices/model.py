@@ -139,7 +139,7 @@ class Area(_Part, frozen=True, kw_only=True):
 
     @property
     def notation(self) -> tuple[str, int, Radix, int, str]:
-        """All that decides how an address is written; equal for areas that write alike."""
+        """Everything that decides how an address is written; equal for areas with one notation."""
         return self.prefix, self.base, self.radix, self.width, self.suffix
 
     def holds(self, table: Table, address: int, quantity: int = 1) -> bool:
@@ -184,7 +184,7 @@ class FunctionRule(_Part, frozen=True, kw_only=True):
 
 
 class ExceptionCause(StrEnum):
-    """What is wrong with a request that a device refuses."""
+    """The reason why a device refuses a request."""
 
     FUNCTION = "function"
     ADDRESS = "address"
@@ -275,7 +275,7 @@ class Point(_Part, frozen=True, kw_only=True):
 
     @property
     def words(self) -> int:
-        """How many addresses each of the `count` points takes."""
+        """Number of addresses that each of the `count` points takes."""
         return self.type.words or self.length or 1
 
     def allows(self, *, writing: bool) -> bool:
@@ -355,7 +355,7 @@ class Profile(_Part, frozen=True, kw_only=True):
         return rule.documented
 
     def in_mode(self, transport: Transport) -> Profile:
-        """The profile for one transport. In ASCII mode, functions have their limits for ASCII."""
+        """The profile with the limits for a transport; ASCII mode may have other limits."""
         ascii_rules = {
             code: msgspec.structs.replace(rule, limit=rule.ascii_limit)
             for code, rule in self.functions.items()

@@ -1,13 +1,13 @@
 """Names transactions: adds device, references, point values and findings from profiles."""
 
-# A profile is compiled into a vocabulary once. The reference, the points and most findings of a
+# A profile is compiled once, into a _Vocabulary. The reference, the points and most findings of a
 # request depend only on its function, addresses and quantities. A master repeats the same few
-# requests, so the vocabulary caches the meaning of at most _MAX_CACHED of them, and naming a
-# repeated request costs one look-up and its values.
+# requests, so the vocabulary caches these for at most _MAX_CACHED requests. Naming a repeated
+# request then costs one look-up and the decoding of its values.
 #
-# Function 17H reads and writes. Its reference has both ranges; its points are those written, with
-# values from the request, and those read, with values from the response. Function 16H writes masks,
-# which are no values of points.
+# Function 17H reads and writes. Its reference has both ranges. Its points are the written ones,
+# with values from the request, and the read ones, with values from the response. Function 16H
+# writes masks, which are no values, so it has no points.
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _MAX_CACHED = 4096
 _MASK_WRITE = 0x16
 
 _WITHOUT_REQUEST = frozenset((Outcome.UNSOLICITED, Outcome.NOT_CAPTURED))
-"""Outcomes of transactions that may have a response only."""
+"""Outcomes of transactions that may consist of a response only."""
 
 
 class Namer:
@@ -92,9 +92,7 @@ class Namer:
 
 @dataclass(frozen=True, slots=True)
 class _Meaning:
-    """What a transaction means, as far as it depends only on its function, addresses and
-    quantities.
-    """
+    """The names and findings that follow from function, addresses and quantities alone."""
 
     function_name: str | None = None
     reference: str | None = None
@@ -109,15 +107,13 @@ class _Meaning:
 
 
 class _Vocabulary:
-    """Names transactions with one profile, which is prepared once so that naming is fast; or with
-    none.
-    """
+    """Names transactions with one profile, or without one; prepared once so that naming is fast."""
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
         self._device = profile.name if profile is not None else None
         self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
-        """The points by their table and by whether a request writes them; sorted by address."""
+        """The points sorted by address; by table, and True for those that can be written."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         """The first address of each point in `_points`, in the same order."""
         self._cache: dict[tuple[object, ...], _Meaning] = {}
@@ -137,24 +133,20 @@ class _Vocabulary:
             function_name = meaning.function_name
         if transaction.exception is not None and self.profile is not None:
             exception_name = self.profile.exception_name(transaction.exception)
-        named = transaction
-        if not isinstance(named, NamedTransaction):
-            named = NamedTransaction(**msgspec.structs.asdict(transaction))
-        return msgspec.structs.replace(
-            named,
-            function_name=function_name,
-            exception_name=exception_name,
-            device=self._device,
-            reference=meaning.reference,
-            points=points,
-            findings=self._findings(meaning, transaction, points),
-        )
+        fields = msgspec.structs.asdict(transaction)
+        fields["function_name"] = function_name
+        fields["exception_name"] = exception_name
+        fields["device"] = self._device
+        fields["reference"] = meaning.reference
+        fields["points"] = points
+        fields["findings"] = self._findings(meaning, transaction, points)
+        return NamedTransaction(**fields)
 
     def _findings(
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
     ) -> list[str]:
         if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
-            return []  # Its bytes may be a different frame.
+            return []  # An ambiguous frame may really be another one.
         # Without a request, no rule about requests can be broken.
         has_request = (
             transaction.outcome not in _WITHOUT_REQUEST or transaction.request_ns is not None
@@ -254,7 +246,7 @@ class _Vocabulary:
     ) -> tuple[tuple[int, PointInstance], ...]:
         """The points that are completely in a range, each with the index of its first value.
 
-        If there are any, each other address of the range becomes a point called by its reference.
+        If there are any, every address without a point gets one, named by its reference.
         """
         addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)

@@ -1,13 +1,13 @@
 """Everything observed of one slave: requests, how it responded, and sampled register values."""
 
-# Used to find the profile that fits a slave (profile_match.py), and to draft a profile (drafting/).
-# Equal requests are counted together.
+# The observations serve to find the profile that fits a slave (profile_match.py), and to draft a
+# profile (drafting/). Equal requests are counted together.
 #
 # Limits for each slave: MAX_REQUESTS different requests; further different requests are only
 # counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED requests, at most
-# MAX_ROWS rows each; a row is the values of one transaction. When there are more rows, every second
-# one is dropped, and from then on half as many are taken, so that the sample is spread over the
-# whole time.
+# MAX_ROWS rows each; a row has the values of one transaction. When there are more rows, every
+# second row is dropped, and from then on half as many are kept, so that the sample is spread over
+# the whole time.
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Replies:
 
     ok: int = 0
     silent: int = 0
-    """How many requests had no response, or a malformed one."""
+    """Number of requests without a response or with a malformed one."""
     exceptions: Counter[int] = field(default_factory=Counter)
 
 
@@ -73,9 +73,9 @@ class Samples:
     rows: list[tuple[int, ...]] = field(default_factory=list)
     """The sample: a row of register values for each sampled transaction."""
     count: int = 0
-    """How many transactions had values, in the sample or not."""
+    """Number of transactions with values, in the sample or not."""
     changes: list[int] = field(default_factory=list)
-    """For each register, how often its value differed from the one before, in all transactions."""
+    """For each register, the number of times that its value changed, over all transactions."""
     _last: tuple[int, ...] = ()
     _every: int = 1
 
@@ -110,13 +110,14 @@ class ObservedSlave:
         self.requests: dict[ObservedRequest, Replies] = {}
         self.samples: dict[ObservedRequest, Samples] = {}
         self.identity: dict[str, str] = {}
-        """What the slave reports of itself, by the names in modbus/identification.py."""
+        """The properties that the slave reports of itself, such as `vendor name`, by their names in
+        modbus/identification.py."""
         self.answer_words: set[tuple[int, int]] = set()
-        """The function code and the word of each response to a vendor's function that was a single
-        word."""
+        """Function code and word of each response to a vendor's function that has only one 16-bit
+        word of data."""
         self.transactions = 0
         self.forgotten = 0
-        """How many requests were not recorded because there were too many different ones."""
+        """Number of requests not recorded because there were too many different ones."""
         self._with_values = with_values
 
     @property

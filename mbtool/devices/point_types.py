@@ -1,4 +1,4 @@
-"""How the value of a point is encoded in its registers or bits."""
+"""The types of points, and the orders of words and bytes in which their values are encoded."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class PointType(StrEnum):
 
     @property
     def words(self) -> int:
-        """How many addresses a value takes; 0 for a string, which has its own `length`."""
+        """Number of addresses that a value takes; 0 for a string, whose point gives the length."""
         return 0 if self is PointType.STRING else _WORDS.get(self, 1)
 
     @property
     def channel_bits(self) -> int:
-        """How many bits a field has for each channel; 0 for other types."""
+        """Number of bits that each channel has in a field; 0 for types that are no fields."""
         return {PointType.BIT_FIELD: 1, PointType.NIBBLE_FIELD: 4}.get(self, 0)
 
     @property
@@ -76,14 +76,14 @@ _RANGES = {
 
 
 class WordOrder(StrEnum):
-    """Which register of a value of several registers comes first."""
+    """The order of the registers of a value that takes several."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"
 
 
 class ByteOrder(StrEnum):
-    """Which byte of a register comes first; the high one in the standard."""
+    """The order of the two bytes of a register; in the standard the high byte comes first."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 _WRITE_QUANTITY = slice(7, 9)
-"""Where the PDU of a request with function 17H has the quantity that it writes."""
+"""The bytes with the written quantity in the PDU of a request with function 17H."""
 
 Ranges = dict[str, tuple[float | None, float | None]]
 """The least and the greatest value of points, by the point's name; None where there is no limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
-    """Describe a finding code. With a profile, the text has its figures: `limit is 100`."""
+    """Describe a finding code. With a profile, the text has the figures in it: `limit is 100`."""
     parsed = DeviceCode.parse(code)
     if parsed is None:
         rule = rule_of(code)
@@ -70,7 +70,7 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return f"the manual fixes them{data}"
         case _:
             name = exception_name(number) if profile is None else profile.exception_name(number)
-            # An exception without a known name is called by its number, which the text has already.
+            # An exception code without a name would be called `exception NN`, a repetition.
             named = "" if name.startswith("exception ") else f" ({name})"
             return f"exception {number:02X}{named} is not documented"
 
@@ -156,16 +156,16 @@ def data_finding(profile: Profile, function: int) -> str:
 
 
 def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
-    """First address and quantity of the registers that a function 17H writes; None for other
-    functions.
+    """The first address and the quantity of registers that a request with function 17H writes.
 
-    The quantity is that of the request's field, also if the values do not agree with it.
+    None for other functions. The quantity comes from the request's quantity field, even if the
+    number of values differs.
     """
     if transaction.write_address is None:
         return None
     if transaction.write_quantity is not None:
         return transaction.write_address, transaction.write_quantity
-    quantity = len(transaction.request_values or ())  # In a log without the field.
+    quantity = len(transaction.request_values or ())  # A log without the field.
     pdu = whole_pdu(transaction.transport, transaction.request_raw)
     if pdu is not None and len(pdu) >= _WRITE_QUANTITY.stop:
         quantity = int.from_bytes(pdu[_WRITE_QUANTITY])

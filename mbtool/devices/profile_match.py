@@ -1,4 +1,4 @@
-"""Finds the profiles that explain the observed traffic of a slave, with a score and reasons."""
+"""Finds the profiles that fit the observed traffic of a slave, with a score and reasons."""
 
 # For every different request, the profile predicts whether the device accepts or refuses it.
 #
@@ -8,15 +8,14 @@
 #                       exception gives another reason than the profile (for example, "no such
 #                       function" for a wrong address); the exception code is not in the manual; the
 #                       device does not support the transport, or cannot have the unit number
-# Neither:              no response; an exception about anything but function, address and quantity
-#                       (a state, a gateway, a vendor's own code); a write refused for its value; a
-#                       refused 17H, because either its read or its write may be the reason
+# Neither:              no response; an exception for a reason other than function, address and
+#                       quantity (a state, a gateway, a vendor's own code); a write refused for its
+#                       value; a refused 17H, because either its read or its write may be the reason
 #
 # A model code decides alone: an FA3 module responds to 42H with the code of its model.
 #
-# How many of the addresses have names in a profile says nothing about the device, because a longer
-# manual has more names. The number only sorts profiles that explain a slave equally well; these are
-# reported as a tie.
+# The number of addresses that have names in a profile is no evidence, because a longer manual has
+# more names. It only sorts profiles that explain a slave equally well; these are reported as a tie.
 
 from __future__ import annotations
 
@@ -46,7 +45,7 @@ _REFUSALS = frozenset(
     )
 )
 _MIN_SHARE = 0.9
-"""The least share of the requests, 0 to 1, that a profile must explain to be plausible."""
+"""A profile is plausible only if it explains at least this share of the requests, 0 to 1."""
 _MAX_REASONS = 6
 _UNCONFIRMED = ", though no refusal, model code or name confirms it"
 _MIN_WORD_LETTERS = 4
@@ -54,17 +53,17 @@ _MIN_WORD_LETTERS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileMatch:
-    """How well one profile explains one slave."""
+    """The evidence for and against one profile for one slave."""
 
     profile: str
     explained: int
-    """How many different requests ended as the profile predicts."""
+    """Number of different requests that ended as the profile predicts."""
     contradicted: int
-    """How many different requests ended otherwise, and how many other contradictions there are."""
+    """Number of different requests that ended otherwise, plus all other contradictions."""
     named: int
-    """How many of `addresses` have a point in the profile."""
+    """Number of the `addresses` that have a point in the profile."""
     addresses: int
-    """How many addresses were read or written with success."""
+    """Number of addresses that were read or written with success."""
     is_model: bool
     """True if the slave gave the profile's model code."""
     is_other_model: bool
@@ -72,7 +71,7 @@ class ProfileMatch:
     has_name: bool
     """True if the identity that the slave reports names the profile's vendor or model."""
     refused: int
-    """How many different requests were refused as the profile predicts."""
+    """Number of different requests that were refused as the profile predicts."""
     reasons: tuple[str, ...]
     against: tuple[str, ...]
 
@@ -84,7 +83,7 @@ class ProfileMatch:
 
     @property
     def score(self) -> int:
-        """How well the profile explains the slave, 0 to 100."""
+        """A score from 0 to 100: how well the profile explains the slave."""
         if self.is_other_model:
             return 0
         if self.is_model:
@@ -153,8 +152,7 @@ def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchRe
         _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
         for profile in profiles
     ]
-    # Profiles whose model code differs from that of the slave come last, whatever else speaks for
-    # them.
+    # Profiles with another model code than the slave's come last, even if all else fits.
     matches.sort(
         key=lambda one: (
             one.is_other_model,
@@ -201,9 +199,9 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
 def _compare_requests(
     slave: ObservedSlave, profile: Profile, against: list[str]
 ) -> tuple[int, int, list[str]]:
-    """Return how many requests ended as predicted, and how many did not.
+    """Return the number of requests that ended as predicted, and of those that did not.
 
-    The third result is a sentence for each request that was refused as predicted.
+    The third result has a sentence for each request that was refused as predicted.
     """
     explained, before = 0, len(against)
     refusals: list[str] = []
@@ -299,7 +297,7 @@ def _request_text(profile: Profile, request: ObservedRequest) -> str:
 def _compare_models(
     slave: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
 ) -> tuple[bool, bool]:
-    """Return two flags: the slave gave the profile's model code; the slave gave only others."""
+    """Return two flags: the slave reported the profile's model code; it reported only others."""
     function = model_function(profile)
     if function is None or profile.model_code is None:
         return False, False
@@ -361,8 +359,8 @@ def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[st
 def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
     """Count the contradictions if the slave uses a transport that the profile does not have.
 
-    There is just 1 for a serial device on a network, because the device may be behind a gateway. In
-    other cases there are more than all requests can outweigh.
+    A serial device on a network counts as 1 contradiction, because it may be behind a gateway. Any
+    other case counts as so many that no number of explained requests can outweigh them.
     """
     spoken = set(profile.transports)
     if slave.transports & spoken or not slave.transports:
@@ -399,7 +397,7 @@ def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
 
 
 def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
-    """The profiles with a model code, by the function that asks for the code, and by the code."""
+    """The profiles that have a model code, by the function that reads the code and the code."""
     return {
         (function, profile.model_code): profile
         for profile in profiles

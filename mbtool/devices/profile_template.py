@@ -1,6 +1,6 @@
 """The profile that `mbtool devices new` writes: an example to edit, with comments."""
 
-# The text explains itself to users, so it is written here as they see it. A test loads it.
+# The text here is exactly the file that users get, with comments for them. A test loads it.
 
 from __future__ import annotations
 

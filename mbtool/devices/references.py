@@ -4,11 +4,12 @@
 # address on the wire, 0-based: `holding 107..109`, `coil 0`. Older documents call `holding 107`
 # 40108; the word prevents confusion with a vendor's reference.
 #
-# An address outside all areas is written in the notation of the area that ends nearest below it, or
-# else begins nearest above it: M1280 follows M1277. An area is passed over if the result would be
-# the reference of another address: if coils are 1 to 9999 and discrete inputs 10001 to 19999, the
-# coil at address 10000 must not be written 10001. If no area is left, the neutral notation is used.
-# The two ends of a range may be in two areas with different notations.
+# An address outside all areas is written in the notation of the nearest area below it, or, if there
+# is none, of the nearest area above: behind an area that ends with M1277 comes M1280. An area is
+# not used if the result would be the reference of another address: if coils are 1 to 9999 and
+# discrete inputs 10001 to 19999, the coil at address 10000 must not be written 10001. If no area is
+# left, the neutral notation is used. The two ends of a range may be in two areas with different
+# notations.
 
 from __future__ import annotations
 
@@ -82,14 +83,14 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
 def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
     """The area whose notation an address is written in; None for the neutral notation.
 
-    That is the area that contains the address, or else one whose notation can be continued to it.
+    This is the area that contains the address, or else one whose notation can be extended to it.
     """
     area = profile.area(table, address, writing=writing)
     if area is not None:
         return area
     areas = [area for area in profile.areas if area.table is table]
-    # The areas below and above the address are sorted by their distance from it. This first sorting
-    # decides among areas at the same distance: those that allow the access come first.
+    # The areas are sorted by their distance from the address later. This sorting comes first, so
+    # that of areas at the same distance, those that allow the access come first.
     areas.sort(key=lambda area: not area.access.allows(writing=writing))
     below = sorted((area for area in areas if area.last < address), key=lambda area: -area.last)
     above = sorted((area for area in areas if area.first > address), key=lambda area: area.first)

@@ -5,8 +5,9 @@
 #     the request has faults, and the manual states the code of each    another code is wrong
 #     the request has none, and every address of the areas exists       any refusal is wrong
 #
-# What the manual leaves open (Exceptions.causes, Profile.complete_areas) is no finding. Codes other
-# than those for a wrong function, address or value may have reasons that a capture does not show.
+# There is no finding if the manual leaves the code open (Exceptions.causes,
+# Profile.complete_areas), nor for exception codes other than those for a wrong function, address or
+# value: their reasons may not be visible in a capture.
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ _CAUSES = {
     "MB-104": ExceptionCause.VALUE,
     "MB-105": ExceptionCause.VALUE,
 }
-"""The cause of a refusal, by the finding about the request: its code, or a device's letter."""
+"""The cause of a refusal, by the finding about the request: a code, or the letter of a code."""
 _WORD_BYTES = 3
 
 
@@ -100,7 +101,10 @@ def _code(profile: Profile, cause: ExceptionCause, function: int) -> int:
 
 
 def _is_well_formed(transaction: Transaction) -> bool:
-    """True for a request that the standard describes; a vendor's own may fail for own reasons."""
+    """True for a well-formed request with a standard function.
+
+    A vendor's own function may be refused for reasons that are unknown here.
+    """
     request = whole_pdu(transaction.transport, transaction.request_raw)
     if request is None or transaction.function not in TABLE_FUNCTIONS:
         return False

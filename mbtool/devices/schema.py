@@ -75,16 +75,15 @@ def _demand(type_: PointType, key: str) -> dict[str, Any]:
 
 
 def _inlined(node: Mapping[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema without null, which TOML does not have, and with the part that each `$ref`
-    refers to in place of the `$ref`.
-    """
+    """Return a schema without null, which TOML lacks, and with each `$ref` replaced by its part."""
     inlined = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
     if node.get("default") not in (None, [], {}):
         inlined["default"] = node["default"]
     if "$ref" in node:
         inlined = _part(node["$ref"].rpartition("/")[2], parts) | inlined
     for choice in node.get("anyOf", []):
-        # If both "integer" and "number" are allowed, the later of the two stays, which allows both.
+        # If "integer" and "number" are both allowed, "number" comes later and replaces
+        # "integer", which it includes.
         inlined |= {} if choice == {"type": "null"} else _inlined(choice, parts)
     for key in ("items", "additionalProperties"):
         if isinstance(inlined.get(key), dict):

@@ -1,7 +1,7 @@
 """Parses ranges of registers or bits: `HR400010..400020`, `holding 7..9`."""
 
 # A range is in the notation of one of the profiles, or in the neutral notation (references.py). The
-# number behind the dots may lack its prefix: `D16..17` is `D16..D17`.
+# prefix may be left out behind the dots: `D16..17` is `D16..D17`.
 
 from __future__ import annotations
 

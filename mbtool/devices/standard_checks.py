@@ -1,9 +1,9 @@
 """Checks one transaction against the standard; the results are finding codes."""
 
-# This is fast because most transactions break no rule. `request_codes` depends only on function,
-# address and quantity, and naming.py calls it once for each combination. A malformed PDU has a
-# verdict, so bytes are only parsed again for such a verdict. Only reads and writes of bits have
-# padding to check.
+# The checks are fast for transactions that break no rule, as most do. The result of `request_codes`
+# depends only on function, address and quantity, so naming.py calls it once for each combination. A
+# malformed PDU already has a verdict from the decoder; only then its bytes are parsed again.
+# Padding bits are checked only for reads and writes of bits.
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LAST_UNIT = 247
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}
-"""How many bytes the PDU of a request has up to and including its byte count, by function."""
+"""By function, the number of bytes in a request's PDU up to and including the byte count."""
 _RESPONSE_HAS_BYTE_COUNT = READ_BITS | READ_REGISTERS
 _RESPONSE_REPEATS_REQUEST = WRITE_ONE | WRITE_SEVERAL
 _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
@@ -95,7 +95,7 @@ def _malformed_codes(transaction: Transaction) -> list[str]:
 
 
 def request_form(transaction: Transaction) -> tuple[str, str]:
-    """The finding code of a request with the verdict MALFORMED_REQUEST, and its mistake."""
+    """For a request with the verdict MALFORMED_REQUEST: the finding code, and what is wrong."""
     pdu = _pdu(transaction, transaction.request_raw)
     problem = parse_pdu(pdu, Direction.REQUEST).problem or "its form is wrong"
     function = transaction.function
@@ -134,7 +134,7 @@ def padding_of(transaction: Transaction) -> tuple[int, int] | None:
     """Find padding bits that are not 0 in the last byte of a transaction's coils or discrete
     inputs.
 
-    Returns that byte, and how many of its bits are values. None if all padding bits are 0.
+    Returns the byte, and the number of its bits that are values. None if all padding bits are 0.
     """
     used = (transaction.quantity or 0) % 8
     if not used:

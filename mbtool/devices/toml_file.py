@@ -1,6 +1,6 @@
 """Reads a user's TOML file: a profile, start values, or a list of faults."""
 
-# This is not in core/ because core/ does no I/O. The caller limits the size of the file.
+# This module is not in core/ because core/ does no I/O. The caller sets the largest file size.
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ADVICE = (
     ("Invalid statement", "; write key = value, or [table]"),
     ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
 )
-"""The beginning of a message of the TOML parser, and the advice to append to the message."""
+"""Beginnings of the TOML parser's error messages, each with advice to append to the message."""
 
 
 class TomlError(InputError):
@@ -30,7 +30,7 @@ class TomlError(InputError):
     def __init__(self, file: str, place: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (file, place, problem) if part))
         self.place = place
-        """Where the mistake is: a line, byte or key of the file. Empty if the file cannot be
+        """The position of the mistake: a line, byte or key of the file. Empty if the file cannot be
         opened."""
         self.problem = problem
 

@@ -25,8 +25,8 @@ _MAX_CODE = 0xFF
 
 _MAX_SPANS = 5
 _BAUDS = (110, 4_000_000)
-"""The slowest and the fastest line, in bit/s. If t1.5 is longer than t3.5 at both, it is so at
-every speed."""
+"""The lowest and the highest usual baud rate. If t1.5 is longer than t3.5 at both, it is longer at
+every baud rate."""
 _CHARACTER_BITS = 11
 _OCTETS = re.compile(r"([0-9A-Fa-f]{2})+")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -86,8 +86,8 @@ def _validate_areas(profile: Profile, file: str) -> None:
 
 
 def _collide(area: Area, other: Area) -> bool:
-    # If one area can only be read and the other only written, the function of a request tells which
-    # of the two is meant.
+    # If one area can only be read and the other only written, the areas may overlap: the function
+    # of a request decides between them.
     apart = {area.access, other.access} == {Access.READ, Access.WRITE}
     overlap = area.first <= other.last and other.first <= area.last
     return area.table is other.table and overlap and not apart
@@ -157,7 +157,7 @@ def _validate_codes(profile: Profile, rule: FunctionRule, code: int, errors: Par
 def _meant_in_decimal(profile: Profile, digits: str, limit: int) -> str:
     """A hint if the user probably wrote a function code in decimal, else an empty text.
 
-    That is so if the digits, read as a decimal number, are a function that can have the limit.
+    The hint is given if the digits, read as a decimal number, are a function with such a limit.
     """
     code = int(digits) if digits.isdecimal() else 0
     known = FUNCTIONS.get(code)

@@ -47,10 +47,10 @@ _DIGITS = 15
 class PointInstance:
     """One of the `count` points that a Point of a profile describes; decodes the point's values."""
 
-    # The values of a point repeat, so each instance caches them. A plain number has one register,
-    # no scale and no texts; to format it takes hardly longer than a look-up. So of plain numbers
-    # only the last one is cached, which a machine at rest repeats with every poll. Of other values,
-    # up to _MAX_CACHED are cached.
+    # The values of a point often repeat, so each instance caches decoded values, at most
+    # _MAX_CACHED. A plain number (one register, no scale, no texts) is formatted nearly as fast as
+    # it is found in a cache. So only the last plain number is cached, which repeats as long as the
+    # machine stands still.
 
     __slots__ = (
         "_cache",
@@ -109,7 +109,7 @@ class PointInstance:
         """Decode a scaled number of one register without texts: faster than `_decode`."""
         factor, summand, divisor = ratio
         number = word - 0x10000 if self._signed and word & 0x8000 else word
-        # A division of two integers rounds once, so the result is that of a calculation in decimal.
+        # A division of two integers rounds only once, so the result is as exact as in decimal.
         scaled = (number * factor + summand) / divisor
         return PointValue(
             name=self.name,
@@ -145,7 +145,7 @@ def point_values(
         if not point._is_plain:
             decoded.append(point._value_in(values, index))
             continue
-        # Plain numbers are decoded here without a call, because most values that often change are
+        # Plain numbers are decoded here, without a call, because most values that change often are
         # plain numbers.
         word = values[index]
         last = point._last
@@ -368,7 +368,7 @@ def _field_text(point: Point, word: int) -> str:
     by_text: dict[str, list[str]] = {}
     for index in range(channels):
         value = word >> index * bits & (1 << bits) - 1
-        # If only one value of a bit has a text, channels with the other value are not shown.
+        # If only one of a bit's two values has a text, channels with the other value are not shown.
         text = texts.get(value, None if bits == 1 else str(value))
         if text is not None:
             by_text.setdefault(text, []).append(f"{point.channel}{point.first_channel + index}")

@@ -39,7 +39,7 @@ def _describe(reference: str, points: Sequence[PointValue]) -> str:
     if not phrases:
         return reference
     if phrases.startswith(f"{reference} "):
-        return phrases  # The name begins with the reference: T5 current value.
+        return phrases  # The name has the reference already: T5 current value.
     joint = ": " if all(point.name == point.reference for point in points) else " "
     return f"{reference}{joint}{phrases}" if reference else phrases
 

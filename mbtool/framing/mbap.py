@@ -48,7 +48,7 @@ from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_size
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
-    from mbtool.core import Direction
+    from mbtool.core import Direction, Origin
 
 MIN_LENGTH = 2
 MAX_LENGTH = 1 + MAX_PDU
@@ -85,9 +85,9 @@ class MbapSplitter:
         """True if the splitter holds no byte and the next byte begins a header."""
         return self._in_step and not self._buffer
 
-    def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
+    def feed(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> list[Adu | Skipped]:
         """Take the bytes of one segment; return the ADUs and skipped bytes that they complete."""
-        self._buffer.append(data, ts_ns)
+        self._buffer.append(data, ts_ns, origin)
         events: list[Adu | Skipped] = []
         while (size := self._first_size()) is not None and size <= len(self._buffer):
             if size:
@@ -208,7 +208,7 @@ class MbapSplitter:
         return size if fits else 0
 
     def _emit(self, size: int, events: list[Adu | Skipped], missing: int = 0) -> None:
-        start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
+        start_ns, (end_ns, origin) = self._buffer.first_ns, self._buffer.mark_at(size - 1)
         raw = self._buffer.take(size)
         if raw[2:4] != _MODBUS:
             reason = f"protocol id {raw[2:4].hex().upper()}H, where Modbus has 0000H"
@@ -227,6 +227,7 @@ class MbapSplitter:
                 raw=raw,
                 missing=missing,
                 transaction_id=raw[0] << 8 | raw[1],
+                origin=origin,
                 verdicts=self._verdicts(size, missing),
             )
         )

@@ -22,7 +22,7 @@ from mbtool.modbus.adu_bytes import crc
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:
-    from mbtool.core import Direction
+    from mbtool.core import Direction, Origin
 
 
 def _beginnings(direction: Direction) -> re.Pattern[bytes]:
@@ -52,9 +52,9 @@ class RtuStreamSplitter:
         """True if the splitter holds no incomplete frame."""
         return not self._buffer
 
-    def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
+    def feed(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> list[Adu | Skipped]:
         """Take the bytes of one segment; return the frames and skipped bytes that they complete."""
-        self._buffer.append(data, ts_ns)
+        self._buffer.append(data, ts_ns, origin)
         return self._frames(ended=False)
 
     def gap(self, missing: int = 0) -> list[Adu | Skipped]:
@@ -108,7 +108,7 @@ class RtuStreamSplitter:
     def _emit(self, size: int, events: list[Adu | Skipped]) -> None:
         verdicts = (Verdict.RESYNCHRONISED,) if self._skips else ()
         self._skips.end(events)
-        start_ns, end_ns = self._buffer.first_ns, self._buffer.ns_at(size - 1)
+        start_ns, (end_ns, origin) = self._buffer.first_ns, self._buffer.mark_at(size - 1)
         raw = self._buffer.take(size)
         events.append(
             Adu(
@@ -122,6 +122,7 @@ class RtuStreamSplitter:
                 pdu=raw[1:-2],
                 raw=raw,
                 checksum=Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2])),
+                origin=origin,
                 verdicts=verdicts,
             )
         )

@@ -1,4 +1,4 @@
-"""A byte queue that keeps the arrival time of each byte."""
+"""A byte queue that keeps the arrival time and the origin of each byte."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ if TYPE_CHECKING:
     import re
     from collections.abc import Iterator
 
+    from mbtool.core import Origin
+
 
 class TimedBuffer:
-    """Bytes of one link, taken from the front. The bytes of one `append` share a time."""
+    """Bytes of one link, taken from the front. The bytes of one `append` share time and origin."""
 
     __slots__ = ("_data", "_last_end", "_marks", "_taken")
 
@@ -19,37 +21,40 @@ class TimedBuffer:
         self._data = bytearray()
         self._taken = 0
         """How many bytes were ever taken."""
-        self._marks: deque[tuple[int, int]] = deque()
+        self._marks: deque[tuple[int, int, Origin | None]] = deque()
         """For each `append` of which bytes are left: the number of bytes appended up to its end
-        since the buffer was made, and the time of its bytes in ns."""
+        since the buffer was made, the time of its bytes in ns, and their origin."""
         self._last_end = 0
         """The same number for the last `append` that was taken wholly."""
 
     def __len__(self) -> int:
         return len(self._data)
 
-    def append(self, data: bytes, ts_ns: int) -> None:
+    def append(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> None:
         if data:
             self._data += data
-            self._marks.append((self._taken + len(self._data), ts_ns))
+            self._marks.append((self._taken + len(self._data), ts_ns, origin))
 
     @property
     def first_ns(self) -> int:
         """The time of the first byte in ns; the buffer must not be empty."""
         return self._marks[0][1]
 
-    def ns_at(self, index: int) -> int:
-        """The time, in ns, of the byte at an index from the front; IndexError beyond the end."""
+    def mark_at(self, index: int) -> tuple[int, Origin | None]:
+        """The time in ns and the origin of the byte at an index from the front.
+
+        Raises IndexError beyond the end.
+        """
         place = self._taken + index
-        for end, ts_ns in self._marks:
+        for end, ts_ns, origin in self._marks:
             if place < end:
-                return ts_ns
+                return ts_ns, origin
         raise IndexError(index)
 
     def is_seam(self, index: int) -> bool:
         """True if an `append` began or ended in front of the byte at an index from the front."""
         place = self._taken + index
-        return place == self._last_end or any(end == place for end, _ in self._marks)
+        return place == self._last_end or any(mark[0] == place for mark in self._marks)
 
     def peek(self, size: int, at: int = 0) -> bytes:
         """Up to `size` bytes from an index on, which stay in the buffer."""
@@ -66,14 +71,14 @@ class TimedBuffer:
         del self._data[:size]
         self._taken += len(taken)
         while self._marks and self._marks[0][0] <= self._taken:
-            self._last_end, _ = self._marks.popleft()
+            self._last_end = self._marks.popleft()[0]
         return taken
 
     def drain(self, size: int) -> Iterator[tuple[bytes, int]]:
         """Remove the first `size` bytes; yield them in pieces of one time each, with that time."""
         left = min(size, len(self._data))
         while left:
-            end, ts_ns = self._marks[0]
+            end, ts_ns, _ = self._marks[0]
             piece = self.take(min(left, end - self._taken))
             left -= len(piece)
             yield piece, ts_ns

@@ -5,13 +5,15 @@
 #
 #     jq 'select(.outcome == "exception")'      jq 'select(.kind == "gap")'
 #
-# Bytes are lower-case hex; times are UTC nanoseconds as integers; a field that does not apply is
-# absent in jsonl and empty in CSV. In CSV the values of a list are separated by spaces, and a line
-# end inside a text becomes a space.
+# Bytes are lower-case hex; times are UTC nanoseconds as integers, and `time` repeats the first of
+# them as ISO 8601. A field that does not apply is absent in jsonl and empty in CSV. In CSV the
+# values of a list are separated by spaces, and a line end inside a text becomes a space.
 
 from __future__ import annotations
 
 import csv
+from datetime import datetime, timedelta
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 _encode = msgspec.json.Encoder().encode
 
+_EPOCH = datetime(1970, 1, 1)
 _ONE_LINE = str.maketrans("\r\n", "  ")
 
 CSV_COLUMNS = (
@@ -58,18 +61,28 @@ CSV_COLUMNS = (
     "request_raw",
     "response_raw",
     "write_quantity",
+    "time",
+    "file",
+    "response_file",
+    "request_packet",
+    "response_packet",
+    "request_offset",
+    "response_offset",
+    "source_mac",
+    "destination_mac",
+    "vlan",
 )
 """The columns in order. A column never changes its name or meaning; new columns come last."""
 
 
 def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
     """Return a transaction as one line of jsonl, with its line end."""
-    return _line(transaction, "request_raw", "response_raw")
+    return _line(transaction, transaction.start_ns, "request_raw", "response_raw")
 
 
 def event_to_jsonl(event: WireEvent) -> bytes:
     """Return an event as one line of jsonl, with its line end."""
-    return _line(EventMessage.of(event), "raw")
+    return _line(EventMessage.of(event), event.ts_ns, "raw")
 
 
 class CsvWriter:
@@ -91,13 +104,35 @@ def csv_row(transaction: NamedTransaction) -> list[str]:
         f"{point.name}{':=' if point.written else '='}{point.text}" for point in transaction.points
     )
     fields["points"] = points
+    fields["time"] = iso_time(transaction.start_ns)
     return [_cell(fields.get(column)) for column in CSV_COLUMNS]
 
 
-def _line(message: msgspec.Struct, *bytes_fields: str) -> bytes:
+def iso_time(ts_ns: int) -> str | None:
+    """A time in UTC ns as ISO 8601: `2026-11-22T09:14:03.201000000Z`; None beyond the year 9999.
+
+    It always has nine decimals, so that texts sort as times.
+    """
+    seconds, ns = divmod(ts_ns, 1_000_000_000)
+    text = _second(seconds)
+    return None if text is None else f"{text}.{ns:09d}Z"
+
+
+@lru_cache(maxsize=64)
+def _second(seconds: int) -> str | None:
+    """A whole second since 1970 as ISO 8601. Cached, as many rows are of the same second."""
+    try:
+        return (_EPOCH + timedelta(seconds=seconds)).isoformat()
+    except OverflowError:
+        return None
+
+
+def _line(message: msgspec.Struct, ts_ns: int, *bytes_fields: str) -> bytes:
     # msgspec.structs.replace checks no types, so it can put hex strings into fields of type bytes.
     hexes = {name: raw.hex() for name in bytes_fields if (raw := getattr(message, name))}
-    return _encode(msgspec.structs.replace(message, **hexes)) + b"\n"
+    line = _encode(msgspec.structs.replace(message, **hexes))
+    time = iso_time(ts_ns)
+    return line + b"\n" if time is None else b'%b,"time":"%b"}\n' % (line[:-1], time.encode())
 
 
 def _with_hex(message: msgspec.Struct) -> dict[str, Any]:

@@ -5,14 +5,14 @@
 # next frame from its unit is the response.
 #
 # Lost connections. When the slave closes the connection, it is opened again for the next request.
-# While that fails, requests are reported as lost at once, so that nobody waits for their responses.
-# After an attempt that failed, no other is made for as long as that attempt took: attempts take at
-# most half of the time, and a refused connection, which fails at once, is tried for each request.
-# The user is told when the connection cannot be opened again, and when it is open again.
+# While this fails, requests are reported as lost at once, so that nobody waits for their responses.
+# After a failed attempt, no other is made for as long as that attempt took. So attempts take at
+# most half of the time, and if the slave refuses, which takes no time, each request makes an
+# attempt. The user is told when the connection cannot be opened again, and when it is open again.
 #
-# One thread sends and receives: it waits in `receive` until bytes come or the time is over.
+# One thread sends and receives: it waits in `receive` until bytes come or the timeout is over.
 #
-# Holds: the incomplete ADU in the splitter, and the numbers of pending and of lost requests, at
+# Memory: the incomplete ADU in the splitter, and the numbers of pending and of lost requests, at
 # most MAX_OPEN_REQUESTS of each; the oldest is forgotten first.
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ if TYPE_CHECKING:
     from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
-"""Timeout of the first connection."""
+"""Timeout of the first connection, in seconds."""
 RECONNECT_S = 0.5
-"""Timeout when a lost connection is opened again: a request that is due waits meanwhile."""
+"""Timeout for opening a lost connection again, in seconds. Short, as a request is waiting."""
 READ_BYTES = 4096
 LONGEST_WAIT_S = 3600.0
 ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
-"""How long to wait before a serial port is looked at again, on systems that cannot wait for
-bytes."""
+"""On systems that cannot wait for bytes of a serial port (Windows), it is checked every so many
+seconds."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
-"""Shortest pause before a request of `ask` on a serial line. At high baud rates t3.5 is shorter
-than the time an adapter that listens on the line needs to show two frames apart."""
+"""Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
+short that a listening adapter would return two frames as one."""
 
 _NS = 1_000_000_000
 
@@ -70,7 +70,7 @@ class MasterLink(ABC):
 
     limits: LinkLimits
     _asked = 0
-    """How many requests `ask` has sent; the number of its last request."""
+    """Number of requests sent by `ask`; also the `number` of its last request."""
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
@@ -82,22 +82,22 @@ class MasterLink(ABC):
 
     @abstractmethod
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
-        """Return the responses that have come; if there is none, wait for one at most `timeout_ns`.
+        """Return the responses that have come; if there is none, wait at most `timeout_ns` for one.
 
         Raises LinkError if a serial port is lost.
         """
 
     def lost(self) -> Sequence[int]:
-        """Return the numbers of requests that get no response, as their connection was lost.
+        """Return the numbers of requests that get no response because the connection was lost.
 
-        Each number is returned once.
+        Each number is returned only once.
         """
         return ()
 
     def ask(self, unit: int, pdu: bytes) -> bytes | None:
-        """Send one request and wait for its response: the PDU, or None if it does not come in time.
+        """Send one request and return the PDU of its response; None if none comes in time.
 
-        `ask` numbers its requests itself, so a link that uses it must not use `send` as well.
+        `ask` numbers its requests itself, so do not also use `send` on the same link.
         Raises LinkError if a serial port is lost.
         """
         if self.limits.pause_ns:
@@ -151,11 +151,11 @@ class TcpMaster(MasterLink):
         self._link = link
         self._on_remark = on_remark
         self._is_reconnecting = False
-        """True from a failed attempt to open the connection again until one succeeds."""
+        """True if the last attempt to open a lost connection again has failed."""
         self._next_attempt_ns = 0
         self._pending: dict[int, tuple[int, int]] = {}
-        """The number and the unit of each pending request, by its transaction id. With RTU over
-        TCP, which has no ids, there is one at most, by 0."""
+        """The number and the unit of each pending request, by transaction id. RTU over TCP has no
+        such ids: at most one request is pending, with the key 0."""
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self._socket: socket.socket | None = self._connect(CONNECT_S)
@@ -216,7 +216,7 @@ class TcpMaster(MasterLink):
             return None
         number, unit = self._pending.get(event.transaction_id or 0, (-1, -1))
         if self._link.rtu and unit != event.unit:
-            number = -1  # With Modbus/TCP the unit may differ: an FA3 module answers with its own.
+            number = -1  # With Modbus/TCP the unit may differ: FA3 modules answer with their own.
         if number >= 0:
             del self._pending[event.transaction_id or 0]
         return ReceivedResponse(number, event.pdu, event.start_ns, event.end_ns)
@@ -303,7 +303,7 @@ class SerialMaster(MasterLink):
     def _read(self, wait_s: float) -> bytes:
         """Return the bytes that have come; if there are none, wait `wait_s` seconds at most.
 
-        This does not change the timeout of the pyserial port: pyserial would then configure the
+        The timeout of the pyserial port stays unchanged. To change it, pyserial would configure the
         whole port again, which takes time, and fails on a pseudo-terminal if the line has parity.
         """
         if os.name == "posix":

@@ -1,4 +1,4 @@
-"""The Modbus protocol: PDUs, ADUs and transactions as values; parsing, encoding, no I/O."""
+"""The Modbus protocol: parses and encodes PDUs, ADUs and transactions. No I/O."""
 
 from mbtool.modbus.adu import Adu, Skipped, Transport, Verdict
 from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu

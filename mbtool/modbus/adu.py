@@ -1,6 +1,6 @@
 """The results of a splitter: application data units, and bytes that it could not read."""
 
-# Classes of which each frame makes an instance are msgspec.Structs, not dataclasses: making a
+# Adu and Checksum are msgspec.Structs, not dataclasses, because each frame makes new ones: making a
 # frozen Struct takes a tenth of the time, and reading one frame of a line makes about six objects.
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import msgspec
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, Origin
 
 MAX_PDU = 253
 MAX_RTU_ADU = 256
@@ -28,7 +28,7 @@ class Transport(StrEnum):
 
     @property
     def is_serial(self) -> bool:
-        """True if the frames are on a serial line: silences part them, and units share a link."""
+        """True for RTU and ASCII on a serial line, which all units share."""
         return self in (Transport.RTU, Transport.ASCII)
 
 
@@ -63,11 +63,11 @@ class Verdict(StrEnum):
     T1_5_BROKEN = "t1.5-broken"
     """The frame contains a silence longer than t1.5, but none as long as t3.5."""
     AMBIGUOUS = "ambiguous"
-    """Another direction or another end is nearly as likely for these bytes; in a TCP connection,
-    another request for this response."""
+    """Another reading is nearly as likely: another direction or end of the frame, or, in a TCP
+    connection, another request for this response."""
     PARITY_IN_DATA = "parity-in-data"
-    """A port with 8 data bits heard an ASCII line with 7: bit 7 of each character is a parity bit
-    or a stop bit."""
+    """A port with 8 data bits received an ASCII line with 7: bit 7 of each character is a parity
+    bit or a stop bit."""
     LOWER_CASE = "lower-case"
     """The frame has lower-case hexadecimal digits. Some ASCII devices do not read these."""
     OTHER_END = "other-end"
@@ -80,13 +80,12 @@ class Verdict(StrEnum):
     OTHER_TRANSACTION_ID = "other-transaction-id"
     """The response's transaction id differs from that of the only request that it can belong to."""
     CUT = "cut"
-    """The capture has the first bytes of the ADU, with its unit and function, and lacks the
-    others."""
+    """The capture has only the first bytes of the ADU, with the unit and the function."""
     OVER_LENGTH = "over-length"
     """The ADU is longer than the standard allows, 260 bytes on Modbus/TCP."""
     OVER_LIMIT = "over-limit"
-    """A request that the decoder's limit of open requests dropped, or the response to one; they are
-    not joined."""
+    """The decoder dropped this request because of its limit of open requests; or this is the
+    response to such a request. The two are not joined."""
 
 
 class Checksum(msgspec.Struct, frozen=True, gc=False):
@@ -120,8 +119,8 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     raw: bytes
     """All bytes of the ADU, as captured."""
     missing: int = 0
-    """How many bytes at the end of the ADU the capture lacks. Only an ADU of Modbus/TCP may lack
-    bytes, as only its header tells its length."""
+    """Number of bytes at the end of the ADU that the capture lacks. Always 0 on serial lines: only
+    the header of a Modbus/TCP ADU tells the length."""
     transaction_id: int | None = None
     """The transaction id of the MBAP header; None unless the transport is Modbus/TCP."""
     checksum: Checksum | None = None
@@ -131,6 +130,9 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     longest_silence_ns: int | None = None
     """On an RTU line, the longest silence inside the frame, in ns; None if unknown."""
     verdicts: tuple[Verdict, ...] = ()
+    origin: Origin | None = None
+    """The packet with the ADU's last byte, or the position of the first byte in a file of serial
+    bytes; None if unknown."""
 
     @property
     def size(self) -> int:

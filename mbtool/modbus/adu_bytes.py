@@ -20,7 +20,7 @@ def crc(data: bytes) -> int:
 
 
 def crc_on(before: int, data: bytes) -> int:
-    """The CRC of some bytes followed by `data`; `before` is the CRC of these bytes."""
+    """Continue a CRC: `before` is the CRC of the bytes that come before `data`."""
     return crc16.modbus(data, before)
 
 

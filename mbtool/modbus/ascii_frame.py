@@ -1,13 +1,13 @@
-"""Reads one frame of a Modbus ASCII line, also with small deviations from the standard."""
+"""Reads one frame of a Modbus ASCII line, even if it differs a little from the standard."""
 
 # A frame is a colon, two hexadecimal digits for each byte including the LRC, CR and LF (Serial
 # Line V1.02, 2.5.2.1). Devices differ: some write lower-case digits, some leave out CR or LF, and
 # function 08, sub-function 3 replaces LF by another character. All of these frames are read, and
 # the result says what is unusual about them.
 #
-# If a port with 8 data bits hears a line with 7, bit 7 of each character is the parity bit or the
-# first of two stop bits. Such a frame is read without bit 7, but only if bit 7 follows one rule in
-# all characters (even parity, odd parity, or always set). Otherwise the frame is damaged.
+# If a port with 8 data bits receives a line with 7, bit 7 of each character is the parity bit or
+# the first of two stop bits. Such a frame is read without bit 7, but only if bit 7 follows one rule
+# in all characters (even parity, odd parity, or always set). Otherwise the frame is damaged.
 
 from __future__ import annotations
 
@@ -89,9 +89,10 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
 
 
 def _has_parity(raw: bytes) -> bool:
-    """True if bit 7 can be a parity bit or a stop bit: it is set in some character.
+    """True if bit 7 of the characters can be a parity bit or a stop bit.
 
-    It must also give all characters the same parity, or be set in all of them.
+    It is set in at least one character, and it is set in all characters or gives all of them the
+    same parity.
     """
     if raw.isascii():
         return False

@@ -25,19 +25,19 @@ UNKNOWN_SIZE = 0
 EXCEPTION_SIZE = 2
 """The size of the PDU of an exception response in bytes."""
 MAX_KNOWN = 1024
-"""For how many requests the expected response is remembered; beyond that, the request that was not
-looked up for the longest time is forgotten."""
+"""The expected responses of so many different requests are remembered; then the least recently used
+is forgotten."""
 
-_ECHOED = ECHOING - {0x08}  # For 08 it depends on the sub-function.
+_ECHOED = ECHOING - {0x08}  # 08 echoes only some of its sub-functions.
 _SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}
-"""By function code, the size in bytes of the response's PDU if the function alone tells it, else
-UNKNOWN_SIZE."""
+"""The size in bytes of the response's PDU, by function code; UNKNOWN_SIZE if the function alone
+does not tell it."""
 _FORCE_LISTEN_ONLY = 4
 """The sub-function of 08 that has no response (V1.1b3, 6.8.1)."""
 
 
 class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
-    """What is known of the response to a request before it comes."""
+    """The properties of a response that follow from its request."""
 
     code: int
     """The request's function code."""
@@ -47,7 +47,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
     """The length of the response's PDU in bytes; UNKNOWN_SIZE if the request does not tell it."""
 
     @classmethod
-    @lru_cache(maxsize=MAX_KNOWN)  # Masters ask the same few requests over and over.
+    @lru_cache(maxsize=MAX_KNOWN)  # Masters repeat the same few requests.
     def of(cls, request: bytes) -> ExpectedResponse | None:
         """The response expected to the request with this PDU; None if it has no response."""
         code = request[0]
@@ -56,7 +56,8 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         if code in READS:
             quantity = int.from_bytes(request[3:5])
             count = bit_bytes(quantity) if code in READ_BITS else 2 * quantity
-            # A count above 255 (a quantity above the limit) fits no response: no PDU is so long.
+            # If the quantity is above the limit, the count may exceed 255. Then no response fits,
+            # as no PDU is so long.
             return cls(code, bytes((code, count & 0xFF)), 2 + count)
         if code in WRITE_SEVERAL:
             return cls(code, request[:5], 5)
@@ -71,7 +72,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         return cls(code, request[:1], _SIZES.get(code, UNKNOWN_SIZE))
 
     def fits(self, pdu: bytes) -> bool:
-        """True if a PDU can be the response to this request, or an exception response to it."""
+        """True if a PDU can be the normal response or an exception response to this request."""
         if pdu[0] == self.code:
             return pdu.startswith(self.prefix) and self.size in (UNKNOWN_SIZE, len(pdu))
         return len(pdu) == EXCEPTION_SIZE and self.is_named_by(pdu[0])
@@ -83,5 +84,5 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         return self.prefix.startswith(pdu[: len(self.prefix)]) and self.size in (UNKNOWN_SIZE, size)
 
     def is_named_by(self, code: int) -> bool:
-        """True if a function code is the request's, with or without the exception bit."""
+        """True if `code` is the request's function code, with or without the exception bit."""
         return code in (self.code, self.code | EXCEPTION_BIT)

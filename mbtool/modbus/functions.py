@@ -37,7 +37,7 @@ class Function:
     """The table that the function's addresses belong to; None if the function has no addresses in a
     table."""
     limit: int = 1
-    """The largest quantity of registers or bits that a request may have; for 17H, may read."""
+    """The most registers or bits that a request may read or write; for 17H, may read."""
     writes: bool = False
     serial_only: bool = False
 
@@ -52,7 +52,7 @@ _MASKS = Layout(ADDRESS, ("and_mask", 2), ("or_mask", 2))
 _DIAGNOSTICS = Layout(("sub_function", 2), tail=UncountedRegisters())
 _EMPTY = Layout()
 
-FUNCTIONS: dict[int, Function] = {  # Numbers are chapters of the specification, V1.1b3.
+FUNCTIONS: dict[int, Function] = {  # Comments give the chapter of V1.1b3.
     0x01: Function(  # 6.1
         name="read coils", short="read coils", table=Table.COILS, limit=2000,
         request=_READ, response=Layout(tail=Bits()),
@@ -170,13 +170,13 @@ QUERY_DATA = 0
 """The sub-function of 08 that returns the data of the request, of any length (V1.1b3, 6.8.1)."""
 
 READ_LIMIT = FUNCTIONS[0x03].limit
-"""How many registers a request reads at most (V1.1b3, 6.3)."""
+"""The most registers that a request may read (V1.1b3, 6.3)."""
 WRITE_LIMIT_17H = 121
-"""How many registers function 17H writes at most (V1.1b3, 6.17)."""
+"""The most registers that function 17H may write (V1.1b3, 6.17)."""
 
 
 class ExceptionCode(IntEnum):
-    """Exception codes (V1.1b3, section 7). Other codes of devices are kept as numbers."""
+    """Exception codes (V1.1b3, section 7). Further codes of devices are plain integers."""
 
     ILLEGAL_FUNCTION = 0x01
     ILLEGAL_DATA_ADDRESS = 0x02

@@ -1,4 +1,4 @@
-"""The variable ends of PDUs that consist of groups: file records and identification objects."""
+"""Layouts of the parts of PDUs that consist of groups: file records, identification objects."""
 
 from __future__ import annotations
 

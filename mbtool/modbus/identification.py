@@ -1,9 +1,9 @@
 """The identity that a device reports: the responses to functions 2B/0E and 11H, as texts."""
 
-# Read device identification (MODBUS Application Protocol V1.1b3, 6.21) gives objects, each with an
-# id and a text. The standard names ids 00 to 06; ids 80 to FF belong to the vendor. Report server
-# id (6.13) gives bytes in the vendor's form: usually an id, a run indicator (00 off, FF on) and a
-# text.
+# The function read device identification (MODBUS Application Protocol V1.1b3, 6.21) returns
+# objects, each with an id and a text. The standard names ids 00 to 06; ids 80 to FF belong to the
+# vendor. The function report server id (6.13) returns bytes in the vendor's form: usually an id, a
+# run indicator (00 off, FF on) and a text.
 #
 # Bytes of a text that are not printable ASCII are written as \xNN.
 
@@ -34,13 +34,13 @@ SERVER_ID = "server id"
 RUN_INDICATOR = "run indicator"
 _RUN_STATES = {0x00: "off", 0xFF: "on"}
 _LEAST_TEXT = 3
-"""A server id of fewer bytes than this is written in hexadecimal, since one or two bytes may be
-printable by chance."""
+"""A server id of fewer bytes than this is shown in hexadecimal, not as text, since one or two bytes
+may be printable by chance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One property that a device reports of itself."""
+    """One property that a device reports about itself, such as its vendor name."""
 
     name: str
     text: str

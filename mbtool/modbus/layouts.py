@@ -1,15 +1,15 @@
-"""The building blocks of the function table: how the bytes after a function code are laid out."""
+"""Layouts of the bytes after a function code; the table in functions.py is made of them."""
 
-# A Layout is a row of fixed-width integers, then at most one tail of variable length. One object
-# has three methods, so that they cannot contradict each other:
+# A Layout is a row of fixed-width integers, then at most one tail of variable length. The same
+# object does three things, so that they always agree:
 #
-#     length(pdu)     the length of the whole PDU by its structure, from as few bytes as possible
-#     parse(pdu)      the fields by name, and what is wrong with the form, if anything
-#     encode(fields)  the bytes after the function code
+#     length(pdu)     finds the length of the whole PDU, from as few bytes as possible
+#     parse(pdu)      returns the fields by name, and a text on what is wrong with the form, if so
+#     encode(fields)  returns the bytes after the function code
 #
-# Parsing keeps as many fields as it can. From a PDU that is too short it keeps the fields that are
-# complete; in one that is too long it ignores the bytes beyond its form. Encoding is strict: it
-# raises ValueError if a field is missing, or if its value has a wrong type or does not fit.
+# Parsing returns as many fields as possible. From a PDU that is too short it returns the complete
+# fields; in a PDU that is too long it ignores the extra bytes. Encoding is strict: it raises
+# ValueError if a field is missing, or if a value has a wrong type or does not fit.
 #
 # The tails that consist of groups (file records, identification objects) are in group_layouts.py.
 
@@ -29,13 +29,13 @@ Group = tuple[int | bytes | tuple[int, ...], ...]
 Fields = dict[str, Value]
 
 NO_LENGTH = 0
-"""What `length` returns if the bytes of a PDU or tail do not tell its length."""
+"""The result of `length` if the bytes of a PDU or tail do not tell its length."""
 USUAL_DIAGNOSTIC_BYTES = 2
 """The number of data bytes that a PDU of function 08 has. Only its sub-function 0 may have more,
 and nothing in the PDU tells how many (V1.1b3, 6.8)."""
 
 COIL_VALUES = {0x0000: 0, 0xFF00: 1}
-"""For each value on the wire that function 05 allows, the bit that it stands for (V1.1b3, 6.5)."""
+"""The two values that function 05 may carry, each with the bit that it means (V1.1b3, 6.5)."""
 
 
 class Tail(Protocol):
@@ -48,13 +48,13 @@ class Tail(Protocol):
         """
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        """Add the tail's fields to `fields`. Returns what is wrong with its form, or None."""
+        """Add the tail's fields to `fields`. Returns a text if its form is wrong, else None."""
 
     def encode(self, fields: Mapping[str, Value]) -> bytes: ...
 
 
 class Layout:
-    """The form that requests, or responses, of one function have behind the function code."""
+    """The layout of one function's requests, or responses, behind the function code."""
 
     __slots__ = ("_fixed", "_names", "_size", "_tail")
 
@@ -80,7 +80,7 @@ class Layout:
         return self._size + tail if tail else tail
 
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
-        """The fields of a PDU, and what is wrong with its form; None if nothing is."""
+        """The fields of a PDU, and a text if its form is wrong, else None."""
         if len(pdu) < self._size:
             return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = {}
@@ -118,14 +118,13 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """A byte count, and 16-bit registers in as many bytes as it says."""
+    """A byte count, followed by that many bytes of 16-bit registers."""
 
     name: str = "values"
     count_width: int = 1
     """Width of the byte count in bytes, 1 or 2."""
     quantity: str | None = None
-    """The name of the field that says how many registers there are; None if only the byte count
-    does."""
+    """The name of the field with the number of registers; None if there is only the byte count."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, self.count_width)
@@ -154,8 +153,8 @@ class Bits:
 
     name: str = "values"
     quantity: str | None = None
-    """The name of the field that says how many bits there are. None if no field of the PDU does;
-    then all bits of the bytes are kept."""
+    """The name of the field with the number of bits; None if there is none, so that all bits of the
+    bytes are kept."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, 1)
@@ -175,7 +174,7 @@ class Bits:
 
 @dataclass(frozen=True, slots=True)
 class Bytes:
-    """A byte count, and as many bytes, which are kept as they are.
+    """A byte count, followed by that many bytes, which are not interpreted.
 
     If `count_width` is 0 there is no byte count, and all bytes up to the PDU's end are kept.
     """
@@ -206,7 +205,7 @@ class UncountedRegisters:
 
     name: str = "values"
     usual: int = USUAL_DIAGNOSTIC_BYTES
-    """The length in bytes that is expected, since the PDU does not tell it."""
+    """The usual length in bytes; the PDU does not tell the length."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return self.usual
@@ -251,7 +250,7 @@ class CoilValue:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A byte that names a type, then what the layout of this type says.
+    """A byte that names a type, followed by the layout for this type.
 
     `layouts` gives the layout of each type; the data of a type without one is kept as bytes.
     """
@@ -293,7 +292,7 @@ def counted_length(pdu: bytes, at: int, width: int) -> int | None:
 
 
 def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
-    """The data after a byte count, as much of it as there is, and what is wrong with it, or None.
+    """The data after a byte count, as far as the PDU has them, and a text if they are wrong.
 
     The byte count begins at offset `at` of `pdu` and has `width` bytes.
     """
@@ -306,9 +305,9 @@ def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
 
 
 def with_byte_count(data: bytes, width: int) -> bytes:
-    """The data with its byte count of `width` bytes before it.
+    """The data, preceded by a byte count of `width` bytes.
 
-    Raises ValueError if there is more data than a count of that width can tell.
+    Raises ValueError if the data are too long for such a count.
     """
     if len(data) >= 1 << 8 * width:
         raise ValueError(f"{len(data)} bytes of data do not fit a byte count of {width} bytes")

@@ -15,7 +15,7 @@ _BITS = [tuple(byte >> bit & 1 for bit in range(8)) for byte in range(256)]
 
 
 def words(data: bytes) -> tuple[int, ...]:
-    """Unpack big-endian 16-bit registers; an odd last byte is left out."""
+    """Unpack 16-bit registers, high byte first; an odd last byte is left out."""
     return _registers(len(data) // 2).unpack_from(data)
 
 
@@ -25,7 +25,7 @@ def _registers(count: int) -> struct.Struct:
 
 
 def pack_words(values: Sequence[int]) -> bytes:
-    """Pack registers. Raises ValueError for values outside 0..65535."""
+    """Pack registers, high byte first. Raises ValueError for values outside 0..65535."""
     try:
         return struct.pack(f">{len(values)}H", *values)
     except struct.error as error:
@@ -49,5 +49,5 @@ def pack_bits(values: Sequence[int]) -> bytes:
 
 
 def bit_bytes(quantity: int) -> int:
-    """The number of bytes for a quantity of bits."""
+    """The number of bytes that `quantity` bits fill."""
     return (quantity + 7) // 8

@@ -41,8 +41,8 @@ LAYOUTS = {
     Direction.RESPONSE: _RESPONSES,
     Direction.UNKNOWN: _REQUESTS,
 }
-"""The layout of a PDU, by direction and function code. The codes are indices of a list, not keys,
-because each byte of a line may be looked up as a function code."""
+"""The layout of a PDU, by direction and function code. For speed, the function code is the index of
+a list: a splitter looks up nearly every byte of a line as a function code."""
 
 
 class Pdu(msgspec.Struct, frozen=True):
@@ -114,8 +114,8 @@ def exception_pdu(function: int, exception_code: int) -> bytes:
 def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
     """The length in bytes of the PDU that begins at offset `at` of `pdu`, from its first bytes.
 
-    None if more bytes are needed to know, 0 if no bytes of the PDU tell its length. None of them
-    tell it for function 08 either, but there the usual length is returned.
+    None if more bytes are needed to know, 0 if no bytes of the PDU tell the length. In function 08
+    no bytes tell it, either, but the usual length is returned.
     """
     if len(pdu) <= at:
         return None
@@ -142,8 +142,8 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
 def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
     """The PDU of an ADU; None if `raw` is None, or not a whole ADU.
 
-    A capture may have cut an ADU of Modbus/TCP, and another program may have written any bytes to a
-    log.
+    An ADU may be incomplete: a capture may have cut it, or another program may have written wrong
+    bytes to a log.
     """
     if raw is None:
         return None

@@ -1,7 +1,6 @@
-"""Which registers or bits a request reads and writes, the values it writes, and its response."""
+"""Finds the registers or bits that a request reads and writes, and makes its response."""
 
-# Nothing here checks that a device has the addresses of a request: only the caller knows which
-# addresses the device has.
+# Whether the device has these addresses is not checked here; only the caller knows the device.
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RegisterAccess:
-    """The addresses that a request reads and those that it writes, of one table."""
+    """The addresses of one table that a request reads, and those that it writes."""
 
     table: Table
     reads: range = range(0)
@@ -53,7 +52,7 @@ def register_access(request: Pdu) -> RegisterAccess | None:
 def keeps_limits(request: Pdu) -> bool:
     """True if a request has the form of its function and keeps the standard's limits.
 
-    These are the limits of its quantity, and the last address of a table, 65535.
+    The limits are those of the quantity, and 65535 for the last address.
     """
     if request.code not in TABLE_FUNCTIONS:
         return request.problem is None
@@ -62,9 +61,9 @@ def keeps_limits(request: Pdu) -> bool:
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
-    """The values that the addresses written by a request have after it.
+    """The values that a request leaves in the addresses that it writes.
 
-    `before` are their values before the request, on which the result of a mask write (16H) depends.
+    `before` are the values there before the request; a mask write (16H) changes only some bits.
     """
     match request.code:
         case 0x05:
@@ -105,7 +104,7 @@ def _addresses(address: int, quantity: int | None) -> range:
 
 
 def _number(request: Pdu, name: str) -> int:
-    return cast("int", request.fields[name])  # A PDU without a problem has every field.
+    return cast("int", request.fields[name])  # A well-formed PDU has every field.
 
 
 def _values(request: Pdu) -> tuple[int, ...]:

@@ -1,8 +1,8 @@
 """Decides if a response belongs to a request of the same unit, and says why it does not."""
 
-# The fields of the two PDUs are compared: one that a response repeats must be equal in both.
-# Decoders of a serial line compare bytes instead (expected_response.py). That is stricter: a
-# response that fits a request there also belongs to the request here.
+# The fields of the two PDUs are compared: a field that a response repeats must be equal in both.
+# Decoders of a serial line compare bytes instead (expected_response.py), which is stricter: every
+# response that is accepted there is also accepted here.
 
 from __future__ import annotations
 
@@ -46,5 +46,5 @@ def mismatch(request: Pdu, response: Pdu) -> str | None:
     if request.code == 0x08 and request.number("sub_function") == 0:
         asked_for, echo = request.numbers("values"), response.numbers("values")
         if asked_for is not None and echo is not None and asked_for != echo:
-            return f"data {echo} for {asked_for}"  # It must be returned unchanged (V1.1b3, 6.8.1).
+            return f"data {echo} for {asked_for}"  # A slave must return it unchanged (6.8.1).
     return None

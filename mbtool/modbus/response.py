@@ -11,7 +11,7 @@ class ConnectionEnding(StrEnum):
     """How the slave that is played ends a TCP connection after a response."""
 
     CLOSE = "close"
-    """The slave ends the connection in order, with a FIN."""
+    """The slave closes the connection in the normal way, with a FIN."""
     RESET = "reset"
     """The slave ends the connection at once, with a RST."""
 
@@ -27,13 +27,13 @@ class Distortion:
     wrong_check: bool = False
     """True if the response is sent with a wrong CRC or LRC."""
     cut: int = 0
-    """How many bytes at the end of the ADU are not sent."""
+    """Number of bytes at the end of the ADU that are not sent."""
     extra: bytes = b""
     """Bytes that are sent directly after the ADU."""
     pieces: int = 1
-    """In how many pieces the bytes are sent."""
+    """The number of pieces in which the bytes are sent."""
     gap_ns: int = 0
-    """The time from the beginning of one piece to that of the next, in ns."""
+    """The time from the beginning of one piece to the beginning of the next, in ns."""
     silent: bool = False
     """True if the response is not sent at all."""
     ending: ConnectionEnding | None = None

@@ -1,4 +1,4 @@
-"""A request and its response in one record, which logs, JSON Lines and Python programs all use."""
+"""A request and its response in one record, as in logs, JSON Lines and the Python interface."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class Outcome(StrEnum):
     OK = "ok"
     EXCEPTION = "exception"
     NO_ANSWER = "no-answer"
-    """The slave sent no response, and the capture would have it."""
+    """The slave sent no response: the capture is complete here and has none."""
     NOT_CAPTURED = "not-captured"
-    """The other half was sent, or may have been, and the capture lacks it; or the capture lacks
-    bytes of a half."""
+    """The capture lacks the request or the response, or some of their bytes, so that the outcome is
+    unknown."""
     UNSOLICITED = "unsolicited"
     """The transaction is a response that no request asked for."""
     BROADCAST = "broadcast"
@@ -27,7 +27,7 @@ class Outcome(StrEnum):
     """The response does not have the form of its function."""
 
 
-# gc=False: a transaction is in no reference cycle, so the garbage collector need not visit it.
+# gc=False saves time: a transaction is in no reference cycle, so no garbage collector is needed.
 class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """A request and its response. A field that does not apply is None, and absent in JSON.
 
@@ -53,8 +53,8 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     write_address: int | None = None
     """The first address that function 17H writes."""
     write_quantity: int | None = None
-    """How many registers function 17H writes, as the request's field says; its byte count and its
-    values may say otherwise."""
+    """The number of registers that function 17H writes, from the request's quantity field; a
+    malformed request may have another number of values."""
     request_values: list[int] | None = None
     response_values: list[int] | None = None
     exception: int | None = None
@@ -67,21 +67,41 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     latency_ns: int | None = None
     """The time from the end of the request to the start of the response, in ns."""
     retries: int
-    """How many equal requests before this one had no response."""
+    """Number of equal requests directly before this one that got no response."""
     request_raw: bytes | None = None
     response_raw: bytes | None = None
     verdicts: list[Verdict] = []
     direction_by: DirectionBy
     confidence: float
+    file: str | None = None
+    """The capture file of the request, or of the response if there is no request, as the user named
+    it; None in a live capture."""
+    response_file: str | None = None
+    """The capture file of the response, if it is another one than `file`."""
+    request_packet: int | None = None
+    """The number of the packet in the file that brought the last byte of the request. Packets are
+    counted from 1, as Wireshark does."""
+    response_packet: int | None = None
+    """The same of the response."""
+    request_offset: int | None = None
+    """In a file of the bytes of a serial line, the number of bytes before the request."""
+    response_offset: int | None = None
+    """The same of the response."""
+    source_mac: str | None = None
+    """The MAC address that the master's packets have, as `00:0a:e4:01:02:03`."""
+    destination_mac: str | None = None
+    """The MAC address that the slave's packets have."""
+    vlan: int | None = None
+    """The VLAN of the packets: the id of the innermost tag."""
 
     @property
     def written_quantity(self) -> int:
-        """How many registers function 17H writes; of a log without the field, how many values."""
+        """The number of registers that function 17H writes; without the field, of its values."""
         if self.write_quantity is not None:
             return self.write_quantity
         return len(self.request_values or ())
 
     @property
     def start_ns(self) -> int:
-        """When the request was complete, or the response if there is no request, in UTC ns."""
+        """The end of the request, or of the response if there is no request, in UTC ns."""
         return self.request_ns if self.request_ns is not None else self.response_ns or 0

@@ -41,7 +41,16 @@
 
 from __future__ import annotations
 
-from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, StreamPlace, WireEvent
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    EventKind,
+    Origin,
+    Stamp,
+    StreamPlace,
+    WireEvent,
+)
 from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment
 from mbtool.packets.stream import LEAD, HeldBytes, Stream
 from mbtool.packets.stream_events import (
@@ -144,11 +153,13 @@ class TcpConnection:
         end = start + len(segment.payload) + segment.missing
         return end > sender.position or start < sender.position - WINDOW
 
-    def feed(self, segment: TcpSegment, ts_ns: int, *, from_lower: bool) -> None:
+    def feed(
+        self, segment: TcpSegment, ts_ns: int, *, from_lower: bool, origin: Origin | None = None
+    ) -> None:
         """Take a segment of this connection; a closed connection ignores it.
 
         The caller sorts the two ends by port and address; `from_lower` is True if the lower sent
-        it.
+        it. `origin` is the packet that brought it.
         """
         self.last_ns = self._now_ns = ts_ns
         if self.closed:
@@ -174,7 +185,7 @@ class TcpConnection:
         elif len(segment.payload) > 1 and sender.syn_end is not None:
             sender.decide_syn(sequence)
         if segment.payload or segment.missing:
-            self._take_payload(segment, sequence, acknowledged, sender, other)
+            self._take_payload(segment, sequence, acknowledged, sender, other, origin)
         elif flags == ACK and sender.is_before_next(sequence):
             self.keep_alives += 1
         if self.keep_alives > probes:
@@ -240,7 +251,13 @@ class TcpConnection:
         return CloseReason.RESET
 
     def _take_payload(
-        self, segment: TcpSegment, sequence: int, acknowledged: int, sender: Stream, other: Stream
+        self,
+        segment: TcpSegment,
+        sequence: int,
+        acknowledged: int,
+        sender: Stream,
+        other: Stream,
+        origin: Origin | None,
     ) -> None:
         """Deliver or hold the bytes of a segment; bytes that the capture cut off become a gap."""
         ts_ns, arrival = self._now_ns, self._arrivals
@@ -257,7 +274,7 @@ class TcpConnection:
         end = start + len(data)
         receipt = _receipt(segment, other)
         if data:
-            piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt)
+            piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt, origin)
             if start == sender.position and not sender.held and acknowledged <= other.position:
                 self._deliver(sender, piece)  # Most segments; this saves the calls of _take_piece.
             else:
@@ -397,7 +414,7 @@ class TcpConnection:
                     direction=stream.direction,
                     stamp=Stamp.AT_ONCE,
                     connection=identity,
-                    place=StreamPlace(piece.start, piece.receipt),
+                    place=StreamPlace(piece.start, piece.receipt, piece.origin),
                 )
             )
         else:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 NOT_IP = -1
 
 _IP = (b"\x08\x00", b"\x86\xdd")
-_VLAN = (b"\x81\x00", b"\x88\xa8", b"\x91\x00")
-_HSR = b"\x89\x2f"
-_TAGGED = (*_VLAN, _HSR)
+VLAN = (b"\x81\x00", b"\x88\xa8", b"\x91\x00")
+HSR = b"\x89\x2f"
+TAGGED = (*VLAN, HSR)
 _PPPOE = b"\x88\x64"
 _IP_IN_PPP = (b"\x00\x21", b"\x00\x57")
 _MPLS = (b"\x88\x47", b"\x88\x48")
@@ -46,8 +46,8 @@ def _behind(data: bytes, kind: bytes, at: int) -> int:
 
     `kind` is the EtherType of the first of them.
     """
-    while kind in _TAGGED:  # A tag ends with the EtherType of what follows.
-        at += 6 if kind == _HSR else 4
+    while kind in TAGGED:  # A tag ends with the EtherType of what follows.
+        at += 6 if kind == HSR else 4
         kind = data[at - 2 : at]
     if kind in _IP:
         return at

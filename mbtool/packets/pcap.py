@@ -76,6 +76,8 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             link_type=link_type,
             data=data,
             original_length=original if original > captured else captured,
+            file=name,
+            number=number,
         )
 
 

@@ -171,6 +171,8 @@ class _Reader:
             link_type=interface.link_type,
             data=body[start : start + captured],
             original_length=original if original > captured else captured,
+            file=self._name,
+            number=self._number,
         )
 
     def _describe_interface(self, body: bytes) -> None:

@@ -28,7 +28,7 @@ from __future__ import annotations
 import struct
 from collections import OrderedDict
 
-from mbtool.core import Connection, EventKind, Packet, WireEvent
+from mbtool.core import Connection, EventKind, Origin, Packet, WireEvent
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
 from mbtool.packets.fragments import (
     Datagram,
@@ -37,6 +37,7 @@ from mbtool.packets.fragments import (
     find_fragment,
     fragment_events,
 )
+from mbtool.packets.link_addresses import link_addresses
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
 from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, endpoint, find_tcp, read_segment
 from mbtool.packets.serial_packets import USER_LINK_TYPES
@@ -46,7 +47,7 @@ from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
-"""How many connections may hold bytes back at once, to wait for earlier ones."""
+"""How many connections may hold bytes at once until the bytes before those have come."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096
@@ -78,6 +79,10 @@ class TcpReassembler:
         self._checked_ns = 0
         self._reported: set[tuple[str, str]] = set()
         self._out: list[StreamItem] = []
+        self._packet: Packet | None = None
+        """The packet that is being read."""
+        self._ip_at = 0
+        """The offset of its IP header; 0 if the header of the link layer is of no interest."""
 
     def feed(self, packet: Packet) -> list[StreamItem]:
         """Take a packet; return what it completes. Never raises, whatever the packet contains."""
@@ -92,6 +97,7 @@ class TcpReassembler:
         at = finder(data)
         if at == NOT_IP:
             return []
+        self._packet, self._ip_at = packet, at
         if not self._feed_ip(data, at, packet.original_length, packet.ts_ns, packet.link):
             self._feed_other(packet, at)
         return self._take_out()
@@ -127,6 +133,7 @@ class TcpReassembler:
                 self._finish(self._fragments.feed(fragment, ts_ns, link, self._scope(link)), ts_ns)
                 return
             at = find_inner(data, at, length)
+            self._ip_at = 0  # The addresses before a tunnel are not those of master and slave.
             if at == GRE_IN_FRAGMENTS:
                 message = "fragments of packets that carry others (GRE), which are not put together"
                 self._report(ts_ns, link, EventKind.UNREADABLE, message)
@@ -206,11 +213,20 @@ class TcpReassembler:
             connection = self._open(segment, ts_ns, from_lower)
             self._connections[key] = connection
         self._connections.move_to_end(key)
-        connection.feed(segment, ts_ns, from_lower=from_lower)
+        origin = self._origin() if segment.payload else None
+        connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
         if connection.holds_bytes:  # Connections that no longer hold bytes are removed by _advance.
             self._holding[key] = connection
             if len(self._holding) > MAX_HOLDING:
                 self._holding.pop(next(iter(self._holding))).flush()
+
+    def _origin(self) -> Origin | None:
+        """The packet that is being read, as the origin of its bytes."""
+        packet = self._packet
+        if packet is None:
+            return None
+        addresses = link_addresses(packet.link_type, packet.data[: self._ip_at])
+        return Origin(packet.file, packet.number, addresses)
 
     def _open(self, segment: TcpSegment, ts_ns: int, from_lower: bool) -> TcpConnection:
         if len(self._connections) >= MAX_CONNECTIONS:

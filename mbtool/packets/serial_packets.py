@@ -17,7 +17,7 @@
 
 from __future__ import annotations
 
-from mbtool.core import Chunk, EventKind, Packet, WireEvent
+from mbtool.core import Chunk, EventKind, Origin, Packet, StreamPlace, WireEvent
 
 RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
@@ -54,7 +54,8 @@ def serial_pieces(packet: Packet) -> list[Chunk | WireEvent]:
         if report is not None:
             pieces.append(_event(packet, *report))
     if data:
-        pieces.append(Chunk(ts_ns=packet.ts_ns, link=packet.link, data=data))
+        place = StreamPlace(0, None, Origin(packet.file, packet.number))
+        pieces.append(Chunk(ts_ns=packet.ts_ns, link=packet.link, data=data, place=place))
     missing = packet.original_length - len(packet.data)
     if missing > 0:
         text = f"a packet without its last {missing} bytes; capture longer ones"

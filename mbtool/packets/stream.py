@@ -22,7 +22,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from mbtool.core import Direction, Endpoint
+    from mbtool.core import Direction, Endpoint, Origin
 
 MAX_HELD_BYTES = 64 * 1024
 MAX_HELD_PIECES = 64
@@ -54,6 +54,8 @@ class HeldBytes(NamedTuple):
     """The number of the packet that brought these bytes, counted in the connection."""
     receipt: int | None = None
     """The position in the other direction that the segment acknowledges; None if unknown."""
+    origin: Origin | None = None
+    """The packet that brought these bytes."""
 
     def part(self, start: int, end: int) -> HeldBytes:
         data = self.data[start - self.start : end - self.start]
@@ -135,10 +137,11 @@ class Stream:
         return sequence
 
     def decide_syn(self, sequence: int) -> None:
-        """Find out by a sequence number behind the SYN's bytes if the sender counts its SYN.
+        """Find out if the sender counts its SYN, which carried bytes, as one sequence number.
 
-        RFC 793 says that it must (3.3). The stacks of some test tools do not: the bytes behind
-        those of the SYN, and the acknowledgement of the SYN's bytes, are one too low.
+        `sequence` is the number of the bytes after those in the SYN, or the acknowledgement of
+        those in the SYN. RFC 793 (3.3) says that a SYN counts. The stacks of some test tools do not
+        count it: then `sequence` is one lower than expected.
         """
         if self.syn_end is None:
             return

@@ -1,1 +1,1 @@
-"""Serial ports, TCP listeners, TLS and clocks. Callers import from the modules."""
+"""Serial ports, TCP listeners, TLS and clocks. This file exports nothing: import the modules."""

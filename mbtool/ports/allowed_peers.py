@@ -1,11 +1,11 @@
-"""Says which machines may connect to a TCP listener: this one, and those that --allow names."""
+"""Decides which machines may connect to a TCP listener: this one, and those given by --allow."""
 
 # This machine may always connect, through its loopback address. Other machines may connect if their
-# address is in a network that --allow names. A network of prefix length 0 (0.0.0.0/0 or ::/0) lets
-# everybody in, over IPv4 and IPv6.
+# address is in a network given by --allow. A network of prefix length 0 (0.0.0.0/0 or ::/0) admits
+# every machine, over IPv4 and IPv6.
 #
-# A socket that takes IPv4 and IPv6 gives an IPv4 peer as ::ffff:10.0.0.1 (RFC 4291, 2.5.5.2). Such
-# an address is compared, and shown, as IPv4.
+# A socket for both IPv4 and IPv6 shows the IPv4 address 10.0.0.1 as ::ffff:10.0.0.1 (RFC 4291,
+# 2.5.5.2). Such an address is compared, and shown, as IPv4.
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _MAPPED_BITS = 96
-"""How many bits of an IPv4-mapped IPv6 address (::ffff:a.b.c.d) stand before the IPv4 address."""
+"""An IPv4-mapped IPv6 address (::ffff:a.b.c.d) has 96 bits before the 32 of the IPv4 address."""
 
 
 @dataclass(frozen=True, slots=True)
 class AllowedPeers:
-    """The machines that may connect: always this one, and those of some networks."""
+    """The machines that may connect: this one, and all whose address is in one of `networks`."""
 
     networks: tuple[IPv4Network | IPv6Network, ...] = ()
 
@@ -39,7 +39,7 @@ class AllowedPeers:
         return cls(tuple(_network(text) for text in texts))
 
     def __contains__(self, host: object) -> bool:
-        """True if a machine with this address may connect; False also if `host` is no address."""
+        """True if a machine with this IP address may connect; False if `host` is no IP address."""
         try:
             address = plain_address(str(host))
         except ValueError:
@@ -50,11 +50,11 @@ class AllowedPeers:
 
 
 THIS_MACHINE = AllowedPeers()
-"""Nobody but this machine: the default of every listener."""
+"""Only this machine may connect: the default of every listener."""
 
 
 def plain_address(host: str) -> IPv4Address | IPv6Address:
-    """Read an IP address; an IPv4-mapped IPv6 address gives the IPv4 address in it.
+    """Read an IP address; of an IPv4-mapped IPv6 address, return the IPv4 address.
 
     Raises ValueError for a text that is no IP address.
     """

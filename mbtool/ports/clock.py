@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from time import time_ns as now_ns  # noqa: TID251 - live bytes get their time here
+from time import time_ns as now_ns  # noqa: TID251 - the clock for bytes that are captured live
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ __all__ = ["now_ns", "steady_clock"]
 def steady_clock() -> Callable[[], int]:
     """Return a clock that starts at the present UTC and then follows the monotonic clock.
 
-    So it never steps back. A slave measures silences and delays with it; these must not change
-    when somebody sets the system's clock.
+    It never steps back. A slave uses it to measure silences and delays, which must not change when
+    somebody sets the system's clock.
     """
     anchor_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 - this is a clock
     return lambda: anchor_ns + time.monotonic_ns()

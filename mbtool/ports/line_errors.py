@@ -1,12 +1,12 @@
-"""Sums up which bytes of a serial line the port's driver reports as damaged or lost."""
+"""Reports the bytes of a serial line that the port's driver marks as damaged or counts as lost."""
 
-# There are two sources: marks at single bytes (marks.py), and the driver's counters. Both are
-# reported, since neither is complete: some drivers count and set no marks, some set marks and do
-# not count, and only the counters know of lost bytes.
+# A driver can tell of damaged bytes in two ways: by marks at single bytes (marks.py), and by error
+# counters. Both are reported, since neither is complete: some drivers count but set no marks, some
+# set marks but do not count, and only the counters tell of lost bytes.
 #
-# A single error is reported at once. When more follow, as they do by thousands at a wrong baud
-# rate, they are summed up and reported once in GATHER_NS. The counters too are read once in
-# GATHER_NS, and whenever something is reported.
+# A single error is reported at once. Further errors are summed up and reported once in GATHER_NS,
+# as a wrong baud rate gives thousands of them. The counters are read once in GATHER_NS, too, and
+# with each report.
 #
 # Memory: the number of damaged bytes since the last report, and the first SHOWN of them.
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 GATHER_NS = 1_000_000_000
 """The shortest time between two reports, in ns."""
 SHOWN = 8
-"""How many damaged bytes a report shows."""
+"""Number of damaged bytes whose values a report shows."""
 
 _COUNTER_MASK = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorCounts:
-    """A driver's counters, 32 bits each; they start at any value and wrap around."""
+    """A driver's error counters, 32 bits each. They start at any value and wrap around."""
 
     frame: int = 0
     overrun: int = 0
@@ -52,7 +52,7 @@ class ErrorCounts:
 
 @dataclass(frozen=True, slots=True)
 class LineTrouble:
-    """One report: either `text` tells of damaged bytes, or `lost` is the number of lost bytes."""
+    """One report of damaged bytes (`text`), or of lost bytes (`lost`, their number)."""
 
     ts_ns: int
     text: str = ""
@@ -60,7 +60,7 @@ class LineTrouble:
 
 
 class LineErrors:
-    """Turns a driver's marks and counters into reports: one of damage, one of loss in GATHER_NS."""
+    """Turns a driver's marks and counters into reports: in GATHER_NS one of damage, one of loss."""
 
     def __init__(
         self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
@@ -76,10 +76,10 @@ class LineErrors:
         self._first_ns = self._last_ns = 0
 
     def mark(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
-        """Remember the damaged bytes of one read, to be reported later.
+        """Remember the damaged bytes of one read, for the next report.
 
-        `damaged` has their positions in `data`, at least one; `ts_ns` is the time of the last byte
-        of `data`.
+        `data` are all bytes of the read, and `ts_ns` is the time of the last one. `damaged` has the
+        positions of the damaged bytes in `data`, at least one.
         """
         if not self._marked:
             self._first_ns = ts_ns - (len(data) - 1 - damaged[0]) * self._character_ns
@@ -89,11 +89,11 @@ class LineErrors:
         self._first += bytes(data[at] for at in damaged[: SHOWN - len(self._first)])
 
     def tell(self, now_ns: int) -> Sequence[LineTrouble]:
-        """Return the reports that are due: mostly none, as this is called after every read."""
+        """Return the reports that are due. Called after every read, so there are mostly none."""
         return () if now_ns < self._due_ns else self.tell_all(now_ns)
 
     def tell_all(self, now_ns: int) -> list[LineTrouble]:
-        """Return reports of all that was not yet reported, also before they are due."""
+        """Return reports of all errors not yet reported, even if no report is due."""
         grown = self._grown()
         marked = self._marked_text()
         said = [text for text in (marked, _counted_text(grown)) if text]

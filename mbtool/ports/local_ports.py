@@ -1,17 +1,17 @@
-"""Lists the serial ports of this machine, and what would disturb listening on them."""
+"""Lists the serial ports of this machine, with what may disturb a capture on each."""
 
-# No port is opened: opening alone can make an adapter raise DTR and RTS and talk. On Linux all
-# facts come from /sys, /proc and /dev; on other systems from pyserial.
+# No port is opened, as opening can make an adapter raise DTR and RTS and send on the line. On Linux
+# all facts come from /sys, /proc and /dev; on other systems from pyserial.
 #
 #     /sys/class/tty/NAME/device          leads to the hardware; pseudo-terminals have none
 #                  .../type               0 if the driver expected a UART and found none
 #                  .../flags              of a UART; bit 2000H is ASYNC_LOW_LATENCY
-#                  .../rx_trig_bytes      of a 16550: its FIFO hands over so many bytes at once, and
-#                                         fewer only after four characters of silence
+#                  .../rx_trig_bytes      of a 16550 UART: it hands over so many bytes at once, and
+#                                         fewer only after a silence of four characters
 #                  .../device/latency_timer   of ftdi_sio, in ms; 1 while low latency is on
 #     /sys/class/tty/console/active       the ports that the kernel writes its messages to
-#     /dev/serial/by-id, by-path          links of udev, named after the adapter, or after the
-#                                         socket that the adapter is in
+#     /dev/serial/by-id, by-path          symbolic links by udev, named after the adapter, or after
+#                                         the USB socket that the adapter is in
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from mbtool.ports.serial_port import who_may
 from mbtool.ports.system_files import read_line, read_number
 
 _SERIAL_CORE = "serial-base"
-"""The bus of the devices that Linux 6.5 and later put between a port and its hardware."""
+"""A bus in /sys to be skipped: since Linux 6.5 its devices are between a port and its hardware."""
 _ASYNC_LOW_LATENCY = 0x2000
 _WITHOUT_LOW_LATENCY = {"cdc_acm", "ch341", "ch341-uart", "cp210x", "pl2303", "xr_serial"}
-"""Drivers of the kernel that ignore the low-latency flag."""
+"""Linux drivers that ignore the low-latency flag."""
 
 _SERVICES = {
     "agetty": "sudo systemctl stop serial-getty@{name}",
     "ModemManager": "sudo systemctl stop ModemManager",
     "gpsd": "sudo systemctl stop gpsd.socket gpsd",
 }
-"""Services that open ports, and the command that stops each; a killed one would start again."""
+"""Services that open serial ports, each with the command to stop it; if killed, it restarts."""
 
 
 def local_ports(root: Path = Path("/")) -> list[LocalSerialPort]:
@@ -72,7 +72,7 @@ def ports_by_pyserial() -> list[LocalSerialPort]:
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """What the descriptions of all ports need; it is read once."""
+    """Facts about the machine that are needed to describe each port; read only once."""
 
     root: Path
     stable: dict[str, str]
@@ -123,10 +123,10 @@ def _names(folder: Path) -> list[str]:
 
 
 def _stable_names(root: Path) -> dict[str, str]:
-    """Return, by a port's name (ttyUSB0), the path of a link of udev that leads to the port.
+    """Return the paths of udev's symbolic links, by the name of the port they lead to (ttyUSB0).
 
-    The link is the one named after the adapter, or else after the socket. Two adapters without
-    serial numbers share one name; udev's link leads to only one of them.
+    A link named after the adapter is preferred to one named after the USB socket. Two adapters of
+    one type without serial numbers have the same name; the link then leads to one of them.
     """
     found: dict[str, str] = {}
     for kind in ("by-path", "by-id"):
@@ -136,7 +136,7 @@ def _stable_names(root: Path) -> dict[str, str]:
         except OSError:
             continue
         for link in links:
-            if "," not in link:  # In a LINK a comma separates two ports.
+            if "," not in link:  # mbtool could not use this path: a comma separates ports.
                 target = os.path.basename(os.path.realpath(folder / link))
                 found[target] = f"/dev/serial/{kind}/{link}"
     return found
@@ -168,7 +168,7 @@ def _product(usb: Path) -> str:
 def _low_latency(
     timer: int | None, flags: int | None, driver: str | None
 ) -> tuple[bool | None, bool | None]:
-    """Tell if low latency is on, and if it can be switched on; None for what is unknown."""
+    """Return whether low latency is on, and whether it can be switched on; None for unknown."""
     if timer is not None:
         return timer <= 1, True
     if flags is not None:
@@ -184,7 +184,7 @@ def _permission(path: Path, name: str) -> list[Trouble]:
             Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
         ]
     except OSError:
-        pass  # Then there is no access either.
+        pass  # Without these facts, the user counts as having no access.
     if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         return []
     why = who_may(str(path))

@@ -1,4 +1,4 @@
-"""Takes a terminal driver's marks out of the bytes read, and says which bytes came damaged."""
+"""Removes the terminal driver's marks from the bytes read, and returns which bytes were damaged."""
 
 # With PARMRK set, the bytes that a read of a port returns have these marks (termios(3); Linux
 # drivers/tty/n_tty.c):
@@ -7,13 +7,13 @@
 #     FF 00 X     a byte X whose parity bit or stop bit was wrong
 #     FF 00 00    a break, or a byte 00 that was damaged
 #
-# and every other byte as itself. A damaged byte stays in the data, since it was heard. A break
-# stays as 00, as it would read without marks.
+# Every other byte stands for itself. A damaged byte stays in the data, since it was on the line. A
+# break becomes a byte 00, as without marks.
 #
-# A driver puts a whole escape sequence into its buffer at once. So an FF with nothing behind it,
-# and an FF before a byte that no driver puts there, are data.
+# A driver puts a whole mark into its buffer at once. So an FF with no further byte behind it, and
+# an FF followed by a byte other than FF and 00, are data.
 #
-# Holds at most two bytes: the beginning of an escape sequence that a read cut off.
+# Memory: at most two bytes, the beginning of a mark that continues in the next read.
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _DAMAGED = b"\xff\x00"
 
 
 class Unmarker:
-    """Turns marked bytes into the bytes of the wire, also if a read ends inside a mark."""
+    """Turns marked bytes into the bytes on the line, even if a read ends inside a mark."""
 
     def __init__(self) -> None:
         self._held = b""
 
     def feed(self, data: bytes) -> tuple[bytes, Sequence[int]]:
-        """Take the data of one read; return its bytes without marks, and where damaged ones are.
+        """Take the data of one read. Return the bytes without marks, and the damaged positions.
 
-        The positions count in the returned bytes. If the data end inside a mark, its beginning is
-        held until the next read.
+        These are positions in the returned bytes. If the data end inside a mark, the part of the
+        mark is held until the next read.
         """
         if not self._held and _MARK not in data:
             return data, ()
@@ -62,6 +62,6 @@ class Unmarker:
         return bytes(heard), damaged
 
     def flush(self) -> bytes:
-        """Return the held bytes as data: as nothing follows them, they begin no mark."""
+        """Return the held bytes as data. Called when no byte follows, so they are no mark."""
         held, self._held = self._held, b""
         return held

@@ -2,7 +2,7 @@
 
 # /proc/PID/fd has a link for each open file. Only folders below /proc are opened, never a port, as
 # opening a port could change its control lines. Only root can look into the processes of other
-# users; processes that could not be looked into are counted.
+# users; the processes that cannot be looked into are counted.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Holder]], int]:
-    """Return, by port, the processes that have it open, and how many could not be looked into."""
+    """Return the processes that have each port open, and how many could not be looked into."""
     found: dict[str, list[Holder]] = {device: [] for device in devices}
     unseen = 0
     for process in _processes(root / "proc"):
@@ -26,7 +26,7 @@ def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Hol
         except PermissionError:
             unseen += not _is_of_the_kernel(process)
             continue
-        except OSError:  # It has ended.
+        except OSError:  # The process has ended.
             continue
         for device in held:
             found[device].append(Holder(int(process.name), _command(process)))
@@ -48,12 +48,12 @@ def _open_files(process: Path) -> Iterator[str]:
     for name in os.listdir(folder):
         try:
             yield os.readlink(folder / name)
-        except FileNotFoundError:  # It has been closed.
+        except FileNotFoundError:  # The process has closed the file.
             continue
 
 
 def _is_of_the_kernel(process: Path) -> bool:
-    """True for a thread of the kernel, which has no command line, and for an ended process."""
+    """True for a kernel thread or an ended process: neither has a command line."""
     try:
         return not (process / "cmdline").read_bytes()
     except PermissionError:

@@ -1,9 +1,9 @@
-"""A serial port that pyserial opens and reads, for systems where select takes no ports: Windows."""
+"""A serial port that is opened and read by pyserial, for Windows, where select takes no ports."""
 
-# pyserial opens a port for writing too, but this class has no way to write.
+# pyserial opens a port for writing, too, but this class has no method that writes.
 #
-# A read waits IDLE_S or not at all: pyserial would set up the port anew for another timeout.
-# pyserial does not say which bytes came damaged, nor how many were lost.
+# A read waits IDLE_S or not at all: for any other timeout, pyserial would set up the port again.
+# pyserial does not say which bytes were damaged, nor how many were lost.
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class PyserialPort:
-    """A port that can only be read. Raises LinkError if it cannot be opened."""
+    """A port that can only be read. The constructor raises LinkError if it cannot be opened."""
 
     damaged: Sequence[int] = ()
 

@@ -1,16 +1,16 @@
 """A serial port of Linux or macOS: read-only to listen, read and write for a serial tap."""
 
-# pyserial knows how to set up a line on every system, odd baud rates included, but opens a port for
-# writing. So the descriptor is opened here, with O_RDONLY, and pyserial's setup is applied to it
-# (_reconfigure_port of pyserial 3.5 needs only the descriptor and the settings). pyserial's own
-# open() also sets DTR and RTS, which makes some RS-485 adapters talk, so it is not called.
+# pyserial can set up a line on every system, also with unusual baud rates, but its open() opens the
+# port for writing, too, and sets DTR and RTS, which makes some RS-485 adapters send. So the
+# descriptor is opened here, with O_RDONLY, and only pyserial's setup is applied to it
+# (_reconfigure_port of pyserial 3.5 needs only the descriptor and the settings).
 #
-# The port is locked with flock, as pyserial and most terminal programs lock it: two readers of one
-# port steal each other's bytes. The lock is advisory and ends with the process. TIOCEXCL, which
-# would keep out every other program, is not used.
+# The port is locked with flock, as pyserial and most terminal programs do, because two readers of
+# one port take bytes from each other. The lock stops only programs that use flock, and ends with
+# the process. TIOCEXCL, which would stop every other program, is not used.
 #
-# The driver is asked to mark damaged bytes (marks.py), which pyserial cannot do. If the terminal
-# does not support that, bytes are read as they come.
+# The driver is asked to mark damaged bytes (marks.py), which pyserial cannot do. If it does not
+# support that, bytes are read without marks.
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""
 _ERROR_COUNTERS = slice(6, 11)
-"""Where the counters frame, overrun, parity, brk and buf_overrun stand: those of `ErrorCounts`."""
+"""The positions of the counters frame, overrun, parity, brk, buf_overrun, as in `ErrorCounts`."""
 
 
 class PosixPort:
-    """A port that can only be read. Raises LinkError if it cannot be opened."""
+    """A port that can only be read. The constructor raises LinkError if it cannot be opened."""
 
     _access = os.O_RDONLY
 
@@ -69,7 +69,7 @@ class PosixPort:
             heard, self.damaged = self._unmarker.feed(data)
             if heard:
                 return heard
-            wait_s = 0  # The rest of an escape sequence is there already, or this is none.
+            wait_s = 0  # Do not wait: if a mark has begun, its rest is there already.
 
     def _read(self) -> bytes:
         try:
@@ -100,7 +100,7 @@ class PosixPort:
 
 
 class PassingPort(PosixPort):
-    """A port at one end of a cut line: a serial tap reads and writes it."""
+    """A port at one end of a line that was cut in two; a serial tap reads and writes it."""
 
     _access = os.O_RDWR
 
@@ -121,14 +121,14 @@ class PassingPort(PosixPort):
 
 
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
-    """Lock the port and apply the line settings, and discard what arrived before.
+    """Lock the port, apply the line settings, and discard the bytes that arrived before.
 
     Returns an Unmarker if the driver now marks damaged bytes, else None.
     """
-    termios.tcgetattr(fd)  # Its error says what is no serial port; pyserial's does not.
+    termios.tcgetattr(fd)  # If this is no serial port, the error says so; pyserial's would not.
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    # With this timeout pyserial sets VMIN to 1. Then a read without data fails with EAGAIN, and an
-    # empty read means that the port is gone.
+    # With this timeout pyserial sets VMIN to 1. So a read without data fails with EAGAIN, and a
+    # read that returns no bytes means that the port is gone.
     settings = serial.Serial(inter_byte_timeout=0, **settings_for(port, format_))
     settings.fd = fd
     settings._reconfigure_port(force_update=True)  # type: ignore[attr-defined]
@@ -136,8 +136,8 @@ def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
         settings.set_low_latency_mode(True)
     is_marking = _ask_for_marks(fd)
     if not hasattr(termios, f"B{format_.baud}"):
-        # termios has no constant for this baud rate. pyserial has set it in another way, which the
-        # calls after that have undone on some systems.
+        # termios has no constant for this baud rate, so pyserial has set it by a special call. On
+        # some systems later calls have undone it; repeat it.
         with suppress(NotImplementedError):
             settings._set_special_baudrate(format_.baud)  # type: ignore[attr-defined]
     termios.tcflush(fd, termios.TCIFLUSH)

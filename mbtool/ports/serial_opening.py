@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 WRITE_TIMEOUT_S = 1.0
 
 WriteTimeout = serial.SerialTimeoutException
-"""The error of a write to a port that takes no bytes for WRITE_TIMEOUT_S."""
+"""Raised by a write to a port that takes no bytes for WRITE_TIMEOUT_S."""
 
 
 def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
@@ -41,7 +41,7 @@ def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
 
 
 def open_passing(port: str, format_: SerialFormat) -> PassingPort:
-    """Open a port at one end of a cut line, for a serial tap to read and write.
+    """Open a port at one end of a line that was cut in two, for a serial tap to read and write.
 
     Raises LinkError if that fails, and always on Windows.
     """

@@ -1,4 +1,4 @@
-"""What all ways to open a serial port share: the line settings, and the messages of errors."""
+"""Line settings and error messages for all classes that open serial ports."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from mbtool.ports.line_errors import ErrorCounts
 
 IDLE_S = 0.05
-"""How long a read of a port that is listened to waits at most, in seconds."""
+"""The longest time that a read of a listening port waits for bytes, in seconds."""
 
 _PTY_FOLDERS = ("/dev/pts/", "/dev/ttys")
-"""Where Linux and macOS have pseudo-terminals."""
+"""The beginnings of the paths of pseudo-terminals on Linux and macOS."""
 
 
 class ListeningPort(Protocol):
     """A serial port that can only be read."""
 
     damaged: Sequence[int]
-    """At which positions the bytes that the last read gave had a wrong parity or stop bit."""
+    """Positions of the bytes with a wrong parity or stop bit, in the result of the last read."""
 
     def read(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived; if there are none, wait until some arrive.
@@ -70,7 +70,7 @@ def settings_for(port: str, format_: SerialFormat) -> dict[str, Any]:
 
 
 def lost(port: str) -> LinkError:
-    """Return the error to raise when an open port is gone, as when its adapter is unplugged."""
+    """Return the error to raise when an open port is gone, such as that of an unplugged adapter."""
     return LinkError(f"serial port {port}: lost; is it still plugged in?")
 
 
@@ -115,7 +115,7 @@ def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
 def _error_number(error: Exception) -> int | None:
     """Return the errno of the system's error; None if it is unknown.
 
-    Where pyserial raises an error of its own, only that error's `__context__` may have the errno.
+    If pyserial raised an error of its own, the errno can only be in that error's `__context__`.
     """
     for one in (error, error.__context__ if isinstance(error, serial.SerialException) else None):
         if one is not None and one.args and isinstance(one.args[0], int):
@@ -129,7 +129,7 @@ def _ports_here() -> str:
 
 
 def who_may(port: str) -> Trouble:
-    """Tell who may open a port, and by which command the user gets that right."""
+    """Say who may open a port, and which command gives the user that right."""
     if sys.platform == "win32":
         return Trouble("another program may hold it")
     import grp

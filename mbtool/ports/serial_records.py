@@ -1,23 +1,26 @@
-"""The records that a process which reads serial ports sends to its parent."""
+"""The records that the process reading serial ports sends through a pipe to its parent."""
 
+# The layout of a record:
+#
 #     kind     time                length     data
 #     1 byte   8 bytes, signed     4 bytes    length bytes        little-endian
 #
 #     DATA     one read of the port, with the time taken right after it
 #     QUIET    no data; the line was silent up to this time. The first QUIET tells the parent that
 #              the port is open
-#     LOST     8 bytes: how many bytes of the line did not fit into the pipe
+#     LOST     8 bytes: the number of bytes of the line that did not fit into the pipe
 #     ERROR    why the process ends, in one line for the user, UTF-8; no record follows
-#     DAMAGE   what the driver reports of damaged bytes, one line, UTF-8
-#     OVERRUN  8 bytes: how many bytes the driver says it lost
-#     ANSWER   as DATA, from the slaves' side of a serial tap; DATA is then from the master's side
+#     DAMAGE   the driver's report of damaged bytes, one line, UTF-8
+#     OVERRUN  8 bytes: the number of bytes that the driver has lost, as it reports
+#     ANSWER   like DATA, but from the slaves' side of a serial tap; its master's side gives DATA
 #
 # A record is never larger than PIPE_BUF, so a write to the pipe succeeds whole or not at all. The
 # writer does not wait for the reader: while the pipe is full, records are dropped. The bytes of
 # dropped DATA and ANSWER records are counted, and a LOST record with that count goes before the
-# next record that fits. A pipe holds 1 MiB where Linux allows it: more than 40 s of a busy line at
-# 19200 baud with a record for each character. Elsewhere it has the system's usual size. On Windows
-# a write to a full pipe waits, and the driver's buffer has to hold what comes meanwhile.
+# next record that fits. On Linux a pipe holds 1 MiB, if the system allows it: more than 40 s of a
+# busy line at 19200 baud with a record for each character. Elsewhere it has the system's usual
+# size. On Windows a write to a full pipe waits, and the driver's buffer must hold the bytes that
+# arrive meanwhile.
 
 from __future__ import annotations
 
@@ -34,11 +37,11 @@ _COUNT = struct.Struct("<q")
 _PIPE_SIZE = 2**20
 
 MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
-"""How many bytes of data a record has at most."""
+"""The most bytes of data that a record can have."""
 
 
 class RecordKind(IntEnum):
-    """The kinds of records; the comment above says what each means."""
+    """The kinds of records; the top of this file says what each means."""
 
     DATA = 1
     QUIET = 2
@@ -54,7 +57,7 @@ _READS = frozenset((RecordKind.DATA, RecordKind.ANSWER))
 
 @dataclass(frozen=True, slots=True)
 class SerialRecord:
-    """One record."""
+    """One record; the top of this file describes the fields."""
 
     kind: RecordKind
     ts_ns: int
@@ -62,13 +65,13 @@ class SerialRecord:
 
     @property
     def lost(self) -> int:
-        """How many bytes were lost. Only a LOST or an OVERRUN record has this number."""
+        """The number of lost bytes in a LOST or OVERRUN record; other records have none."""
         count: int = _COUNT.unpack(self.data)[0]
         return count
 
 
 class RecordWriter:
-    """Writes records into a pipe. Raises BrokenPipeError once nobody reads the pipe."""
+    """Writes records into a pipe. Raises BrokenPipeError once the reader has closed it."""
 
     def __init__(self, pipe: int) -> None:
         self._pipe = pipe
@@ -81,7 +84,7 @@ class RecordWriter:
         self._let_writes_wait(False)
 
     def put(self, kind: RecordKind, ts_ns: int, data: bytes = b"") -> None:
-        """Write a record; if the pipe is full, drop it, and count its bytes of the line as lost."""
+        """Write a record; if the pipe is full, drop it and count its data as lost."""
         if self._lost and self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost)):
             self._lost = 0
         if self._lost or not self._write(kind, ts_ns, data):
@@ -92,9 +95,9 @@ class RecordWriter:
         self.put(kind, ts_ns, _COUNT.pack(count))
 
     def end(self, ts_ns: int, error: str = "") -> None:
-        """Write a LOST record for losses not yet reported, and `error` if it is not empty.
+        """Write a LOST record for bytes not yet reported, then an ERROR record with `error`.
 
-        This waits until the pipe has room.
+        There is no ERROR record if `error` is empty. Waits until the pipe has room.
         """
         self._let_writes_wait(True)
         if self._lost:
@@ -115,7 +118,7 @@ class RecordWriter:
 
 
 class RecordReader:
-    """Cuts the bytes from the pipe into records; holds at most one incomplete record."""
+    """Splits the bytes from the pipe into records; holds at most one incomplete record."""
 
     def __init__(self) -> None:
         self._buffer = b""

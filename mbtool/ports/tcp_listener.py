@@ -1,13 +1,13 @@
 """Listens at one TCP endpoint, for the slave and for the tap."""
 
-# An endpoint that other machines can reach is opened only with --allow. The address decides, not
-# the name: a host name counts as the address that the system finds for it.
+# An endpoint that other machines can reach is opened only with --allow. The table goes by address;
+# a host name is first resolved to its address.
 #
 #     endpoint             without --allow         with --allow
 #     127.0.0.1, ::1       this machine connects   the same
 #     any other address    UsageError              this machine and the named networks connect
 #
-# [::] takes IPv4 and IPv6 peers, on every system. Port 0 takes a free port.
+# [::] takes IPv4 and IPv6 peers, on every system. For port 0 the system chooses a free port.
 #
 # The system completes a connection before the program sees the peer's address. So the slave and
 # the tap call `refusal` for each connection and close it if the peer must not connect.
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from mbtool.core import TapLink, TcpLink
 
 BACKLOG = 64
-"""How many connections may wait in the system's queue until they are accepted."""
+"""The most connections that may wait in the system's queue until they are accepted."""
 TELL_EVERY_S = 10.0
 """The shortest time between two reports that no more connections can be opened, in seconds."""
 
@@ -40,10 +40,10 @@ _EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class TcpListener:
-    """A socket that listens at the endpoint of a link, and who may connect to it."""
+    """A socket that listens at the endpoint of a link, and the machines that may connect to it."""
 
     sock: socket.socket
-    """The listening socket. `open` makes it."""
+    """The listening socket, which `open` makes."""
 
     def __init__(
         self, link: TcpLink | TapLink, endpoint: Endpoint, allowed: AllowedPeers = THIS_MACHINE
@@ -78,11 +78,11 @@ class TcpListener:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The endpoint that it listens at. After `open`, port 0 is replaced by the chosen port."""
+        """The endpoint of the socket; after `open` with the chosen port instead of port 0."""
         return self._endpoint
 
     def refusal(self, host: str) -> str | None:
-        """Return in words why a peer with this address must not connect; None if it may."""
+        """Return a text that says why a peer with this address may not connect; None if it may."""
         return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
 
     async def serve(
@@ -92,9 +92,9 @@ class TcpListener:
     ) -> asyncio.Server:
         """Accept connections in the running event loop.
 
-        While the process can open no more connections, `on_exhausted` gets a line for the user, at
-        most one in TELL_EVERY_S. Raises LinkError if the endpoint is in use, which can happen
-        after `hold`.
+        While the process can open no more connections (too many files are open), `on_exhausted`
+        gets a line for the user, at most one in TELL_EVERY_S. Raises LinkError if the endpoint is
+        in use, which can happen after `hold`.
         """
         loop = asyncio.get_running_loop()
 
@@ -111,14 +111,14 @@ class TcpListener:
         loop.set_exception_handler(note_trouble)
         try:
             return await loop.create_server(protocol, sock=self.sock, backlog=BACKLOG)
-        except OSError as error:  # Another program may listen where `hold` only kept the address.
+        except OSError as error:  # After `hold`, another program may already listen there.
             raise self._not_listening(error) from error
 
     def hold(self) -> None:
         """Replace the socket, which the server has closed, by one that is bound but not listening.
 
-        It keeps the address; the system refuses all connections until `serve` is called again.
-        Raises LinkError if the address cannot be bound.
+        The new socket reserves the address; the system refuses all connections until `serve` is
+        called again. Raises LinkError if the address cannot be bound.
         """
         self.sock = self._bind()
 
@@ -126,7 +126,7 @@ class TcpListener:
         self.sock.close()
 
     def _resolve(self) -> tuple[int, tuple[Any, ...]]:
-        """Return the endpoint's address family and address. Raises LinkError if there is none."""
+        """Return the endpoint's address family and address. Raises LinkError if it has none."""
         try:
             found = socket.getaddrinfo(
                 self._endpoint.host,
@@ -142,7 +142,7 @@ class TcpListener:
         try:
             bound = socket.socket(self._family, socket.SOCK_STREAM)
             try:
-                if os.name == "posix":  # On Windows it would let two programs share a port.
+                if os.name == "posix":  # On Windows two programs could then share a port.
                     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 if self._family == socket.AF_INET6:
                     bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
@@ -159,7 +159,7 @@ class TcpListener:
 
 
 def reset(transport: asyncio.Transport) -> None:
-    """Close a connection with RST instead of FIN; what was not sent is lost."""
+    """Close a connection with RST instead of FIN; bytes not yet sent are lost."""
     no_linger = struct.pack("hh" if sys.platform == "win32" else "ii", 1, 0)
     with suppress(OSError):
         transport.get_extra_info("socket").setsockopt(

@@ -1,14 +1,14 @@
-"""TLS for a tap: contexts made from certificate files, and why a handshake failed, in words."""
+"""TLS for a tap: makes TLS contexts from certificate files, and explains failed handshakes."""
 
-# Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or better, with
-# certificates of both ends. A tap cannot listen in on that: it ends TLS towards the master with a
-# certificate of its own, and begins it anew towards the slave. The user chooses for each of the two
-# sides whether it has TLS.
+# Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or later, with a
+# certificate at each end. A tap cannot decrypt a connection that passes through it. So it ends the
+# master's TLS connection, with a certificate of its own, and opens another one to the slave. The
+# user chooses for each of the two sides whether it has TLS.
 #
 # All files are read before a connection is accepted; a LinkError names the file that is wrong. Each
-# certificate in a CA file is trusted as it is, also one that is no CA's, such as the certificate of
-# the device itself. If the file holds no CA, the target must show one of the certificates in the
-# file, and the name in that certificate is not checked.
+# certificate in a CA file is trusted, even if it belongs to no CA, such as the certificate of the
+# device itself. If the file holds no CA certificate, the target must show one of the certificates
+# in the file, and the name in it is not checked.
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _NO_TLS = frozenset(
         "WRONG_VERSION_NUMBER",
     }
 )
-"""The reasons that OpenSSL, in one version or another, gives when the first bytes are no TLS."""
+"""Reasons that the versions of OpenSSL give if the peer's first bytes are not TLS."""
 _TOO_OLD = frozenset(
     {
         "NO_PROTOCOLS_AVAILABLE",
@@ -50,7 +50,8 @@ _TOO_OLD = frozenset(
     }
 )
 _OTHER_NAMES = frozenset({62, 64})
-"""The errors X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH of OpenSSL."""
+"""OpenSSL's error codes for a certificate with another name: X509_V_ERR_HOSTNAME_MISMATCH and
+X509_V_ERR_IP_ADDRESS_MISMATCH."""
 _REFUSALS = {
     "BAD_CERTIFICATE": "the tap's certificate is not to its liking",
     "CERTIFICATE_EXPIRED": "the tap's certificate has expired",
@@ -59,7 +60,7 @@ _REFUSALS = {
     "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
     "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
 }
-"""By the name of a TLS alert (RFC 8446, 6.2): what the peer that sends it objects to."""
+"""What the peer that sends a TLS alert objects to, by the name of the alert (RFC 8446, 6.2)."""
 
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:
@@ -76,10 +77,10 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
 
 
 def why_outdated(option: str, cert: str) -> str | None:
-    """Return a line for the user if a certificate of the tap's own has expired, else None.
+    """Return a line for the user if the tap's own certificate has expired, else None.
 
-    An expired certificate is used all the same, as not every peer checks that. Returns None also
-    without the extra mbtool[tls], and if the file cannot be read.
+    An expired certificate is still used, as not every peer checks the date. Also returns None if
+    the extra mbtool[tls] is not installed, or if the file cannot be read.
     """
     try:
         end = end_of(Path(cert).read_bytes())
@@ -116,12 +117,13 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
                 f"--tls-target-name {name!r}: no host can have such a name; "
                 "give the one in the target's certificate"
             ) from None
-        # The name is the host of the LINK. No host can have it, so connecting will fail and say so.
+        # Here the name is the host in the user's LINK. It is invalid, so connecting will fail, with
+        # an error that says so.
     return context, name
 
 
 def failure(error: OSError, who: str) -> str | None:
-    """Return in words why TLS with `who` failed; None if the error has nothing to do with TLS.
+    """Return a text that says why TLS with `who` failed; None if the error does not come from TLS.
 
     `who` is "master" or "slave".
     """
@@ -131,8 +133,8 @@ def failure(error: OSError, who: str) -> str | None:
             why += "; --tls-target-name says which name it has instead"
         return f"TLS: the {who}'s certificate is refused: {why}"
     if not isinstance(error, ssl.SSLError):
-        # If a handshake fails, asyncio itself raises one of the two errors below, without an errno.
-        # If the system raises them, they have an errno.
+        # If a handshake fails, asyncio raises one of the next two errors without an errno. If the
+        # operating system raises such an error, it has an errno.
         if isinstance(error, ConnectionAbortedError) and error.errno is None:
             return f"TLS: the {who} does not complete the handshake"
         if isinstance(error, ConnectionResetError) and error.errno is None:
@@ -194,7 +196,7 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
     except ssl.SSLError as error:
         raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
     ends: list[str] = []
-    with suppress(UnicodeDecodeError):  # Names that are not UTF-8; then a handshake will tell.
+    with suppress(UnicodeDecodeError):  # Names that are not UTF-8: only the handshake can tell.
         ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
     last = max(ends, key=ssl.cert_time_to_seconds, default=None)
     if last is not None and ssl.cert_time_to_seconds(last) < now_ns() / 1e9:

@@ -1,13 +1,13 @@
-"""Who is at the other end of a TLS connection, as its certificate says."""
+"""Describes the peer of a TLS connection from its certificate."""
 
-# Python's ssl gives the subject of a certificate that it has verified, and hardly any extension. In
-# Modbus/TCP Security a client's role is in such an extension: 1.3.6.1.4.1.50316.802.1, a
-# UTF8String (MB-TCP-Security-v21, 8.4). The library cryptography reads this extension, and the time
-# at which a certificate expires. The library comes with the extra mbtool[tls]; without it TLS works
-# all the same, but roles and expired certificates are not reported.
+# Python's ssl gives the subject of a verified certificate, but few of its extensions. In Modbus/TCP
+# Security a client's role is in an extension: 1.3.6.1.4.1.50316.802.1, a UTF8String
+# (MB-TCP-Security-v21, 8.4). The library cryptography reads this extension, and the time at which a
+# certificate expires. It is installed with the extra mbtool[tls]; without it TLS works, but roles
+# and expired certificates are not reported.
 #
-# The text in a peer's certificate is not ours, so it may be anything: at most MAX_TEXT characters
-# of it are shown, and characters that a terminal would act on are shown as their escapes.
+# The text in a peer's certificate cannot be trusted: at most MAX_TEXT characters of it are shown,
+# and control characters are shown as escapes, so that the terminal does not obey them.
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROLE = "1.3.6.1.4.1.50316.802.1"
 MAX_TEXT = 200
 
 _ROLE_DER = bytes.fromhex("06 0b 2b06010401 83890c 8622 01")
-"""ROLE in DER, as in a certificate. Only a certificate with these bytes is searched for a role."""
+"""The id of the role extension in DER. Only a certificate with these bytes can have a role."""
 _SHORT = {
     "commonName": "CN",
     "organizationName": "O",
@@ -36,7 +36,9 @@ _SHORT = {
 
 
 class PeerTls(ssl.SSLObject):
-    """TLS with a peer whose certificate may have names that are not UTF-8, as old CAs wrote them.
+    """A TLS connection that accepts a peer's certificate with names that are not UTF-8.
+
+    Old CAs wrote such names.
 
     Without this class, ssl verifies such a certificate and then raises UnicodeDecodeError when
     asyncio asks for the names, so the handshake fails.
@@ -50,7 +52,7 @@ class PeerTls(ssl.SSLObject):
 
 
 def described(tls: ssl.SSLObject) -> str:
-    """Say who the peer is: "TLS 1.3, CN=master, O=Test site, role Operator"."""
+    """Return a text about the peer, such as "TLS 1.3, CN=master, O=Test site, role Operator"."""
     version = (tls.version() or "TLS").replace("TLSv", "TLS ")
     der = tls.getpeercert(binary_form=True)
     if der is None:
@@ -71,8 +73,8 @@ def described(tls: ssl.SSLObject) -> str:
 def subject_of(certificate: Mapping[str, Any]) -> str:
     """Return the subject of a certificate as text, its attributes in reverse order: CN first.
 
-    `certificate` is what ssl's getpeercert gives. If the certificate has no subject, the text has
-    its alternative names (subjectAltName).
+    `certificate` is the result of ssl's getpeercert. If it has no subject, the text is made of the
+    alternative names (subjectAltName).
     """
     names = [pair for part in certificate.get("subject", ()) for pair in part]
     said = [f"{_SHORT.get(key, key)}={value}" for key, value in names[::-1]]
@@ -81,9 +83,9 @@ def subject_of(certificate: Mapping[str, Any]) -> str:
 
 
 def load_reader() -> None:
-    """Import the library cryptography, if it is installed, before an event loop runs.
+    """Import the library cryptography, if it is installed. Call this before an event loop runs.
 
-    The import takes 0.1 s, during which an event loop could do nothing else.
+    The import takes 0.1 s, in which an event loop could do nothing else.
     """
     with suppress(ImportError):
         import cryptography.x509  # noqa: F401
@@ -113,7 +115,7 @@ def role_of(der: bytes) -> str | None:
 
 
 def end_of(pem: bytes) -> datetime | None:
-    """Return when the first certificate in a PEM file expires; None if that cannot be read.
+    """Return when the first certificate in a PEM file expires; None if it cannot be read.
 
     Raises ImportError without the extra mbtool[tls].
     """

@@ -1,4 +1,4 @@
-"""Prepares a recording to be played as slave, master or bus, and compares recordings. No I/O."""
+"""Plays a recording as the slave, the master or the whole line; compares recordings. No I/O."""
 
 from mbtool.replay.bus import BusPlayer, ByteRun
 from mbtool.replay.clock import PlayClock

@@ -1,17 +1,18 @@
 """Plays a serial line: every byte of master and slaves, at its recorded time."""
 
-# A run is a sequence of bytes without gaps: the bytes of one read, or a frame made from a message
-# that was recorded on a network. It is due at the time at which its first byte began. If the
-# recording has a time for each byte, each byte is a run of its own, and the gaps between bytes are
-# played. Gaps inside one read are not known.
+# A run is a sequence of bytes without silences between them: the bytes of one read of the recorded
+# port, or a frame made from a message that was recorded on a network. A run is sent at the recorded
+# time of its first byte. If the recording has a time for each byte, each byte is a run, and the
+# silences between bytes are played. Silences inside one read are not known.
 #
 # A run that begins a frame waits until the bytes before it are sent, and then for the silence
-# between frames. Other runs are given to the port at once, so that bytes without a gap in the
-# recording have none on the line even if one of them is late. Only if more than AHEAD_NS of bytes
-# are still to be sent do they wait, so that the port's buffer does not overflow.
+# between frames. Any other run is given to the port as soon as it is due, even while earlier bytes
+# are still leaving the port, so that no silence arises between them. But if the port still needs
+# more than AHEAD_NS to send earlier bytes, the run waits, so that the port's buffer does not
+# overflow.
 #
-# A run that the line itself delays by more than BEHIND_NS is counted in `delayed` and not in
-# `lateness`: the line is too slow for the recording.
+# If the line is too slow for the recording, a run is delayed because earlier bytes still occupy the
+# line. A run delayed by more than BEHIND_NS in this way is counted in `delayed`, not in `lateness`.
 #
 # Memory grows with the recording: one run for each read or frame.
 
@@ -35,37 +36,37 @@ BEHIND_NS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class ByteRun:
-    """Bytes that follow each other without a gap."""
+    """Bytes to be sent without a silence between them."""
 
     position_ns: int
-    """When the first byte began, counted from the beginning of the part that is played."""
+    """The recorded time of the first byte, in ns from the beginning of the part that is played."""
     data: bytes
     after_silence: bool = False
     """True if a silence of t3.5 must come before these bytes, as between frames."""
 
 
 class BusPlayer:
-    """Decides which run is to be sent now."""
+    """Decides when each run of bytes is sent."""
 
     def __init__(
         self, runs: Sequence[ByteRun], clock: PlayClock, *, character_ns: int, silence_ns: int
     ) -> None:
         """`runs` are in order of time.
 
-        `character_ns` and `silence_ns` are a character's time and the silence between frames on the
-        line that is played on.
+        `character_ns` is the duration of a character, and `silence_ns` the silence between frames,
+        on the line that the recording is played on.
         """
         self._queue = PlayQueue(runs, clock)
         self._character_ns = character_ns
         self._silence_ns = silence_ns
         self._passed_ns: int | None = None
-        """The time at which the last byte given to the port has left the line; None before the
-        first."""
+        """When the port will have sent the last byte that it was given, in ns; None before the
+        first byte."""
         self.bytes = 0
         self.delayed = 0
-        """How many runs left more than BEHIND_NS late because the line was still busy."""
+        """Number of runs sent more than BEHIND_NS late because earlier bytes were still leaving."""
         self.lateness = Sample()
-        """How late each run left that neither the line delayed nor a step let through, in ns."""
+        """The delay of each other run in ns; without runs that the user sent by single steps."""
 
     @property
     def has_ended(self) -> bool:
@@ -74,12 +75,12 @@ class BusPlayer:
 
     @property
     def sent(self) -> int:
-        """How many runs were sent, over all laps."""
+        """Number of runs sent, in all laps of a loop together."""
         return self._queue.taken
 
     @property
     def passed_ns(self) -> int | None:
-        """The time at which the last byte sent has left the line; None before the first."""
+        """When the port will have sent the last byte that it was given, in ns; None before that."""
         return self._passed_ns
 
     def next_run(self, now_ns: int) -> ByteRun | None:
@@ -101,7 +102,7 @@ class BusPlayer:
         return run
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """When the next run is due; None while the clock stands still and after the last run."""
+        """When the next run is due, in ns; None while the clock stands still and after the last."""
         run = self._queue.upcoming()
         if run is None:
             return None
@@ -113,12 +114,12 @@ class BusPlayer:
         self._queue.allow_step()
 
     def _free_ns(self, run: ByteRun) -> int:
-        """The earliest time at which a run can be given to the port."""
+        """The earliest time, in ns, at which a run can be given to the port."""
         busy_ns = self._busy_ns(run)
         return busy_ns if run.after_silence else busy_ns - AHEAD_NS
 
     def _busy_ns(self, run: ByteRun) -> int:
-        """The time at which the line has carried all earlier runs and the silence before `run`."""
+        """When all earlier bytes, and the silence needed before `run`, will be over, in ns."""
         if self._passed_ns is None:
             return 0
         return self._passed_ns + (self._silence_ns if run.after_silence else 0)

@@ -1,14 +1,15 @@
-"""Converts real time to a position in a recording that is played, and back."""
+"""Converts real time to a position in the recording that is being played, and back."""
 
-# The conversion has one anchor: a real time and the position at that time.
+# The conversion uses one anchor: a real time, and the position in the recording at that time.
 #
 #     position = anchor position + (now - anchor time) x rate
 #
 # The position is never a sum of steps, so rounding errors do not add up; the rate is a fraction, so
 # an hour at 1/3 is exact. Start, pause, another rate and a jump set a new anchor.
 #
-# A position is in recorded ns from the beginning of the part that is played. In a loop it goes on
-# growing: `lap` is how often the end was passed.
+# A position is in ns of recorded time from the beginning of the part that is played. In a loop, the
+# position goes on growing after the end: at the beginning of the second lap it is the length of the
+# recording plus `gap_ns`. `lap` counts the laps, from 0.
 #
 # Real times are arguments, from any clock that runs evenly; the module has no clock.
 
@@ -35,9 +36,9 @@ class PlayClock:
     ) -> None:
         """Play `length_ns` of recorded time.
 
-        `rate` is recorded time per real time; None: as fast as possible. In a loop, `gap_ns` of
-        recorded time are between the end and the next beginning. Raises ValueError if the rate is
-        not above 0, or if a loop has no length.
+        `rate` is recorded time divided by real time: 2 plays twice as fast, None as fast as
+        possible. In a loop, `gap_ns` of recorded time pass between the end and the next beginning.
+        Raises ValueError if the rate is not above 0, or if a loop has no length.
         """
         if rate is not None and rate <= 0:
             raise ValueError(f"rate must be more than 0, not {rate}")
@@ -59,19 +60,19 @@ class PlayClock:
         return self._anchor_ns is not None
 
     def position(self, now_ns: int) -> int:
-        """The position at a real time, in recorded ns, added up over all laps."""
+        """The position at a real time: recorded ns since the beginning of the first lap."""
         if self._anchor_ns is None or self._rate is None:
             return self._anchor_position_ns
         return self._anchor_position_ns + (now_ns - self._anchor_ns) * self._rate // 1
 
     def in_recording(self, position_ns: int) -> int:
-        """Turn a position over all laps into one within its lap: 0 to the recording's length."""
+        """Convert a position to the time in ns since its lap began: 0 to the recording's length."""
         if self._lap_ns is not None:
             position_ns %= self._lap_ns
         return min(max(position_ns, 0), self.length_ns)
 
     def lap(self, position_ns: int) -> int:
-        """How often the end was passed before a position over all laps; 0 without a loop."""
+        """The number of the lap, from 0, that a position is in; 0 without a loop."""
         return position_ns // self._lap_ns if self._lap_ns is not None else 0
 
     @property
@@ -79,7 +80,7 @@ class PlayClock:
         return self._lap_ns is not None
 
     def lap_begin(self, lap: int) -> int:
-        """The position, over all laps, at which a lap begins; laps are numbered from 0."""
+        """The position at which a lap begins; laps are numbered from 0."""
         return lap * self._lap_ns if self._lap_ns is not None else 0
 
     def is_over(self, now_ns: int) -> bool:
@@ -89,8 +90,8 @@ class PlayClock:
     def time_of(self, position_ns: int) -> int | None:
         """The real time at which a position is reached; None while the clock stands still.
 
-        That is the first nanosecond at which `position` returns at least `position_ns`. At the rate
-        None every position is reached as soon as the clock runs.
+        This is the first time for which `position` returns at least `position_ns`. At the rate None
+        (as fast as possible) every position is reached as soon as the clock runs.
         """
         if self._anchor_ns is None:
             return None
@@ -99,23 +100,23 @@ class PlayClock:
         return self._anchor_ns - (self._anchor_position_ns - position_ns) / self._rate // 1
 
     def run(self, now_ns: int) -> None:
-        """Start the clock, or let it go on after a pause."""
+        """Start the clock, or continue after a pause."""
         if self._anchor_ns is None:
             self._anchor_ns = now_ns
 
     def pause(self, now_ns: int) -> None:
-        """Let the clock stand still until `run` is called."""
+        """Stop the clock until `run` is called."""
         self._anchor_position_ns = self.position(now_ns)
         self._anchor_ns = None
 
     def jump(self, position_ns: int, now_ns: int) -> None:
-        """Continue at another position; a clock that stands still does not start."""
+        """Continue at another position; if the clock stands still, it does not start."""
         self._anchor_position_ns = position_ns
         if self._anchor_ns is not None:
             self._anchor_ns = now_ns
 
     def set_rate(self, rate: Fraction, now_ns: int) -> None:
-        """Set the rate; one outside SLOWEST to FASTEST becomes the nearer of the two."""
+        """Set the rate, limited to SLOWEST to FASTEST."""
         self.jump(self.position(now_ns), now_ns)
         self._rate = min(max(rate, SLOWEST), FASTEST)
 

@@ -5,17 +5,18 @@
 #
 #     slave     the slave is in one capture only
 #     request   a request is in one capture only
-#     outcome   a request ended in a way that it never did in the other capture. Missing responses
-#               occur in most captures, so for these the share must differ
-#     value     a register or bit had a value that it did not have in the other capture. Neighbours
-#               that change in both captures are one difference
+#     outcome   a request had an outcome that it never had in the other capture. Missing responses
+#               occur in most captures, so they are a difference only if their share of the requests
+#               differs significantly
+#     value     a register or bit had a value that it did not have in the other capture. Adjacent
+#               registers that change in both captures are one difference
 #     latency   the latencies of equal requests differ significantly. Requests of one slave and
 #               function are one difference if their medians changed by about the same factor
-#               (ALIKE): it shows the times of the one that changed most, and names all
+#               (ALIKE): it shows the times of the request that changed most, and names all requests
 #
-# The significance level of a whole comparison is ALPHA, divided by the number of tests
-# (Bonferroni). A shift of latencies must also be at least of medium size (significance.py), as with
-# thousands of polls the smallest shift is significant.
+# The significance level of a whole comparison is ALPHA; each test gets ALPHA divided by the number
+# of tests (Bonferroni). A shift of latencies must also be at least of medium size
+# (significance.py), as with thousands of polls even a tiny shift is significant.
 
 from __future__ import annotations
 
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
 
 ALIKE = 1.25
-"""Requests are one difference if the factors by which their medians changed differ by at most this
-factor."""
+"""Requests whose median latencies changed by factors that are equal within this factor are one
+difference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,7 @@ def differences(
 
     `profiles` are the device profiles by name; they give the names of registers.
     """
-    links = a.links_of_units() | b.links_of_units()  # For each unit the greater number.
+    links = a.links_of_units() | b.links_of_units()  # For each unit the greater of both numbers.
     unique = frozenset(unit for unit, count in links.items() if count == 1)
     slaves_a, slaves_b = a.slaves(unique), b.slaves(unique)
     tests = _count_tests(slaves_a, slaves_b)
@@ -115,7 +116,7 @@ class _LatencyShift:
 
     @property
     def factor(self) -> float:
-        """By what the median is multiplied from a to b, or from b to a if b is faster.
+        """The median latency of the slower capture divided by that of the faster one: at least 1.
 
         Medians below 1 ns count as 1 ns: in some captures a response has the time of its request.
         """
@@ -223,7 +224,7 @@ class _SlaveComparison:
                 )
 
     def _shift(self, request: RequestKey) -> Iterator[_LatencyShift]:
-        """The change of a request's latencies; none if it is not significant or too small."""
+        """Yield the change of a request's latencies, unless it is insignificant or too small."""
         a, b = (side.requests[request].latencies for side in (self._a, self._b))
         shift = rank_sum(a.values, b.values)
         if shift.p < self._alpha and shift.is_medium:
@@ -239,7 +240,7 @@ class _SlaveComparison:
         p: float | None = None,
         alike: Iterable[str] = (),
     ) -> Difference:
-        """Make the Difference of a request; `alike` names others that differ in the same way."""
+        """Make the Difference of a request; `alike` names requests that differ in the same way."""
         request = self._a.requests.get(key) or self._b.requests[key]
         return Difference(
             kind=kind,
@@ -256,7 +257,7 @@ class _SlaveComparison:
 
 
 def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
-    """Group shifts of the same direction and about the same factor, the greatest ones first."""
+    """Group shifts of the same direction and about the same factor; the largest factors first."""
     group: list[_LatencyShift] = []
     for shift in sorted(shifts, key=lambda one: (one.is_slower, one.factor), reverse=True):
         if group and not shift.is_like(group[0]):
@@ -275,8 +276,7 @@ def _name(key: RequestKey, request: RequestTraffic) -> str | None:
 def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
     """True if a register had the same values in both captures.
 
-    If it had more values than are kept, it is enough that its least and greatest value are the
-    same.
+    If it had more than MAX_VALUES values, only the least and the greatest value are compared.
     """
     bounds = (a.least, a.greatest) == (b.least, b.greatest)
     return a.values.keys() == b.values.keys() or (bounds and not (a.is_all and b.is_all))
@@ -285,7 +285,7 @@ def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
 def _runs(
     keys: Iterable[ValueKey], can_join: Callable[[ValueKey], bool]
 ) -> Iterator[list[ValueKey]]:
-    """Group registers: neighbours for which `can_join` is true together, each other alone."""
+    """Group adjacent registers for which `can_join` is true; any other is a group of its own."""
     run: list[ValueKey] = []
     for key in keys:
         joins = bool(run) and can_join(run[-1]) and can_join(key)

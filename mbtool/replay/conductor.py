@@ -2,25 +2,27 @@
 
 # The owner of the link calls in a loop:
 #
-#     step = conductor.next_step(now)     the step to send at once, or None
-#     conductor.note_sent(step, now)      its last byte was sent: its latency counts from here
+#     step = conductor.next_step(now)     the step (request) to send at once, or None
+#     conductor.note_sent(step, now)      the last byte of the step was sent: latency counts from
+#                                         here
 #     conductor.answered(...)             a response arrived
 #     conductor.give_up(number, now)      a response cannot arrive any more
 #     conductor.expire(now)               end the requests whose time-out has passed
 #     conductor.wake_ns(now)              the latest time for the next call
 #
-# A step is sent when the clock has reached its position and the steps that it waits for (script.py)
-# are answered or given up. If the link carries one request at a time, a step also waits for the
-# open request, and for `pause_ns` after the last byte on the link. After a broadcast it waits for
-# `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200 ms).
+# A step is sent when the clock has reached its recorded position and the steps that it waits for
+# (script.py) are answered or given up. If the link carries one request at a time, a step also waits
+# for the open request, and for `pause_ns` after the last byte on the link. After a broadcast it
+# waits for `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200 ms).
 #
-# While the clock stands still nothing is sent, except steps that `allow_step` lets through; each
-# moves the clock to its position.
+# While the clock stands still, only steps that `allow_step` permits are sent; each of them moves
+# the clock to the position of the step.
 #
-# Lateness is recorded only for steps that waited for the clock alone, as the player cannot help
-# other delays.
+# Lateness is recorded only for steps that waited for nothing but the clock: other delays come from
+# the slave or the link, not from the player.
 #
-# Limit: MAX_OPEN_REQUESTS open requests; the next one waits until one of them is over.
+# Limit: MAX_OPEN_REQUESTS open requests; a further request waits until one of them is answered or
+# given up.
 
 from __future__ import annotations
 
@@ -46,21 +48,20 @@ class _SentRequest:
 
 
 class Conductor:
-    """Plays a script once, or in a loop without end."""
+    """Plays the recorded requests of a script once, or in a loop without end."""
 
     def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
         self._queue = PlayQueue(script.steps, clock)
         self._judge = judge
         self._limits = limits
         self._open: dict[int, _SentRequest] = {}
-        """The requests that wait for a response, each by the number of its step."""
+        """The requests that wait for a response, by the number of their step."""
         self._free_ns: int | None = None
-        """The earliest time at which the next request may be sent; None if it may be sent at
-        once."""
+        """The earliest time in ns at which the next request may be sent; None if at once."""
         self.lateness = Sample()
-        """How late each step was sent that waited for nothing but the clock, in ns."""
+        """The delays in ns of the steps that waited for nothing but the clock."""
         self.unsolicited = 0
-        """How many responses belonged to no open request."""
+        """Number of responses that belonged to no open request."""
 
     @property
     def has_ended(self) -> bool:
@@ -68,7 +69,7 @@ class Conductor:
 
     @property
     def sent(self) -> int:
-        """How many steps were sent, over all laps."""
+        """Number of steps sent, in all laps of a loop together."""
         return self._queue.taken
 
     def next_step(self, now_ns: int) -> Step | None:
@@ -94,10 +95,10 @@ class Conductor:
         self._queue.allow_step()
 
     def note_sent(self, step: Step, now_ns: int) -> None:
-        """Take the time at which the last byte of a step was sent.
+        """Called when the last byte of a step was sent.
 
-        The latency and the time-out of its response count from there; after a broadcast, so does
-        the turnaround delay.
+        The latency and the time-out of the response count from this time; after a broadcast, so
+        does the turnaround delay.
         """
         request = self._open.get(step.number)
         if request is not None:
@@ -106,9 +107,9 @@ class Conductor:
             self._free_ns = now_ns + self._limits.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """Return the earlier of two times; None if there is neither.
+        """Return the time in ns at which the owner must call again at the latest.
 
-        They are the time at which the next step may be sent, and the end of the first time-out.
+        Then the next step may be sent or the first open request times out. None if nothing is due.
         """
         times = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
@@ -120,10 +121,10 @@ class Conductor:
         return min(times, default=None)
 
     def answered(self, number: int, pdu: bytes, start_ns: int, end_ns: int) -> bool | None:
-        """Take a response to the request with this number.
+        """Called with a response to the request with this number.
 
-        `start_ns` and `end_ns` are the times of its first and last byte. Returns True if the
-        response means the same as the recorded one, False if it does not, and None if no open
+        `start_ns` and `end_ns` are the times of the response's first and last byte. Returns True if
+        the response means the same as the recorded one, False if it does not, and None if no open
         request has this number.
         """
         request = self._open.pop(number, None)
@@ -136,8 +137,7 @@ class Conductor:
     def expire(self, now_ns: int) -> list[tuple[Step, bool]]:
         """Give up the requests that have waited longer than the time-out.
 
-        Returns for each what `give_up` returns: its step, and True if the recording has no response
-        to it either.
+        Returns for each of them the step, and True if the recording has no response to it either.
         """
         late = [
             number
@@ -149,7 +149,7 @@ class Conductor:
     def give_up(self, number: int, now_ns: int) -> list[tuple[Step, bool]]:
         """Stop waiting for the response to the request with this number.
 
-        Returns a list with one pair: the step, and True if the recording has no response to it
+        Returns a list with one item: the step, and True if the recording has no response to it
         either. The list is empty if no open request has this number.
         """
         request = self._open.pop(number, None)
@@ -159,7 +159,7 @@ class Conductor:
         return [(request.step, self._judge.judge(request.step, None, None))]
 
     def _note_over(self, now_ns: int) -> None:
-        """Keep the next request back for `pause_ns`, as a request has just ended."""
+        """Delay the next request by `pause_ns`, as a request has just been answered or given up."""
         self._free_ns = now_ns + self._limits.pause_ns
 
     def _upcoming(self) -> Step | None:

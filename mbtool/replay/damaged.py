@@ -1,14 +1,14 @@
 """Finds damaged responses in a recording, and makes responses with the same damage."""
 
-# In a recording, a response with a wrong CRC or an incomplete one leaves its request without an
-# answer, followed by bytes that could not be decoded. Such bytes count as the response if they
-# begin like a response of that unit to that function, and come before the next request on the same
-# line and within RESPONSE_NS. Bytes that begin like the request, including its address, count as a
-# damaged repetition of the request instead.
+# If a response was incomplete or had a wrong CRC, the recording has a request without an answer,
+# followed by bytes that could not be decoded. These bytes count as the damaged response if they
+# begin with the unit and the function of the request, and come before the next request on the same
+# line and within RESPONSE_NS. If the bytes also have the address of a read request, they count as a
+# damaged repetition of the request.
 #
-# On the same kind of line the same bytes are sent again. From RTU to ASCII or back, a response with
-# a wrong checksum gets a wrong checksum, and an incomplete response becomes silence. On Modbus/TCP,
-# which has no checksum, both become silence.
+# If the recording is played on the same kind of line, the same bytes are sent. Between RTU and
+# ASCII, a response with a wrong checksum is sent with a wrong checksum, and an incomplete response
+# is left out. On Modbus/TCP, which has no checksum, both are left out.
 #
 # Only serial lines and RTU over TCP are examined: if part of a Modbus/TCP response is missing, the
 # capture itself may have lost it.
@@ -34,7 +34,7 @@ RESPONSE_NS = 5_000_000_000
 DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 
 _WHOLE_ADU = 1024
-"""A number of bytes greater than any ADU has: cutting off so many leaves nothing of it."""
+"""More bytes than any ADU has: a response shortened by so many is empty."""
 _RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
 
 
@@ -46,13 +46,13 @@ class DamagedAnswer:
     """The bytes of the response, as they were captured."""
     transport: Transport
     has_wrong_check: bool
-    """True if only its checksum is wrong; False if it is incomplete or more is wrong."""
+    """True if only the checksum of the response is wrong; False if the response is incomplete."""
     latency_ns: int
 
     def again(self, transport: Transport, delay_ns: int) -> Response | None:
         """Return a response with the same damage, to be sent on a link with this transport.
 
-        None if the damage becomes silence on such a link.
+        None if no response is to be sent, as such a link cannot carry the damage.
         """
         if transport is self.transport or {transport, self.transport} <= _RTU:
             return Response(b"\0", delay_ns, Distortion(cut=_WHOLE_ADU, extra=self.raw))
@@ -78,8 +78,8 @@ def damaged_answers(
         each.sort(key=_time)
     found: dict[int, DamagedAnswer] = {}
     next_ns: dict[str, int] = {}
-    """By link, the time of the request after the current one: the loop goes from the last request
-    to the first."""
+    """For each link, the time of the request that follows the current one; the loop goes
+    backwards."""
     for index in range(len(asked) - 1, -1, -1):
         one = asked[index]
         request_ns = one.start_ns
@@ -117,8 +117,8 @@ def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
 def _body(transport: Transport, raw: bytes) -> bytes:
     """Return an ADU's bytes from the unit on, with the checksum.
 
-    ASCII digits are turned into bytes up to the first line end; no bytes if they are not
-    hexadecimal.
+    An ASCII frame is decoded up to the first line end; if it is not hexadecimal, the result is
+    empty.
     """
     if transport is not Transport.ASCII:
         return raw

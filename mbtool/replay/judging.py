@@ -7,26 +7,27 @@
 #     value     each register or bit that was read
 #     data      the bytes, for functions whose responses have no registers
 #
-# Differences are grouped by request and by register: how often something differed (and out of how
-# many, unless always), the recorded values, and the new ones. So a register that is wrong in a
-# thousand polls is one difference. A request and its repetitions have the same function and
-# addresses; values that it writes may differ. Requests for no registers have the same bytes.
+# Differences are grouped by request and by register. Each shows how often responses differed (and
+# of how many, unless all did), the recorded values, and the new values. So a register that is wrong
+# in a thousand polls is one difference. Requests with the same unit, function and addresses count
+# as repetitions of one request, even if they write other values. Requests that access no registers
+# must have the same bytes.
 #
-# Latencies are always recorded, but compared only if the user gives a tolerance. To each recorded
-# latency the tolerance is added. The new latencies differ if they are significantly longer, by the
+# Latencies are always recorded, but compared only if the user gives a tolerance. The tolerance is
+# added to each recorded latency. The new latencies differ if they are significantly longer, by the
 # test that `diff` uses (significance.py): a rank test of at least MIN_VALUES latencies, with a
-# shift of at least medium size, at the level ALPHA for all requests together. On a busy machine
-# both programs wait for a processor, which lengthens many latencies by several ms but never all of
-# them; a slower slave lengthens all. So the soonest fiftieth must be longer, too: with both cores
-# of a machine kept busy (load 12), the soonest of 30 responses was at most 1.3 ms late in each of
-# 24 samples, the fourth up to 7.1 ms, the median 4 to 15 ms.
+# shift of at least medium size, at the level ALPHA for all requests together. The 2nd percentile
+# must be longer, too. The reason: on a busy machine, both programs wait for a processor, which
+# lengthens many latencies by several ms, but not all; a slower slave lengthens all. Measured with
+# both cores of a machine kept busy (load 12), in 24 samples of 30 responses: the fastest response
+# of a sample was at most 1.3 ms late, the fourth fastest up to 7.1 ms, the median 4 to 15 ms.
 #
-# Registers may differ if the user names them (`spans`). A judge that learns counts no register as a
-# difference; `learned` returns those that differed.
+# The user can name registers that may differ (`spans`). A judge that learns counts no register as a
+# difference; `learned` returns the registers that differed.
 #
 # Memory grows with the number of different requests, not with their repetitions (limits as in
-# traffic.py). Of one request at most MAX_OUTCOMES different outcomes are kept, as the bytes of a
-# counter differ every time; all others are counted together.
+# traffic.py). For one request, at most MAX_OUTCOMES different outcomes are kept, as responses with
+# a counter differ every time; all other outcomes are counted together.
 
 from __future__ import annotations
 
@@ -61,7 +62,7 @@ _EXCEPTION_BIT = 0x80
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How much longer latencies may be than the recorded ones."""
+    """How much longer than the recorded latencies the new ones may be."""
 
     share: float = 0.0
     """Allowed increase as a share of the recorded latency: 0.5 is 50 %."""
@@ -80,7 +81,7 @@ class _RequestResult:
     count: int = 0
     different: int = 0
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """How often a recorded outcome (first) was replaced by another one in the replay (second)."""
+    """The number of responses, by recorded outcome (first) and different new outcome (second)."""
     recorded: Sample = field(default_factory=Sample)
     """The recorded latencies."""
     answered: Sample = field(default_factory=Sample)
@@ -105,7 +106,7 @@ class _RequestResult:
     def add_difference(self, recorded: str, outcome: str) -> None:
         """Count a response that is not as recorded.
 
-        If both outcomes are equal, only values differ, and no pair of outcomes is counted.
+        Two equal outcomes mean that only values differ; they are not put into `outcomes`.
         """
         self.different += 1
         if recorded == outcome:
@@ -132,20 +133,20 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     function: int
     what: str
     reference: str
-    """The addresses that it names, in the notation of the device; its bytes if it names none."""
+    """The addresses in the request, in the notation of the device; its bytes if it has none."""
     count: int
     different: int
-    """How many of its responses were not as recorded."""
+    """Number of responses that were not as recorded."""
     time_ns: int
-    """The sum of the latencies of its responses."""
+    """The sum of the latencies of all responses to the request, in ns."""
     problems: list[str]
-    """How its responses and their latencies differed."""
+    """One text for each way in which responses or latencies differed."""
     registers: list[str]
-    """The registers that differed in its responses, in the notation of the device."""
+    """The registers that differed in the responses, in the notation of the device."""
 
 
 class Judge:
-    """Takes responses one by one, and collects how they differ from the recorded ones."""
+    """Compares responses with the recorded ones, one by one, and collects the differences."""
 
     def __init__(
         self,
@@ -167,23 +168,22 @@ class Judge:
         self._tolerance = tolerance
         self._wordings: dict[str | None, DeviceWording] = {}
         self._results: dict[tuple[int, int, object], _RequestResult] = {}
-        """The results of each request, by unit, function, and the registers that it accesses; by
-        its PDU if it accesses none."""
+        """The results of each request, by unit, function, and the registers that it accesses (or
+        its PDU, if it accesses none)."""
         self._result_of: dict[tuple[int, bytes], _RequestResult] = {}
         """The same results by unit and PDU."""
         self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
-        """The values of each register that differed, by unit, name of the device's profile, and
-        register."""
+        """The values of each register that differed, by unit, profile name and register."""
         self.count = 0
-        """How many responses were compared, silence included."""
+        """Number of responses compared; a missing response counts, too."""
         self.wrong = 0
-        """How many of the compared responses were not as recorded."""
+        """Number of compared responses that were not as recorded."""
 
     def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
-        """Compare a response with the recorded one of its step. True if they mean the same, or if
-        the recorded one was not captured.
+        """Compare the response to a step with the recorded one.
 
-        `response` is the PDU, None for silence. `latency_ns` is its latency, None if it is unknown.
+        `response` is the PDU, None for silence. `latency_ns` is the latency, None if it is unknown.
+        Returns True if both mean the same, or if the recorded response was not captured.
         """
         self.count += 1
         result = self._result(step)
@@ -242,9 +242,9 @@ class Judge:
         ]
 
     def uncompared_latencies(self) -> int:
-        """How many requests have too few responses for their latencies to be compared.
+        """Number of requests with too few responses to compare latencies.
 
-        0 if latencies are not to be compared. Requests without any response do not count.
+        0 if the user did not ask to compare latencies. Requests without any response do not count.
         """
         if self._tolerance is None:
             return 0
@@ -254,7 +254,7 @@ class Judge:
         )
 
     def learned(self) -> list[tuple[int, Span]]:
-        """The registers that differed: ranges of addresses, each with the unit id of its slave."""
+        """The registers that differed: units, each with a range of addresses."""
         spans: list[tuple[int, Span]] = []
         for unit, key in sorted({(unit, key) for unit, _, key in self._registers}):
             one = Span(key.table, key.address, key.address)
@@ -267,7 +267,7 @@ class Judge:
         return spans
 
     def _result(self, step: Step) -> _RequestResult:
-        """The result that a step belongs to."""
+        """The results to which those of a step are added: equal requests share them."""
         result = self._result_of.get((step.unit, step.pdu))
         if result is None:
             access = register_access(parse_pdu(step.pdu, Direction.REQUEST))
@@ -322,7 +322,7 @@ class Judge:
             )
 
     def _reads(self) -> Counter[tuple[int, ValueKey]]:
-        """How often each register that differed was read."""
+        """Number of reads of each register that differed, by unit and register."""
         differed = {(unit, key) for unit, _, key in self._registers}
         reads: Counter[tuple[int, ValueKey]] = Counter()
         for result in self._results.values():
@@ -347,7 +347,7 @@ class Judge:
         return ALPHA / max(tests, 1)
 
     def _latencies(self, result: _RequestResult, alpha: float) -> Iterable[Difference]:
-        """The difference of the latencies of one request, if they are too long."""
+        """Yield the difference of the latencies of one request, if the new ones are too long."""
         if self._tolerance is None:
             return
         allowed = [self._tolerance.latest_ns(each) for each in result.recorded.values]
@@ -359,7 +359,7 @@ class Judge:
 
 
 def _soonest(values: Iterable[float]) -> float:
-    """The 2nd percentile; of fewer than 50 values the least one."""
+    """The 2nd percentile of `values`; the least of fewer than 50 values."""
     ordered = sorted(values)
     return ordered[len(ordered) // 50]
 
@@ -412,7 +412,8 @@ def _length(pdu: bytes) -> str:
 def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
     """Show two PDUs as short texts in which their difference can be seen.
 
-    These are the first bytes of both; if they are equal, the bytes from the first difference on.
+    The texts show the first SHOWN_BYTES bytes of both; if these are equal, the bytes from the first
+    difference on.
     """
     first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
     if first is None or first < SHOWN_BYTES:

@@ -1,8 +1,8 @@
 """Decides how long a slave that plays a recording takes for each response."""
 
-# A latency is in recorded time, which is divided by the clock's rate, or in real time. A response
-# from the register image or a device has no recorded latency; it gets one that is usual for its
-# unit and function.
+# A recorded latency is divided by the rate of playing; a fixed latency is in real time. A response
+# from the register image or a simulated device has no recorded latency: it gets a latency that the
+# recording has for the unit and function.
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class LatencyModel(Protocol):
 
     @property
     def is_recorded_time(self) -> bool:
-        """True if the latency is divided by the clock's rate."""
+        """True if the player must divide the latency by the rate of playing."""
         ...
 
     def ns(self, unit: int, function: int, own_ns: int | None) -> int:
-        """The latency of a response; `own_ns` is its recorded latency, if it has one."""
+        """The latency of a response in ns; `own_ns` is the recorded one, None if there is none."""
         ...
 
 

@@ -1,20 +1,21 @@
-"""Keeps what the live master has written, until the recording itself writes there."""
+"""Keeps the values that the live master has written to a slave that is played from a recording."""
 
-# An acknowledged write of the live master gives a register or bit its value in every answer: in
-# those from the register image, and in recorded ones. It ends when the player comes to a place at
-# which the recording has written there since. From then on the register has the recorded values;
-# an answer that was recorded before that place shows the value that was shown last, as a register
-# does not go back.
+# The live master is the one that talks to the player; the recorded master is the one in the
+# recording. After the live master has written to a register or bit, all answers show the written
+# value, also recorded answers. This ends when the player reaches a later write of the recorded
+# master to the same address. From then on answers show the recorded values. An answer that was
+# recorded before that write shows the value that was shown last, so that the register does not seem
+# to change back.
 #
-# A write of the value that the recording's own last write has left there is that write, played:
-# recorded changes that follow it are shown, as of a command that the device takes back.
+# If the live master writes the same value as the recorded master's last write, the two count as the
+# same write: later recorded changes are shown, for example of a command bit that the device resets.
 #
-# A value that changes in the recording without a write, such as a counter, does not end a live
-# write. Nor do the answers that are repeated at the end, and a recording that begins again does so
-# only when it comes to its next write there.
+# A recorded change without a recorded write, such as that of a counter, does not end a live write.
+# Nor do the answers that are repeated after the end of the recording. If the recording begins
+# again, its next write to the address ends the live write.
 #
-# Memory: one entry for each register or bit that the live master has written and the recording
-# knows.
+# Memory: one entry for each register or bit that the live master has written, if it is in the
+# recording.
 
 from __future__ import annotations
 
@@ -29,12 +30,12 @@ if TYPE_CHECKING:
 
 
 class Place(NamedTuple):
-    """A place in a recording that is played, perhaps several times."""
+    """A position in a recording that may be played several times."""
 
     lap: int
-    """How often the recording has begun again."""
+    """Number of times that the recording has begun again."""
     at_ns: int
-    """The recorded time."""
+    """The recorded time in ns."""
 
 
 @dataclass(slots=True)
@@ -43,9 +44,10 @@ class _LiveValue:
 
     value: int
     place: Place
-    """Where the value was written or, after the recording wrote there, where it was recorded."""
+    """Where in the recording the player was when the live master wrote the value. Once a recorded
+    write has replaced it: where in the recording `value` was read."""
     recorded_writes: int
-    """The number of recorded writes there when the live master wrote."""
+    """Number of recorded writes to the same address up to the live write."""
 
 
 class LiveWrites:
@@ -54,14 +56,14 @@ class LiveWrites:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._values: dict[tuple[int, Table], dict[int, _LiveValue]] = {}
-        """By unit and table, then by address."""
+        """The live values by unit and table, then by address."""
 
     def keep(
         self, unit: int, table: Table, address: int, value: int, *, recorded: int, place: Place
     ) -> None:
         """Keep the value of an acknowledged write.
 
-        `recorded` is the value that the recording has there at `place`, where the player is.
+        `place` is the player's position; `recorded` is the recorded value of the address there.
         """
         values = self._values.setdefault((unit, table), {})
         before = values.get(address)
@@ -70,11 +72,11 @@ class LiveWrites:
         writes = self._recorded_writes(unit, table, address, place)
         last = self._recording.timeline(unit, table).last_write(address, place.at_ns)
         if recorded == value == last:
-            writes -= 1  # The live write is the recorded one, which ends it at once.
+            writes -= 1  # The recorded write counts as later, so recorded values are shown.
         values[address] = _LiveValue(value, place, writes)
 
     def shown(self, unit: int, table: Table, address: int, recorded: int, place: Place) -> int:
-        """The value of an address at a place where the recording has the value `recorded`."""
+        """Return the value to show for an address whose recorded value at `place` is `recorded`."""
         live = self._values.get((unit, table), {}).get(address)
         if live is None or self._has_ended(live, unit, table, address, place):
             return recorded
@@ -83,7 +85,10 @@ class LiveWrites:
     def in_answer(
         self, unit: int, table: Table, start: int, values: Sequence[int], place: Place
     ) -> list[int]:
-        """The values to show instead of those of a recorded answer, from address `start` on."""
+        """Replace values of a recorded answer by live ones.
+
+        `values` are those of the answer, from address `start` on; `place` is where it was recorded.
+        """
         shown = list(values)
         for address, live in self._values.get((unit, table), {}).items():
             index = address - start
@@ -97,13 +102,13 @@ class LiveWrites:
     def _has_ended(
         self, live: _LiveValue, unit: int, table: Table, address: int, place: Place
     ) -> bool:
-        """True if at a place the recording has written to an address since the live master did."""
+        """True if a recorded write to the address, up to `place`, came after the live write."""
         if place < live.place:
             return False
         return self._recorded_writes(unit, table, address, place) > live.recorded_writes
 
     def _recorded_writes(self, unit: int, table: Table, address: int, place: Place) -> int:
-        """How often the recording has written to an address up to a place, over all laps."""
+        """Number of recorded writes to an address up to `place`, with those of earlier laps."""
         recording = self._recording
         timeline = recording.timeline(unit, table)
         before = timeline.writes_until(address, recording.begin_ns - 1)

@@ -1,18 +1,20 @@
 """Finds the recorded answer to a request."""
 
-# Each matcher keeps the position in the recording in its own way:
+# The matchers differ in the recorded answer that they choose:
 #
-#     KeyMatcher        by request: each request gets its next recorded answer
-#     SequenceMatcher   one for all: only the request that comes next in the recording is answered
-#     TimeMatcher       by the clock: the answer to the same request that was asked nearest to the
-#                       clock's time. If there is none, the nearest one to the same function and
-#                       address: its exception or silence, but instead of its values those of the
-#                       register image
-#     ImageMatcher      the register image for functions that access registers or bits; the others
-#                       as KeyMatcher
+#     KeyMatcher        counts for each request separately: each time the same request comes, it
+#                       gets its next recorded answer
+#     SequenceMatcher   goes through the recording in order: only the request that comes next in the
+#                       recording is answered
+#     TimeMatcher       takes the answer to the same request that was recorded nearest to the
+#                       clock's time. If the recording lacks the request, it takes the nearest
+#                       answer to the same unit, function and first address: if this is an exception
+#                       or silence, it is played; else the values come from the register image
+#     ImageMatcher      answers from the register image; functions that access no registers or bits
+#                       are answered as by KeyMatcher
 #
-# OnEnd tells what follows after the last recorded answer. OnEnd.LAST repeats the last response that
-# is not silence, as a capture often ends before a response.
+# OnEnd says what happens after the last recorded answer. OnEnd.LAST repeats the last response and
+# ignores missing responses, as a capture often ends before a response.
 #
 # While the player stands still (`is_paused`), a request gets its previous answer again.
 
@@ -37,24 +39,24 @@ class MatchStrategy(StrEnum):
     """How to find the answer to a request."""
 
     AUTO = "auto"
-    """As KEY, then from the register image, then from the device's profile."""
+    """As KEY; if nothing is found, from the register image, then from the device's profile."""
     SEQUENCE = "sequence"
     """A request is answered only if it is the next one in the recording."""
     KEY = "key"
     """The next answer to the same unit, function, addresses and values."""
     TIME = "time"
-    """The answer to the same request whose time is nearest to the clock's."""
+    """The answer to the same request that was recorded nearest to the clock's time."""
     IMAGE = "image"
-    """The values that the registers had at the clock's time."""
+    """The values that the registers had in the recording at the clock's time."""
 
     @property
     def by_clock(self) -> bool:
-        """True if the clock gives the position in the recording, False if the requests do."""
+        """True if the position in the recording follows the clock; False if the live requests."""
         return self in (MatchStrategy.TIME, MatchStrategy.IMAGE)
 
 
 class OnEnd(StrEnum):
-    """What follows after the last recorded answer."""
+    """The answer to a request after all its recorded answers were played."""
 
     LAST = "last"
     """A request gets its last recorded answer again."""
@@ -94,7 +96,7 @@ class Found(NamedTuple):
 
     answer: RecordedAnswer
     lap: int = 0
-    """How often the answers have begun again; with a clock, 0: the clock counts its laps."""
+    """Number of times that the answers have begun again; always 0 if the matcher uses the clock."""
 
 
 class Matcher(Protocol):
@@ -116,13 +118,13 @@ def matcher_for(match: MatchStrategy, recording: Recording, on_end: OnEnd) -> Ma
 
 
 class KeyMatcher:
-    """Each request has a sequence of answers of its own."""
+    """Gives each request its next recorded answer, whatever other requests come between."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """How many answers each request has been given so far, by request."""
+        """The number of answers given so far, by request."""
 
     def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         answers = self._answers.get(key)
@@ -140,7 +142,7 @@ class KeyMatcher:
 
 
 class SequenceMatcher:
-    """All requests are one sequence; a request that is not the next one is a miss."""
+    """Answers a request only if it is the next one in the recording; any other is a miss."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._order = recording.order
@@ -166,7 +168,7 @@ class SequenceMatcher:
 
 
 class TimeMatcher:
-    """A request gets the answer that is nearest to the clock's time."""
+    """Gives a request the answer recorded nearest to the clock's time."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._answers = recording.answers
@@ -192,7 +194,7 @@ class TimeMatcher:
 
 
 class ImageMatcher:
-    """Requests for registers or bits are answered from the register image."""
+    """Has requests for registers or bits answered from the register image."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._others = KeyMatcher(recording, on_end)
@@ -211,7 +213,7 @@ def _last(answers: Sequence[RecordedAnswer]) -> Found:
 
 
 def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
-    """The answer whose request was nearest to a time; of two equally near, the earlier one."""
+    """The answer whose request was recorded nearest to `at_ns`; of two equally near, the first."""
     index = bisect_left(answers, at_ns, key=lambda one: one.asked_ns)
     return min(answers[max(index - 1, 0) : index + 1], key=lambda one: abs(one.asked_ns - at_ns))
 

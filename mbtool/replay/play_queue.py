@@ -1,4 +1,4 @@
-"""Hands out the items of a recording at their times or, while the clock stands still, by steps."""
+"""Returns the items of a recording when their time comes, or one by one while it is paused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class PlayItem(Protocol):
-    """A part of a recording, such as a request, and when it is played: ns from the beginning."""
+    """A part of a recording, such as a request, to be played at `position_ns` ns from its start."""
 
     @property
     def position_ns(self) -> int: ...
@@ -21,7 +21,7 @@ _Item = TypeVar("_Item", bound=PlayItem)
 
 
 class PlayQueue(Generic[_Item]):
-    """The items of a recording in order of time: once or, if the clock is a loop, lap by lap."""
+    """The items of a recording in order of time; in a loop they begin again after the last."""
 
     def __init__(self, items: Sequence[_Item], clock: PlayClock) -> None:
         self._items = items
@@ -29,11 +29,11 @@ class PlayQueue(Generic[_Item]):
         self._next = 0
         self._lap = 0
         self._steps = 0
-        """How many items may still be played while the clock stands still."""
+        """Number of items that may still be played while the clock stands still."""
 
     @property
     def taken(self) -> int:
-        """How many items were taken, over all laps."""
+        """Number of items taken, in all laps of a loop together."""
         return self._lap * len(self._items) + self._next
 
     def upcoming(self, *, may_restart: bool = True) -> _Item | None:
@@ -54,8 +54,8 @@ class PlayQueue(Generic[_Item]):
     def due_ns(self, item: _Item, now_ns: int) -> int | None:
         """Return the real time at which `item`, the upcoming one, may be played.
 
-        None if the clock stands still and no step is left. Once the clock runs again, unused steps
-        are dropped.
+        None if the clock stands still and `allow_step` permits no further item. Once the clock runs
+        again, unused permissions are dropped.
         """
         due_ns = self._clock.time_of(self._position(item))
         if due_ns is not None:
@@ -65,9 +65,10 @@ class PlayQueue(Generic[_Item]):
         return due_ns
 
     def take(self, item: _Item, now_ns: int) -> bool:
-        """Go on from `item` to the next one. True if the clock made it due, False if a step did.
+        """Mark `item` as played.
 
-        A step moves the clock to the item's position.
+        Returns True if it was due by the clock, False if `allow_step` permitted it; the clock then
+        moves to the item's position.
         """
         position_ns = self._position(item)
         self._next += 1

@@ -5,21 +5,22 @@
 #     1  the recorded answer that the matcher finds (matching.py); it may be silence
 #     2  silence, if the unit never answered in the recording
 #     3  with OnMiss.IMAGE, the register image: the values of registers and bits at the player's
-#        time in the recording. If it lacks an address, the device that is given for the unit
+#        time in the recording. If the image lacks an address, the simulated device for the unit
 #     4  an exception response, or silence with OnMiss.SILENT: 03 for a malformed request or one
 #        beyond the standard's limits, 02 for an address that was never seen, 01 for a function that
 #        accesses no register or bit
 #
-# The player's time is the clock's if the matcher uses it. Otherwise it is the recorded time of the
-# last response that was played, so a request that is rare in the recording moves it forward only
-# until the next response. Silence does not move it. Before the first response it is the beginning.
-# An address has its first known value from the beginning on. The clock starts with the first
-# request.
+# The player's time is the time in the recording from which it takes values. If the matcher uses the
+# clock, it is the clock's time. Otherwise it is the recorded time of the response played last; so
+# the answer to a request that is rare in the recording moves it far forward, but only until the
+# next response is played. Silence does not move it. Before the first response it is the beginning
+# of the recording. An address has its first known value from the beginning on. The clock starts
+# with the first request.
 #
-# An acknowledged write is read back, from the image and in recorded answers, until the recording
-# itself writes there (live_writes.py). A write that was never recorded is acknowledged if the
-# recording knows all its addresses. A broadcast on a serial line writes to every unit that ever
-# answered.
+# After an acknowledged write, answers show the written value, also recorded answers, until the
+# recording has a write to the same address (live_writes.py). A write that was never recorded is
+# acknowledged if all its addresses are in the recording. A broadcast on a serial line writes to
+# every unit that ever answered.
 
 from __future__ import annotations
 
@@ -55,12 +56,12 @@ if TYPE_CHECKING:
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
-"""In a loop, the ns from one lap to the next if the recording has no length, as with one
-request."""
+"""In a loop, the time in ns from one lap to the next for a recording that lasts 0 ns, such as one
+with a single request."""
 
 
 class OnMiss(StrEnum):
-    """The answer to a request that the recording does not have."""
+    """The answer to a request that is not in the recording."""
 
     IMAGE = "image"
     """A response from the register image or the device, else an exception response."""
@@ -95,9 +96,9 @@ class RecordedSlave:
     ) -> None:
         """Prepare to play a recording.
 
-        `rate` is the clock's rate, recorded time per real time. Recorded latencies are divided by
-        it; with None they are left out. `devices` holds simulated devices, each by the unit for
-        which it answers. `transport` is that of the requests. `with_damage` plays damaged responses
+        `rate` is recorded time divided by real time. Recorded latencies are divided by it; with
+        None, responses are sent at once. `devices` holds the simulated devices by unit. `transport`
+        is the transport of the live requests. With `with_damage`, damaged responses are played,
         too. Raises ValueError if the rate is not above 0, or if it is None although `match` needs a
         clock.
         """
@@ -119,17 +120,16 @@ class RecordedSlave:
         )
         self._steering = Steering(self._clock, self._step)
         self._steps = 0
-        """How many more answers may be played while the player stands still."""
+        """Number of answers that may still be played while the player is paused."""
         self._time_ns = recording.begin_ns
         """The player's time: the time in the recording from which values are taken, in ns."""
         self._lap = 0
-        """How often the clock, or the last answer that was played, has begun the recording
-        again."""
+        """Number of times that the recording has begun again: by the clock, or in the answers."""
         self._writes = LiveWrites(recording)
         self.asked = 0
-        """How many requests the master sent."""
+        """Number of requests that the live master has sent."""
         self.missed = 0
-        """How many of the master's requests the recording has no answer for."""
+        """Number of live requests without an answer in the recording."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._steering.begin(now_ns)
@@ -151,7 +151,7 @@ class RecordedSlave:
         return self._make_up(unit, pdu, found, now_ns)
 
     def control(self, control: Control, now_ns: int) -> None:
-        """Do what a key of the user asks for."""
+        """Apply a key that the user has pressed: pause, step, faster or slower."""
         self._steering.apply(control, now_ns)
 
     def progress(self, now_ns: int) -> Progress:
@@ -176,7 +176,7 @@ class RecordedSlave:
         return Moment(self._time_ns, is_over=self._clock.is_over(now_ns))
 
     def _step(self, now_ns: int) -> None:
-        """Jump to the next recorded request or, if no clock is used, allow one more answer."""
+        """Jump to the next recorded request or, if the clock is not used, allow one more answer."""
         if not self._match.by_clock:
             self._steps += 1
             return
@@ -211,7 +211,7 @@ class RecordedSlave:
         return Response(answer, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
     def _go_to(self, found: Found) -> None:
-        """Set the player's time to that of a played answer, unless the clock gives it."""
+        """Set the player's time to the recorded time of an answer, unless it follows the clock."""
         if not self._match.by_clock:
             self._time_ns, self._lap = found.answer.at_ns, found.lap
 
@@ -228,7 +228,7 @@ class RecordedSlave:
         values = (response.numbers() or ())[: len(access.reads)]
         if response.problem is not None or len(values) < len(access.reads):
             return answer
-        # With a clock, the nearest answer may be one that the clock has not reached.
+        # By the clock, the nearest recorded answer may be later than the player's time.
         place = min(self._place(), Place(self._lap, recorded.at_ns))
         shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
         return answer if shown == list(values) else response_to(request, pdu, shown)
@@ -275,7 +275,7 @@ class RecordedSlave:
     def _from_device(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes, now_ns: int
     ) -> Response | None:
-        """The device's response, after it was given the values that the recording knows."""
+        """The simulated device's response, after it was given the values of the recording."""
         device = self._devices[unit]
         if access is not None:
             for address in (*access.reads, *access.writes):
@@ -288,7 +288,7 @@ class RecordedSlave:
         return response
 
     def _keep_write(self, unit: int, request: Pdu) -> None:
-        """Keep the values of an acknowledged write at the addresses that the recording knows."""
+        """Keep the values of an acknowledged write, for addresses that are in the recording."""
         access = register_access(request)
         if access is None or not access.writes:
             return
@@ -302,13 +302,13 @@ class RecordedSlave:
                 )
 
     def _value(self, unit: int, table: Table, address: int) -> int | None:
-        """The value of an address at the player's time; None if it was never seen."""
+        """The value to show for an address at the player's time; None if never recorded."""
         recorded = self._recorded(unit, table, address)
         if recorded is None:
             return None
         return self._writes.shown(unit, table, address, recorded, self._place())
 
     def _recorded(self, unit: int, table: Table, address: int) -> int | None:
-        """The value that the recording has; None if it never had one."""
+        """The recorded value of an address at the player's time; None if never recorded."""
         known = self._recording.timeline(unit, table).at(address, self._time_ns)
         return None if known is None else known[0]

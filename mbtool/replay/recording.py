@@ -1,18 +1,18 @@
-"""Prepares a recording to be played as the slave: answers by request, and values by time."""
+"""Prepares a recording to be played as the slave: recorded answers, and values over time."""
 
-# Two views of the same transactions:
+# A Recording holds the same transactions in two forms:
 #
-#     answers   by unit and request PDU, that is by function, addresses and written values. They are
-#               in the order of the requests, each with its recorded time and latency; silence is an
-#               answer too. `order` has the answers to all requests in one sequence
-#     values    by unit and table, a Timeline of every successful read and every acknowledged write;
-#               a broadcast write counts for every unit that ever answered
+#     answers   for each unit and request PDU, its answers in the order of the requests, each with
+#               time and latency. A missing response is an answer, too. `order` has the answers to
+#               all requests in one sequence
+#     values    for each unit and table, a Timeline of the values in all successful reads and
+#               acknowledged writes; a broadcast write counts for every unit that ever answered
 #
 # Slaves are identified by their unit only: if several links have the same units, the caller passes
 # the transactions of one link. Unsolicited responses are left out.
 #
-# With a time range, the answers are those to the requests inside it. Values come from the whole
-# recording, so that registers begin the range with the values that they had then.
+# If only a time range is played, only requests inside it have answers. Values come from the whole
+# recording, so that at the begin of the range registers have the values that they had then.
 #
 # Memory grows with the recording: one entry for each transaction, for each change of a value and
 # for each register of a write.
@@ -43,15 +43,16 @@ Key = tuple[int, bytes]
 
 @dataclass(frozen=True, slots=True)
 class RecordedAnswer:
-    """The recorded response to one request, or its silence."""
+    """The recorded response to one request, or the lack of a response."""
 
     pdu: bytes | None
     """The PDU of the response; None if there was no intact response."""
     at_ns: int
-    """When the response was complete on the wire; for silence, when the request was."""
+    """When the last byte of the response was on the wire, in ns; without a response, that of the
+    request."""
     latency_ns: int
     asked_ns: int = 0
-    """When the request was complete on the wire."""
+    """When the last byte of the request was on the wire, in ns."""
     damaged: DamagedAnswer | None = None
     """The damaged response, if one was captured in place of an intact one; else None."""
 
@@ -60,7 +61,7 @@ _ALL = TimeRange()
 
 
 class Recording:
-    """The answers and values of a recording; unchanged once made."""
+    """The answers and values of a recording; it never changes after it is built."""
 
     def __init__(self) -> None:
         self.units: set[int] = set()
@@ -71,7 +72,7 @@ class Recording:
         self._latencies: dict[tuple[int, int | None], array[int]] = {}
         self._medians: dict[tuple[int, int | None], int] = {}
         self.begin_ns = 0
-        """The time of the first request, or of the beginning of the time range."""
+        """The time in ns of the first request, or of the beginning of the time range."""
         self.length_ns = 0
         """The time in ns from `begin_ns` to the last answer, or to the end of the time range."""
 
@@ -84,8 +85,8 @@ class Recording:
     ) -> Self:
         """Build a recording; the transactions may come in any order.
 
-        Only requests inside the time range `part` get answers. `events` are those of the same
-        links: the bytes of damaged responses are taken from them.
+        Only requests inside the time range `part` get answers. The bytes of damaged responses are
+        taken from `events`, the events of the same links.
         """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
@@ -114,7 +115,7 @@ class Recording:
     def latency_ns(self, unit: int, function: int) -> int:
         """The median latency in ns with which a unit responded to a function.
 
-        If it never did, the median of all responses of the unit; if there are none, 0.
+        If the unit never responded to it, the median of all its responses; if there are none, 0.
         """
         of_unit = self._medians.get((unit, None), 0)
         return self._medians.get((unit, function), of_unit)
@@ -122,7 +123,7 @@ class Recording:
     def latencies(self, unit: int, function: int) -> Sequence[int]:
         """All latencies in ns with which a unit responded to a function.
 
-        If it never did, those of all responses of the unit.
+        If the unit never responded to it, the latencies of all its responses.
         """
         seen = self._latencies.get((unit, function)) or self._latencies.get((unit, None))
         return seen or ()
@@ -153,7 +154,7 @@ class Recording:
     def _add_latencies(self, asked: Iterable[Transaction]) -> None:
         """Collect the latencies by unit and function.
 
-        Those of all functions of a unit are collected under the unit and None.
+        The latencies of all functions of a unit together have the key (unit, None).
         """
         for one in asked:
             if one.latency_ns is not None:
@@ -174,7 +175,7 @@ class Recording:
         at_ns = _answered_ns(transaction)
         for unit in self.units if is_broadcast else (transaction.unit,):
             timeline = self._values.setdefault((unit, access.table), Timeline())
-            # A mask write changes bits of the register's last value.
+            # A mask write (16H) changes only some bits, so the value before the write is needed.
             before = timeline.last(access.writes) if request.code == 0x16 else []
             if access.writes:
                 after = None if before is None else values_after(request, before)

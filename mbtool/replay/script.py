@@ -1,15 +1,15 @@
 """Prepares a recording to be played as the master: its requests, their times and responses."""
 
-# A step is one recorded request. It is sent at its recorded time, but not before each earlier step
-# is over whose response the recorded master had when it sent this request. Steps that were still
-# open then may be open again. So a master that had several requests open at once has them open
-# again, and one that waited for each response waits. No step waits for a request that was never
-# answered.
+# A step is one recorded request. It is sent at its recorded time, but it waits for the responses
+# that the recorded master had already received when it sent this request. It does not wait for
+# requests that were still without a response then. So if the recorded master had several requests
+# open at once, the player does, too; if it waited for each response, the player waits, too. No step
+# waits for a request that was never answered.
 #
 # Unsolicited responses have no request and are left out; a retry is a request like any other.
 #
-# Memory grows with the recording: one step for each request. `open_before` has as many numbers as
-# requests were open at once.
+# Memory grows with the recording: one step for each request. `open_before` has one number for each
+# other request that was open at the same time.
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ class Step:
     """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool
     reference: str
-    """The addresses that the request names, in the notation of the device."""
+    """The addresses in the request, in the notation of the device."""
     function_name: str
     device: str | None
-    """The name of the device's profile; None if it has none."""
+    """The name of the slave's device profile; None if it has none."""
     is_captured: bool = True
-    """False if nobody knows the recorded response, since the capture lacks it."""
+    """False if the capture lost the response, so that it is unknown."""
     open_before: tuple[int, ...] = ()
-    """Numbers of the earlier steps that still waited for their responses when this request was
-    recorded. All other earlier steps that were answered must be over before this one is sent."""
+    """Numbers of the earlier steps whose responses were still missing when this request was
+    recorded. This step is sent only when all other answered steps before it are over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +71,9 @@ class Script:
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
         pdus: dict[bytes, bytes] = {}
-        """One object for all PDUs that are equal, which saves memory."""
+        """One bytes object for all equal PDUs, to save memory."""
         open_until: dict[int, int] = {}
-        """The numbers of open steps, and when their responses came."""
+        """The steps open at the current request: the number, and when the response came, in ns."""
         for number, (request_ns, pdu, one) in enumerate(asked):
             for each in [each for each, end in open_until.items() if end <= request_ns]:
                 del open_until[each]
@@ -106,5 +106,5 @@ class Script:
 
     @property
     def units(self) -> frozenset[int]:
-        """The units that get requests, without broadcasts."""
+        """The units that the requests are for, except broadcasts."""
         return frozenset(step.unit for step in self.steps if not step.is_broadcast)

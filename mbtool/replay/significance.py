@@ -7,9 +7,9 @@
 #                 and p is 1.
 #     same_share  Fisher's exact test, two-sided, for k of n against l of m.
 #
-# With many values the smallest shift is significant. So `rank_sum` also gives the probability that
-# a value from b exceeds one from a (Vargha and Delaney's A): 0.5 means no shift. From 0.64 up or
-# 0.36 down the shift is at least medium on their scale.
+# With many values even a tiny shift is significant. So `rank_sum` also gives the probability that
+# a random value of sample b exceeds a random value of sample a (Vargha and Delaney's A): 0.5 means
+# no shift; at least 0.64, or at most 0.36, is at least a medium shift on their scale.
 #
 # Cost: rank_sum sorts all values; same_share sums at most k + l terms.
 
@@ -28,11 +28,11 @@ ALPHA = 0.01
 of tests (Bonferroni)."""
 MIN_VALUES = 8
 MEDIUM = 0.14
-"""A shift is at least of medium size if `exceeds` is so far or farther from 0.5."""
+"""A shift is at least of medium size if `exceeds` differs from 0.5 by at least this."""
 
 _ROUNDING = 1e-9
-"""In Fisher's test, tables whose log probabilities differ by less than this count as equally
-likely."""
+"""In Fisher's test, tables whose log probabilities differ by less than this are taken as equally
+likely; it allows for rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +40,10 @@ class Shift:
     """The result of a rank test of samples a and b."""
 
     p: float
-    """The probability of a difference that is at least as great, if both samples come from the same
-    distribution."""
+    """The p-value: the probability of a difference at least as great as the one found, if both
+    samples come from the same distribution."""
     exceeds: float
-    """The probability that a value of b exceeds one of a; equal values count half."""
+    """The probability that a random value of b exceeds a random one of a; equal ones count half."""
 
     @property
     def is_medium(self) -> bool:
@@ -72,10 +72,9 @@ def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
 
 
 def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
-    """Return the probability of shares that differ at least as much as the two given ones.
+    """Test whether two shares differ: k of n, and other_k of other_n. Returns the p-value.
 
-    The shares are k of n and other_k of other_n. The probability is that under the assumption that
-    the true shares are equal.
+    This is the probability of a difference at least as great, if the true shares are equal.
     """
     hits, lowest = k + other_k, max(0, k + other_k - other_n)
     logs = [_log_chance(each, n, hits, n + other_n) for each in range(lowest, min(hits, n) + 1)]
@@ -84,7 +83,7 @@ def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
 
 
 def _log_chance(k: int, n: int, hits: int, whole: int) -> float:
-    """The log probability that k of all `hits` are among the first n of `whole` items."""
+    """The log probability that exactly k of `hits` hits fall among the first n of `whole` items."""
     return _log_choices(n, k) + _log_choices(whole - n, hits - k) - _log_choices(whole, hits)
 
 

@@ -1,7 +1,8 @@
-"""Applies the keys of a user to a recording that is played: pause, step, faster, slower."""
+"""Applies the user's keys to the recording that is being played: pause, step, faster, slower."""
 
-# Keys arrive as Controls and act on the player's clock. A step plays one more item and stands still
-# again. The player defines the item: a request, a run of bytes, or the next recorded request time.
+# Keys arrive as Controls and act on the player's clock. A step plays one more item, then pauses
+# again. An item is a request, a run of bytes, or the time up to the next recorded request,
+# depending on the player.
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ class Control(StrEnum):
     """What a key of the user does to a player."""
 
     PAUSE = "pause"
-    """Pause the player, or let a paused one go on."""
+    """Pause the player, or continue if it is paused."""
     STEP = "step"
     """Play one more item, then stand still."""
     FASTER = "faster"
@@ -32,24 +33,24 @@ class Progress:
     """The state of a player."""
 
     position_ns: int
-    """Recorded time from the beginning of the part that is played."""
+    """Recorded time in ns from the beginning of the part that is played."""
     length_ns: int
     lap: int
-    """How often the end of the recording was passed, from 0."""
+    """The number of the lap, from 0: how often the recording was played to the end."""
     rate: Fraction | None
-    """Recorded time per real time; None: as fast as possible."""
+    """Recorded time divided by real time; None for as fast as possible."""
     is_paused: bool
     is_waiting: bool
-    """True until the clock has been started."""
+    """True until the clock is started for the first time."""
     done: str
-    """A text about what was played so far."""
+    """A text that says how much was played so far, such as "12 asked"."""
 
 
 class PlayerControls(Protocol):
     """The keyboard and display of a player's user. It is called many times a second."""
 
     def controls(self) -> Sequence[Control]:
-        """The controls that were used since the last call."""
+        """The keys that the user has pressed since the last call."""
         ...
 
     def show(self, progress: Progress) -> None: ...
@@ -61,7 +62,7 @@ class Steering:
     def __init__(self, clock: PlayClock, on_step: Callable[[int], None]) -> None:
         """`on_step` is called for each step that the user asks for, with the time in ns.
 
-        The clock stands still by then.
+        The clock is stopped before the call.
         """
         self._clock = clock
         self._on_step = on_step
@@ -102,7 +103,7 @@ class Steering:
         self._clock.pause(now_ns)
 
     def progress(self, position_ns: int, done: str) -> Progress:
-        """The player's state at a position that counts over all laps."""
+        """The player's state at a position (see clock.py); `done` says what was played so far."""
         clock = self._clock
         return Progress(
             position_ns=clock.in_recording(position_ns),

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class TimeRange:
-    """A part of a recording in ns from its first request or byte; all of it by default.
+    """A part of a recording, in ns from the first request or byte; by default the whole recording.
 
-    The end is not included: consecutive ranges have each request exactly once.
+    The end is not included, so that a request at the border of two ranges is only in the second.
     """
 
     start_ns: int = 0

@@ -1,8 +1,9 @@
-"""Keeps the values of a table's registers or bits over the time of a recording."""
+"""Keeps how the registers or bits of one table changed during a recording."""
 
-# For each address that was seen: the times at which its value changed, and the values. The first
-# known value counts from time 0. For each address that the recorded master wrote: the times of the
-# writes, and the values. Observations are added in the order of time. A lookup bisects the times.
+# A Timeline holds, for each address seen, the times in ns at which the value changed, and the
+# values. The first known value counts from time 0. For each address that the recorded master wrote
+# to, it holds the times and values of the writes. Values must be added in the order of time. A
+# lookup bisects the times.
 
 from __future__ import annotations
 
@@ -23,12 +24,12 @@ class Timeline:
         """For each address, the times at which its value changed, and the value from each time
         on."""
         self._writes: dict[int, tuple[list[int], list[int | None]]] = {}
-        """For each address, the times at which it was written, and the values."""
+        """For each address, the times of the writes and the written values; None if unknown."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
         """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`.
 
-        `at_ns` must not be before that of an earlier call.
+        No call may have an earlier time than the call before it.
         """
         for each, value in enumerate(values, start=address):
             times, known = self._history.setdefault(each, ([], []))
@@ -37,7 +38,7 @@ class Timeline:
                 known.append(value)
 
     def at(self, address: int, at_ns: int) -> tuple[int, int] | None:
-        """The value of an address at a time, and since when it has it; None if never seen."""
+        """The value of an address at a time, and when it changed to it; None if never seen."""
         history = self._history.get(address)
         if history is None:
             return None
@@ -54,7 +55,7 @@ class Timeline:
     def note_writes(self, at_ns: int, address: int, values: Sequence[int | None]) -> None:
         """Add an acknowledged write to consecutive addresses; None is a value that is not known.
 
-        `at_ns` must not be before that of an earlier call.
+        No call may have an earlier time than the call before it.
         """
         for each, value in enumerate(values, start=address):
             times, written = self._writes.setdefault(each, ([], []))
@@ -62,11 +63,11 @@ class Timeline:
             written.append(value)
 
     def writes_until(self, address: int, at_ns: int) -> int:
-        """How often an address was written up to a time."""
+        """Number of writes to an address up to a time."""
         writes = self._writes.get(address)
         return 0 if writes is None else bisect_right(writes[0], at_ns)
 
     def last_write(self, address: int, at_ns: int) -> int | None:
-        """The value that was written last up to a time; None if there was no write."""
+        """The value of the last write up to a time; None if there was no write."""
         count = self.writes_until(address, at_ns)
         return self._writes[address][1][count - 1] if count else None

@@ -7,13 +7,17 @@
 #     registers  by table, address, and read or written: the values. Only reads with outcome ok and
 #                acknowledged writes count; the masks of mask write (16H) are no values
 #
-# A slave is a unit on a link. Links have other names in every capture, so a unit that is on one
-# link only is identified by its number alone.
+# A slave is a unit on a link. The same link may have another name in another capture, so a unit
+# that is on one link only is identified by its number alone.
 #
 # Memory grows with the number of different requests and values, not with the length of a capture.
-# Limits: MAX_VALUES values of a register, beyond which only its least and greatest value are
-# updated; MAX_LATENCIES latencies of a request, evenly chosen; MAX_REQUESTS requests and
-# MAX_REGISTERS registers of a slave, and MAX_SLAVES slaves, beyond which `is_complete` is False.
+# Limits:
+#
+#     MAX_VALUES       values of a register; after that, only the least and greatest are updated
+#     MAX_LATENCIES    latencies of a request; if there are more, an evenly spaced choice
+#     MAX_REQUESTS     requests of a slave; with more, `is_complete` is False
+#     MAX_REGISTERS    registers of a slave; with more, `is_complete` is False
+#     MAX_SLAVES       slaves; with more, `is_complete` is False
 
 from __future__ import annotations
 
@@ -51,7 +55,7 @@ class SlaveKey(NamedTuple):
 
 
 class RequestKey(NamedTuple):
-    """What requests with different values have in common; -1 if a function has no such field."""
+    """Identifies equal requests, whatever values they write; -1 for a field a function lacks."""
 
     function: int
     sub_function: int
@@ -62,28 +66,31 @@ class RequestKey(NamedTuple):
 
 
 class ValueKey(NamedTuple):
-    """A register or bit; its read values are kept apart from its written values."""
+    """A register or bit of a slave. Values read and values written have different keys."""
 
     table: Table
     address: int
     is_written: bool
 
     def is_in(self, spans: Iterable[Span]) -> bool:
-        """True if one of the spans has this register or bit."""
+        """True if one of the address ranges contains this register or bit."""
         return any(span.table is self.table and self.address in span for span in spans)
 
 
 class Sample:
-    """An evenly chosen sample of times in ns; at MAX_LATENCIES every second one is dropped."""
+    """A sample of times in ns, such as latencies: every one, then every second, every fourth, ...
+
+    When it holds MAX_LATENCIES times, every second one is dropped.
+    """
 
     __slots__ = ("_skip", "_stride", "values")
 
     def __init__(self) -> None:
         self.values = array("q")
         self._stride = 1
-        """One of so many values is kept: 1 keeps each value, 2 every second one."""
+        """1 if each new value is kept, 2 if every second one is, 4 if every fourth, ..."""
         self._skip = 1
-        """The count of calls of `add` until a value is kept: 1 if the next call keeps its value."""
+        """Number of calls of `add` until the next value is kept: 1 means the next call."""
 
     def add(self, value: int) -> None:
         self._skip -= 1
@@ -102,10 +109,11 @@ class RequestTraffic:
 
     function_name: str
     reference: str
-    """The addresses that the request names, in the notation of the device."""
+    """The addresses in the request, in the notation of the device."""
     count: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
-    """How often: `ok`, `exception 02`, `no answer`, `malformed`, `broadcast`, `unsolicited`."""
+    """Number of requests by outcome: `ok`, `exception 02`, `no answer`, `malformed`, `broadcast`,
+    `unsolicited`."""
     latencies: Sample = field(default_factory=Sample)
     """The latencies of responses and exception responses, in ns."""
 
@@ -115,10 +123,9 @@ class ObservedValues:
     """The values that a register or bit had."""
 
     values: dict[int, None] = field(default_factory=dict)
-    """The values in the order in which they were first seen, as keys."""
+    """The different values as keys, in the order in which they were first seen."""
     is_all: bool = True
-    """False if there were more than MAX_VALUES different values, so that some are not in
-    `values`."""
+    """False if there were more than MAX_VALUES different values, so that `values` lacks some."""
     least: int = 0xFFFF
     greatest: int = 0
 
@@ -142,7 +149,7 @@ class SlaveTraffic:
         self.requests: dict[RequestKey, RequestTraffic] = {}
         self.registers: dict[ValueKey, ObservedValues] = {}
         self.is_complete = True
-        """False if requests or registers beyond a limit were left out."""
+        """False if requests or registers were left out because there were too many."""
 
     def add(self, transaction: NamedTransaction) -> None:
         self.count += 1
@@ -224,14 +231,13 @@ class Traffic:
 
     @property
     def is_complete(self) -> bool:
-        """False if slaves, requests or registers beyond a limit were left out."""
+        """False if slaves, requests or registers were left out because there were too many."""
         return self._has_all_slaves and all(slave.is_complete for slave in self._slaves.values())
 
     def slaves(self, unique: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
         """Return the slaves by their keys.
 
-        A unit of `unique` is identified by its number alone, any other one by its number and its
-        link.
+        A unit in `unique` is identified by its number alone, any other by number and link.
         """
         return {
             SlaveKey(unit, None if unit in unique else link): slave
@@ -239,7 +245,7 @@ class Traffic:
         }
 
     def links_of_units(self) -> Counter[int]:
-        """For each unit, the number of links that it is on."""
+        """The number of links that each unit is on."""
         return Counter(unit for _, unit in self._slaves)
 
 

@@ -1,4 +1,4 @@
-"""Formats the names and values of differences, for comparing and judging alike."""
+"""Formats the names and values in differences between recordings, or between responses."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from mbtool.replay.traffic import ObservedValues, Sample, ValueKey
 
 SHOWN_VALUES = 4
-"""If a register had more values than this, only their range is shown."""
+"""If a register had more different values than this, only their range is shown."""
 
 
 class DeviceWording:
-    """The names and notation of a device for its registers."""
+    """The names and the notation (HR400001) that a device's profile has for its registers."""
 
     @classmethod
     def of_device(cls, device: str | None, profiles: Mapping[str, Profile]) -> Self:
-        """The wording of the profile called `device`; without one, that of the Modbus standard."""
+        """The names in the profile called `device`; without a profile, the Modbus standard's."""
         return cls(profiles.get(device) if device is not None else None)
 
     def __init__(self, profile: Profile | None) -> None:
@@ -41,8 +41,8 @@ class DeviceWording:
     def of(self, key: ValueKey) -> tuple[str | None, PointInstance | None]:
         """Return the name of a register and its point, which formats its values.
 
-        Both are None if the profile has no such register. The point is None if its values take
-        several registers.
+        Both are None if the profile has no point there. Only the point is None if it takes several
+        registers.
         """
         point = self._points.get((key.table, key.address))
         if point is None:
@@ -52,13 +52,13 @@ class DeviceWording:
 
 
 def function_text(function: int, name: str, sub_function: int = -1) -> str:
-    """The function code in hexadecimal and its short name; `name` if the code is a vendor's."""
+    """The function code in hexadecimal and its short name, or `name` for a vendor's function."""
     sub = f" {sub_function:02X}" if sub_function >= 0 else ""
     return f"{function:02X} {short_name(function, name)}{sub}"
 
 
 def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
-    """The values in the device's words; if there are more than SHOWN_VALUES, only their range."""
+    """The values as the point shows them; if more than SHOWN_VALUES, only their range."""
     count = len(observed.values)
     if count > SHOWN_VALUES or not observed.is_all:
         more = "" if observed.is_all else "more than "
@@ -69,7 +69,7 @@ def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
 
 
 def latency_side(sample: Sample) -> Side:
-    """The median and the 95th percentile of a sample of latencies, which must not be empty."""
+    """The median and 95th percentile of a sample of latencies; the sample must not be empty."""
     ordered = sorted(sample.values)
     median, p95 = median_low(ordered), ordered[min(len(ordered) - 1, len(ordered) * 95 // 100)]
     return Side(

@@ -24,15 +24,16 @@ PREVIOUS_UNANSWERED = 5.0
 """Extra cost of a request that differs from the one still pending: on a bad line, one request in
 thirty gets no response."""
 RETRY = 4.0
-"""Extra cost of a request that equals the one still pending, as a retry does. Start value,
-learned."""
+"""Extra cost of a request that equals the one still pending, as a retry does. A start value,
+which the line statistics replace."""
 RETRY_LIMITS = (2.0, 5.5)
 """The least and the most, in bits, that the learned cost of a retry can become."""
 SECOND_RETRY = 2.0
 """Extra cost of a retry of a retry: a slave that missed two requests often misses the third."""
 REPEAT_AFTER_RESPONSE = 5.0
 """Extra cost of a request that equals the one just answered, if silences cannot tell it from a
-second response: masters usually go on to the next request of their list. Start value, learned."""
+second response: masters usually go on to the next request of their list. A start value, which the
+line statistics replace."""
 REPEAT_AFTER_RESPONSE_LIMITS = (0.0, 10.0)
 """The least and the most, in bits, that the learned cost of a request that equals the one just
 answered can become. It becomes 0 for a master that sends a single request again and again."""
@@ -100,8 +101,8 @@ NEAR_TIMEOUT = 5.5
 """The cost of an echo that comes when the master's timeout may be over, but need not: as much as a
 retry costs."""
 SOONER = 0.8
-"""A master that goes on after less than this share of its wait before a retry did not wait for a
-response."""
+"""An echo was a response, not a retry, if the master sends its next request in less than this share
+(0 to 1) of the time that the echo took: after a retry it would have waited as long again."""
 SILENT_UNIT = 3.5
 """The cost of an echo of a unit that never answered otherwise, on a line where others did: it may
 be absent, and its frames the retries of the master."""
@@ -116,13 +117,13 @@ next request."""
 # Where frames are: the cost of the segments of a path.
 
 SKIP = 8.0
-"""The cost of the first byte of a run of bytes that belong to no frame: rare on a good line. Start
-value, learned."""
+"""The cost, in bits, of the first byte of a run of skipped bytes (bytes that belong to no frame):
+such runs are rare on a good line. A start value, which the line statistics replace."""
 SKIP_LIMITS = (3.0, 10.0)
 """The least and the most, in bits, that the learned cost of the first skipped byte can become."""
 NOISE = 7.0
 """The cost of a skipped byte of 00, F8, FC, FE or FF directly after a frame: receivers hear such
-bytes when the bus changes direction. Start value, learned."""
+bytes when the bus changes direction. A start value, which the line statistics replace."""
 NOISE_LIMITS = (2.0, 9.0)
 """The least and the most, in bits, that the learned cost of noise after a frame can become."""
 MIN_NOISE_IN_WINDOW = 4.0
@@ -150,7 +151,8 @@ ONE_WRONG_BIT_PER_BYTE = 0.1
 """Extra cost of each byte of a frame with one wrong bit: in a longer frame, more bits could by
 chance make the CRC correct."""
 RARE_ONE_BIT = 2.0
-"""Extra cost of explaining damage by one wrong bit. Start value, learned."""
+"""Extra cost of explaining damage by one wrong bit. A start value, which the line statistics
+replace."""
 RARE_ONE_BIT_LIMITS = (0.2, 8.0)
 """The least and the most, in bits, that the learned cost of one wrong bit can become."""
 NOT_UNDERSTOOD = 1.0
@@ -182,7 +184,8 @@ INCOMPLETE_DUE_PER_BYTE = 0.02
 INCOMPLETE_UNEXPECTED = 1.5
 """Extra cost of an incomplete frame that the bus state does not expect."""
 GLUED = 2.0
-"""The cost of a frame that begins without a silence before it. Start value, learned."""
+"""The cost of a frame that begins without a silence before it. A start value, which the line
+statistics replace."""
 GLUED_LIMITS = (0.2, 8.0)
 """The least and the most, in bits, that the learned cost of a frame without a silence before it can
 become."""
@@ -190,7 +193,8 @@ NEVER_GLUED = 5.0
 """If the learned cost of glued frames (frames without a silence between them) is above this, mbtool
 supposes that frames on this line are never glued."""
 SPLIT = 2.0
-"""The cost of a silence of t3.5 inside a frame. Start value, learned."""
+"""The cost of a silence of t3.5 inside a frame. A start value, which the line statistics
+replace."""
 SPLIT_LIMITS = (0.2, 5.0)
 """The least and the most, in bits, that the learned cost of a silence inside a frame can become."""
 SPLIT_MORE = 0.25
@@ -220,10 +224,10 @@ has a silence before it as well."""
 # The beam: which paths the search (search.py) drops because they cost too much.
 
 BEAM_MARGIN = 12.0
-"""Paths that cost so many bits more than the best path of at least the same length are dropped."""
+"""A path is dropped if it costs this many bits more than the best path of at least its length."""
 INCOMPLETE_DOUBT = 3.0
-"""A path that ends in an incomplete frame is not kept if it costs so many bits more than the best
+"""A path that ends in an incomplete frame is not kept if it costs this many bits more than the best
 such path."""
 INCOMPLETE_MARGIN = 24.0
-"""Paths that cost so many bits more than this are dropped: the least cost of a path that ends in an
-incomplete frame, plus INCOMPLETE_DOUBT."""
+"""A path is dropped if it costs INCOMPLETE_DOUBT plus this many bits more than the best path that
+ends in an incomplete frame."""

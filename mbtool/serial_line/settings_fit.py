@@ -32,20 +32,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 SURE_FRAMES = 3
-"""Settings are sure only if so many frames, or more, have a correct CRC or LRC."""
+"""Settings are sure only if at least this many frames have a correct CRC or LRC."""
 SURE_FIT = 0.9
-"""Settings are sure only if their fit (0 to 1) is at least this: noise, and a first frame of which
-the beginning was not heard, may take a tenth."""
+"""Settings are sure only if their fit (0 to 1) is at least this: up to a tenth of the bytes may be
+noise, or a first frame whose beginning was not heard."""
 LIKELY_FRAMES = 2
 LIKELY_FIT = 0.3
 """Settings are likely if at least LIKELY_FRAMES frames have a correct CRC or LRC, and their fit is
 at least LIKELY_FIT (0 to 1)."""
 ENOUGH_WITHOUT_FRAME = 48
-"""Bytes after which a setting without any frame is given up."""
+"""A trial ends after this many bytes if no setting gives a frame with a correct CRC or LRC."""
 ENOUGH_WITHOUT_FIT = 200
-"""Bytes after which a setting with a fit below LIKELY_FIT is given up."""
+"""A trial ends after this many bytes if the fit of its best setting is below LIKELY_FIT."""
 ENOUGH = 600
-"""Bytes after which more would not change the scores much."""
+"""Every trial ends after this many bytes: more bytes would hardly change the scores."""
 
 BAUD_RATES = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
 

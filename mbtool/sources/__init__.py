@@ -1,4 +1,4 @@
-"""Where bytes come from: files, serial ports, interfaces and taps.
+"""Sources of captured bytes: files, serial ports, network interfaces and taps.
 
-Callers import from the modules, as each module loads only what it needs.
+This file exports nothing: import the module you need, as each loads only what it needs.
 """

@@ -1,21 +1,21 @@
 """Reads the bytes of a serial line from files without times: raw, or hexadecimal text."""
 
-# Hexadecimal text is pairs of digits, with or without 0x before them, separated by white space, by
+# Hexadecimal text is pairs of digits, with or without 0x before each, separated by white space, by
 # commas or not at all, in rows of any length. From a # on, a row is a comment.
 #
-# Such bytes have no times (Stamp.UNKNOWN). They get times as if they had come back to back at the
-# line's speed from 1970-01-01 on. Such times keep the bytes in order, and show how far into the
-# file a byte stands. They do not depend on the file's date, which need not be the date of the
+# The bytes in such files have no times (Stamp.UNKNOWN). They get invented times: as if they had
+# come without gaps at the line's speed, from 1970-01-01 on. These keep the bytes in order and show
+# how far into the file a byte is. The file's date is not used, as it need not be the date of the
 # recording.
 #
-# Holds at most READ_BYTES of a file.
+# Memory: at most READ_BYTES of a file.
 
 from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
-from mbtool.core import Chunk, CutError, InputError, Stamp
+from mbtool.core import Chunk, CutError, InputError, Origin, Stamp, StreamPlace
 
 if TYPE_CHECKING:
     import io
@@ -35,7 +35,7 @@ class SerialBytes(NamedTuple):
     """The bytes of a serial line in a file of any kind."""
 
     line: LineSettings
-    """The line's settings: those that the user gives, else those that the file shows."""
+    """The line's settings: given by the user, else found in the file."""
     pieces: Iterator[Chunk]
     """The bytes, piece by piece.
 
@@ -45,35 +45,40 @@ class SerialBytes(NamedTuple):
 
 
 def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """Read a file that holds the bytes and nothing else."""
-    return SerialBytes(line, _back_to_back(_blocks(stream), link, line))
+    """Read a file that contains only the bytes of the line."""
+    return SerialBytes(line, _back_to_back(_blocks(stream), name, link, line))
 
 
 def read_hex(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
     """Read a text that has the bytes in hexadecimal."""
-    return SerialBytes(line, _back_to_back(_from_hex(stream, name), link, line))
+    return SerialBytes(line, _back_to_back(_from_hex(stream, name), name, link, line))
 
 
 def _blocks(stream: BinaryIO) -> Iterator[bytes]:
-    # read1 gives what a pipe has at once, without waiting for a full block.
+    # read1 returns the bytes that a pipe has, without waiting for a full block.
     read = cast("io.BufferedIOBase", stream).read1
     while data := read(READ_BYTES):
         yield data
 
 
-def _back_to_back(parts: Iterable[bytes], link: str, line: LineSettings) -> Iterator[Chunk]:
+def _back_to_back(
+    parts: Iterable[bytes], name: str, link: str, line: LineSettings
+) -> Iterator[Chunk]:
     character_ns = line.format.character_ns
+    origin = Origin(name, 0)
     count = 0
     for data in parts:
+        place = StreamPlace(count, None, origin)
         count += len(data)
-        yield Chunk(ts_ns=count * character_ns, link=link, data=data, stamp=Stamp.UNKNOWN)
+        ts_ns = count * character_ns
+        yield Chunk(ts_ns=ts_ns, link=link, data=data, stamp=Stamp.UNKNOWN, place=place)
 
 
 def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
     row = 1
     in_comment = False
     rest = b""
-    """The last word of a piece, or its end, if the next piece of the same row may continue it."""
+    """The last word of a piece, or the end of a long word: the next piece may continue it."""
     while piece := stream.readline(READ_BYTES):
         is_whole = piece.endswith(b"\n")
         text, sharp, _ = (b"" if in_comment else rest + piece).partition(b"#")
@@ -82,8 +87,8 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
         words = _PARTED.split(text)
         last = words.pop()
         if not is_whole and not in_comment:
-            # The next piece may continue the last word, so it waits. Of a long word all whole pairs
-            # of digits are taken now, so that what waits stays short.
+            # The next piece may continue the last word, so it is kept for then. If it is long, its
+            # complete pairs of digits are read now, so that only a short text is kept.
             even = len(last) // 2 * 2 if len(last) > _SHOWN else 0
             words.append(last[:even])
             rest = last[even:]
@@ -102,7 +107,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
 def _all_pairs(words: list[bytes], name: str, row: int) -> bytes:
     try:
         return bytes.fromhex(b" ".join(words).decode("ascii"))
-    except ValueError:  # A word has a 0x or is wrong: take them one by one.
+    except ValueError:  # One word has a 0x, or is wrong: read the words one by one.
         return b"".join(_pairs(word, name, row) for word in words if word)
 
 

@@ -3,20 +3,22 @@
 #     t_start_s,t_end_s,line,byte_hex
 #     0.0311790,0.0315970,tx,01
 #
-# The header names the columns, in any order. Other columns are not used, also not `line`: all rows
-# are of one bus, in the order of time. Times are seconds, since the start of the recording or since
-# 1970; a recording that starts at 0 is shown as starting in 1970. An analyser that counts from its
-# trigger gives negative times to the bytes before it: then the time of the first row is shown as 0.
+# The header names the columns, in any order. Only the times and the byte are used, not `line` or
+# any other column: all rows are of one bus, in the order of time. Times are seconds, since the
+# start of the recording or since 1970; a recording that starts at 0 is shown as starting in 1970.
+# An analyser that counts from its trigger gives negative times to the bytes before the trigger:
+# then the time of the first row is shown as 0.
 #
 # The time of a byte is the arrival of its last bit. sigrok's decoder gives the end of the data bits
 # as t_end_s. If t_end_s is less than one character time after t_start_s, the time is t_start_s plus
 # one character time.
 #
-# The first bytes show the line's settings: their length gives the baud rate, and their shortest
-# distance the number of bits of a character. 10 bits are read as 8N1 and 11 as 8E1; all formats
-# with 11 bits have the same times. If no usual baud rate fits, the settings are the default.
+# The line's settings are found from the first rows: the duration of a byte gives the baud rate, and
+# the shortest time between the starts of two bytes gives the number of bits of a character. 10 bits
+# are taken as 8N1 and 11 as 8E1; all formats with 11 bits have the same times. If no usual baud
+# rate fits, the default settings are used.
 #
-# Holds LOOKED_AT rows, and MAX_ROW bytes of a row.
+# Memory: LOOKED_AT rows, each of at most MAX_ROW bytes.
 
 from __future__ import annotations
 
@@ -26,7 +28,15 @@ from itertools import chain, islice, pairwise
 from statistics import median_low
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from mbtool.core import Chunk, CutError, InputError, LineSettings, SerialFormat
+from mbtool.core import (
+    Chunk,
+    CutError,
+    InputError,
+    LineSettings,
+    Origin,
+    SerialFormat,
+    StreamPlace,
+)
 from mbtool.sources.byte_files import SerialBytes
 
 if TYPE_CHECKING:
@@ -34,9 +44,9 @@ if TYPE_CHECKING:
 
 START, END, BYTE = "t_start_s", "t_end_s", "byte_hex"
 LOOKED_AT = 1000
-"""How many of the first rows the line's settings are found from."""
+"""The line's settings are found from this number of first rows."""
 MAX_ROW = 4096
-"""How many bytes a row may have."""
+"""The most bytes that a row may have."""
 
 _BYTE = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}", re.ASCII)
 _MAX_NS = 2**63 - 1
@@ -45,9 +55,9 @@ _BAUDS = (
     250000, 460800, 500000, 921600, 1000000,
 )  # fmt: skip
 _TOLERANCE = 0.02
-"""By what share of a usual baud rate a measured rate may differ from it."""
+"""A measured baud rate counts as a usual one if it differs from it by at most 2 %."""
 _LENGTHS = (8, 11, 10)
-"""How many bits may lie between a row's start and end: the data bits, or the whole character."""
+"""The possible numbers of bits between start and end of a row: 8 data bits, or a character."""
 _SHOWN = 40
 
 
@@ -62,7 +72,8 @@ def read_byte_times(
 ) -> SerialBytes:
     """Read the header and the first rows, which give the line's settings if `line` is None.
 
-    A wrong header or row raises InputError only when the pieces before it have been taken.
+    A wrong header or row raises InputError, but only after the iterator has returned the bytes
+    before it.
     """
     rows = _rows(stream, name)
     first: list[_Row] = []
@@ -70,9 +81,9 @@ def read_byte_times(
     try:
         first.extend(islice(rows, LOOKED_AT))
     except InputError as error:
-        problem = error  # It is raised once the rows before it are given.
+        problem = error  # Raised later, after the rows before it are returned.
     line = line or LineSettings(_format(first))
-    return SerialBytes(line, _chunks(chain(first, rows), link, line, problem))
+    return SerialBytes(line, _chunks(chain(first, rows), name, link, line, problem))
 
 
 def is_byte_times(head: bytes) -> bool:
@@ -82,12 +93,14 @@ def is_byte_times(head: bytes) -> bool:
 
 
 def _chunks(
-    rows: Iterator[_Row], link: str, line: LineSettings, problem: InputError | None
+    rows: Iterator[_Row], name: str, link: str, line: LineSettings, problem: InputError | None
 ) -> Iterator[Chunk]:
     character_ns = line.format.character_ns
-    for row in rows:
+    origin = Origin(name, 0)
+    for offset, row in enumerate(rows):
         ts_ns = max(row.end_ns, row.start_ns + character_ns)
-        yield Chunk(ts_ns=ts_ns, link=link, data=bytes((row.byte,)))
+        place = StreamPlace(offset, None, origin)
+        yield Chunk(ts_ns=ts_ns, link=link, data=bytes((row.byte,)), place=place)
     if problem is not None:
         raise problem
 
@@ -106,8 +119,8 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return SerialFormat()
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step >= width_ns), default=0)
-    # A character of 10 bits is told from one of 11 by the middle between them: no clock is off by
-    # half a bit in one character.
+    # The limit between 10 and 11 bits is 10.5 bits: no clock is off by half a bit in one
+    # character.
     is_short = bits == 10 or 0 < shortest_ns * baud < 10.5e9
     return SerialFormat(baud, 8, "N" if is_short else "E", 1)
 
@@ -153,7 +166,7 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
     """Read a row; return its cells, and true if it ends with a line feed.
 
-    At the end of the file there are no cells. Raises InputError if the row is too long.
+    Returns no cells at the end of the file. Raises InputError if the row is too long.
     """
     line = stream.readline(MAX_ROW)
     if not line:

@@ -1,12 +1,16 @@
-"""Starts and ends child processes, which time bytes undisturbed by the busy main process."""
+"""Starts and ends the child processes that read ports and note the time of each byte.
+
+In the main process the decoder is busy, which would make the times wrong.
+"""
 
 # A child runs a module of this package and writes to its standard output. Nothing is written to its
-# standard input. The parent keeps this open as long as the child shall run; when the parent closes
-# it, or ends in any way, the child reads the end of file and ends.
+# standard input; the parent keeps it open as long as the child must run. When the parent closes it,
+# or ends in any way, the child reads the end of file and ends.
 #
 # A child has a process group of its own, so that Ctrl-C in the terminal reaches only the parent,
-# which then ends its children. -P keeps the current folder out of the child's search path for
-# modules: a user may have a serial.py there.
+# which then ends its children. The option -P keeps the current folder out of the child's search
+# path for modules: a user may have a file serial.py there, which would be imported in place of
+# pyserial.
 #
 # subprocess is used, not multiprocessing: that would import the parent's main module again, with
 # the whole command line, and start a resource tracker as a second process.
@@ -17,7 +21,7 @@ import subprocess
 import sys
 
 GRACE_S = 5.0
-"""How long a child may take to end before it is killed, in seconds."""
+"""A child that does not end within this time, in seconds, is killed."""
 
 
 def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:

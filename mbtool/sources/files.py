@@ -1,15 +1,15 @@
 """Opens capture files: plain, gzip or zstd, from disk or standard input."""
 
-# The first bytes of a file show what it is, never its name: first the compression, then the kind of
-# capture inside. A plain file keeps its seekable stream, which the reader of a log may need.
-# If the user names a serial line, a file of no known kind holds that line's bytes; a text then
-# holds them in hexadecimal. The bytes of an ASCII line are text themselves: there a text counts as
-# hexadecimal if it has no colon and its digits stand in separate pairs. The byte order mark that
-# some programs put before a text is skipped.
+# A file is recognised by its first bytes, not by its name: first the compression, then the kind of
+# capture inside. An uncompressed file keeps its seekable stream, which the reader of a log may
+# need. If the user gives the settings of a serial line, a file of no known kind is taken as the
+# bytes of that line, or, if it is a text, as these bytes in hexadecimal. The bytes of an ASCII line
+# are text themselves: for such a line, a text counts as hexadecimal if it has no colon and its
+# digits are in separate pairs. The byte order mark that some programs put before a text is skipped.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
-# (zlib 0.5 MiB, zstd 16 MiB at most, and its window MAX_WINDOW). A stream that ends before its own
-# end mark raises CutError, after all that could be unpacked.
+# (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). If a stream ends before
+# its end mark, all bytes that can be unpacked are read, then CutError is raised.
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class CaptureKind(StrEnum):
     PCAPNG = "pcapng"
     MCAP = "mcap"
     RAW = "raw"
-    """The bytes of a serial line, and nothing else."""
+    """The bytes of a serial line, without times."""
     HEX = "hex"
     """The bytes of a serial line, as hexadecimal text."""
     BYTE_TIMES = "byte-times"
@@ -85,7 +85,7 @@ class CaptureFile:
         self, name: str, kind: CaptureKind, stream: io.BufferedIOBase, file: io.BufferedIOBase
     ) -> None:
         self.name = name
-        """What messages call the file: its path, or "standard input"."""
+        """The file's name in messages: its path, or "standard input"."""
         self.kind = kind
         self.stream = cast("BinaryIO", stream)
         """The unpacked bytes, without a byte order mark.
@@ -97,7 +97,7 @@ class CaptureFile:
         self._size = _size(file)
 
     def packets(self) -> Iterator[Packet]:
-        """Give the packets of a pcap or pcapng file.
+        """Yield the packets of a pcap or pcapng file.
 
         Raises InputError for another kind of file and for one that is damaged or cannot be read,
         CutError for one that was cut off.
@@ -118,9 +118,9 @@ class CaptureFile:
     def serial(self, line: LineSettings | None) -> SerialBytes:
         """Return the bytes of the serial line in the file, and the line's settings.
 
-        The settings are `line`, or if that is None, those found from the times of bytes. Raises
-        InputError for a file of packets, a log, or a file without times if `line` is None. The
-        pieces raise InputError and CutError.
+        If `line` is None, the settings are found from the times of the bytes. Raises InputError for
+        a file of packets, for a log, and, if `line` is None, for a file without times. The iterator
+        over the bytes raises InputError and CutError.
         """
         try:
             line, pieces = self._serial(line)
@@ -165,12 +165,12 @@ class CaptureFile:
 
 
 def place_of(path: str) -> tuple[object, bool]:
-    """Return a value that is equal for all paths of one file, and true if the file is a pipe."""
+    """Return a key that is the same for all paths to one file, and true if the file is a pipe."""
     if path == STANDARD_INPUT:
         return path, True
     try:
         status = os.stat(path)
-    except (OSError, ValueError):  # Opening it will say what is wrong.
+    except (OSError, ValueError):  # When the file is opened, the error says what is wrong.
         return path, False
     return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 
@@ -227,7 +227,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
     except CutError:
         if not head:
             raise
-        # The next read raises the error again, once the bytes before it have been given.
+        # The next read after these bytes raises the error again.
     if stream.seekable():
         stream.seek(0)
         return head, stream
@@ -235,7 +235,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
 
 
 class _Rejoined(io.RawIOBase):
-    """A stream that cannot seek, with the first bytes that were read from it put back."""
+    """A stream that cannot seek, with its first bytes, already read, put back in front."""
 
     def __init__(self, head: bytes, rest: io.BufferedIOBase) -> None:
         self._head = head
@@ -253,7 +253,7 @@ class _Rejoined(io.RawIOBase):
 
 
 class _Unpacker(Protocol):
-    """What the decompressors of zlib and zstandard have in common."""
+    """The interface that the decompressors of zlib and zstandard share."""
 
     @property
     def eof(self) -> bool: ...
@@ -263,7 +263,7 @@ class _Unpacker(Protocol):
 
 
 class _Unpacked(io.RawIOBase):
-    """The unpacked content of one compressed stream, or of several behind each other in a file."""
+    """The unpacked content of a file of one or several consecutive compressed streams."""
 
     def __init__(
         self,
@@ -305,7 +305,7 @@ class _Unpacked(io.RawIOBase):
         unpacked = []
         while data:
             if self._unpacker is None:
-                data = data.lstrip(b"\0")  # gzip files may be padded with zeros, for tapes.
+                data = data.lstrip(b"\0")  # A gzip file may end in zeros: padding for tapes.
                 if not data:
                     break
                 self._unpacker = self._begin()
@@ -323,7 +323,7 @@ def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> io.BufferedI
         gzip_window = 16 + zlib.MAX_WBITS
         raw = _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)
     elif head.startswith(_ZSTD):
-        import zstandard  # Here, since few files need it.
+        import zstandard  # Imported here, since few files need it.
 
         context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
         raw = _Unpacked(stream, context.decompressobj, zstandard.ZstdError, name)
@@ -364,7 +364,7 @@ def _is_text(head: bytes) -> bool:
     except UnicodeDecodeError as error:
         if error.start <= len(head) - 4:
             return False
-        text = head[: error.start].decode("utf-8")  # The head cuts a character off.
+        text = head[: error.start].decode("utf-8")  # The last character may be incomplete.
     return all(character.isprintable() or character in "\t\r\n" for character in text)
 
 

@@ -1,24 +1,26 @@
-"""The queue between the live sources and the one consumer that decodes what they hear."""
+"""The queue from the live sources to the consumer, which decodes chunks and packets."""
 
-# Any number of sources, each in a thread of its own, put what they hear into one Inbox, and one
-# consumer takes it out. The items of one source come out in the order in which it put them.
+# Any number of sources, each in a thread of its own, put items (chunks, packets, events) into one
+# Inbox, and one consumer takes them out. The items of one source come out in the order in which the
+# source put them.
 #
-# The limit: the items held may come to 64 MiB by default, where each counts as its bytes and a
-# fixed cost. A source never waits for the consumer: a serial port and a relay go on, however slow
-# the decoder is. So a full inbox discards what comes, until the consumer has taken out half of the
-# limit: few large gaps are easier to read than many small ones. At the gap a DISCARDED event for
-# each link says how much was lost, and a StreamGap for each direction of a connection that lost
-# bytes keeps a decoder from joining the bytes on both sides of it. If a connection ends meanwhile,
-# its gaps come before its end, so only the gaps of open connections are kept.
+# Limit: the items in the inbox may have 64 MiB by default; each counts as its bytes plus ITEM_COST.
+# A source never waits for the consumer, as a serial port and a relay must go on however slow the
+# decoder is. So a full inbox discards new items until the consumer has taken out half of the limit:
+# few large gaps are easier to read than many small ones. In place of the lost items come a
+# DISCARDED event for each link, which says how much was lost, and a StreamGap for each direction of
+# a connection that lost bytes; it keeps the decoder from joining the bytes before and after the
+# gap. If a connection ends meanwhile, its gaps come before its end, so only the gaps of open
+# connections are kept.
 #
-# In one interpreter a busy consumer would keep a capture from fetching its packets: each system
-# call releases the interpreter's lock and gets it back only milliseconds later. So a source fetches
-# from the kernel inside `first`: meanwhile the consumer waits, unless half of the limit is held,
-# and for at most STANDSTILL_S at a time.
+# Sources and consumer share one interpreter. A busy consumer would slow down a capture: each system
+# call of the capture releases the interpreter's lock and gets it back only milliseconds later. So a
+# source fetches from the kernel inside the context `first`. Meanwhile the consumer waits, for at
+# most STANDSTILL_S at a time, but not if the inbox is half full.
 #
-# StreamOpened and StreamClosed, with its gaps, are taken up to twice the limit, so that a consumer
-# knows which connections are open; Ended is always taken. A Quiet replaces the Quiet of the same
-# link before it, and a Quiet that does not fit is no loss.
+# StreamOpened and StreamClosed, with its gaps, are accepted up to twice the limit, so that the
+# consumer knows which connections are open; Ended is always accepted. A new Quiet replaces the
+# previous Quiet of the same link. A Quiet that does not fit is dropped and not counted as lost.
 
 from __future__ import annotations
 
@@ -37,12 +39,12 @@ if TYPE_CHECKING:
 DEFAULT_LIMIT = 64 * 2**20
 STANDSTILL_S = 0.05
 ITEM_COST = 256
-"""How many bytes an item counts beside its data: about the memory that Python needs for it."""
+"""Bytes that each item counts in addition to its data: about the memory of its Python objects."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The last item that a source puts: it hears no more."""
+    """The last item of a source: nothing follows from it."""
 
     link: str
     error: LinkError | None = None
@@ -53,7 +55,7 @@ Item = StreamItem | Packet | Quiet | Ended
 
 
 class Sink(Protocol):
-    """Where a source puts what it hears."""
+    """Something that a source can put its items into, such as an Inbox."""
 
     def put(self, item: Item) -> None: ...
 
@@ -68,17 +70,17 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """How many sources are inside the context of `first`."""
+        """Number of sources that are inside the context of `first`."""
         self._calm = Event()
         self._calm.set()
 
     @property
     def held(self) -> int:
-        """The bytes of the items held, with ITEM_COST for each, as the limit counts them."""
+        """The size of the items in the inbox: their bytes plus ITEM_COST for each."""
         return self._held
 
     def put(self, item: Item) -> None:
-        """Put an item. Never waits; the module's comment says what happens if the inbox is full."""
+        """Put an item, without waiting. The top of this file says what a full inbox does."""
         with self._changed:
             if isinstance(item, Ended):
                 self._tell_losses()
@@ -92,9 +94,9 @@ class Inbox:
 
     @contextmanager
     def first(self) -> Iterator[None]:
-        """Let the consumer wait while a source fetches and puts items inside this context.
+        """A context in which a source fetches and puts items while the consumer waits.
 
-        The comment at the top of this file says when the consumer does not wait.
+        The top of this file says when the consumer does not wait.
         """
         with self._changed:
             self._first += 1
@@ -145,7 +147,7 @@ class Inbox:
         loss = self._losses.setdefault(_link(item), _Loss())
         loss.ts_ns = item.ts_ns
         if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
-            loss.size += item.missing  # The loss that it reports is added to this one.
+            loss.size += item.missing  # The item itself reports a loss; add it.
             loss.dropped += item.packets
             return
         loss.items += 1
@@ -183,15 +185,15 @@ class Inbox:
 
 @dataclass(slots=True)
 class _Loss:
-    """What one link has lost since the inbox became full."""
+    """The items that one link has lost since the inbox became full."""
 
     ts_ns: int = 0
     items: int = 0
     size: int = 0
     packets: int = 0
-    """How many of the items were packets of an interface."""
+    """Number of lost items that were packets of a network interface."""
     dropped: int = 0
-    """How many packets the kernel dropped in that time, by DISCARDED events that were lost too."""
+    """Packets that the kernel dropped in that time, as counted in lost DISCARDED events."""
     streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
 
     @property
@@ -199,7 +201,7 @@ class _Loss:
         return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
 
     def take_gaps(self, connection: Connection) -> list[StreamGap]:
-        """Return what a connection has lost, a gap for each direction, and forget it."""
+        """Return the losses of a connection, as a gap for each direction, and forget them."""
         lost = [
             (direction, self.streams.pop((connection, direction), 0))
             for direction in (Direction.REQUEST, Direction.RESPONSE)

@@ -1,23 +1,23 @@
 """A network interface as a live source: whole packets, as the kernel saw them."""
 
 # scapy opens the listening socket, makes the interface promiscuous, and puts a VLAN tag that the
-# kernel has removed back into the packet; it dissects nothing. The filter is our own
+# kernel has removed back into the packet; it decodes nothing. The filter is our own
 # (port_filter.py), so neither libpcap nor tcpdump is needed. Linux only.
 #
-# The kernel takes the time of a packet. scapy gives it as a float, true to a quarter of a
-# microsecond. In the first moments of a capture it can be some 30 us late (seen on the loopback).
-# The kernel keeps packets until the thread here fetches them: 32 MiB if the process has the
-# privilege, else net.core.rmem_max. The kernel counts packets that do not fit. The count is read
-# every second and at the end, and reported as an event. Each packet that passed the filter is
-# either fetched or counted, so the sum is exact.
+# The kernel notes the time of a packet. scapy returns it as a float, exact to 0.25 us. At the
+# beginning of a capture it can be some 30 us late (seen on the loopback). The kernel buffers
+# packets until the thread here fetches them: 32 MiB if the process has the privilege, else
+# net.core.rmem_max. The kernel counts packets that do not fit. The count is read every second and
+# at the end, and reported as an event. Each packet that passed the filter is either fetched or
+# counted, so the sum is exact.
 #
-# net:any is the same socket, bound to no interface. Each packet says which kind of interface heard
-# it; packets of kinds that cannot be read are left out, with one event for each kind. No interface
-# is made promiscuous.
+# net:any uses the same kind of socket, bound to no interface. With each packet comes the kind of
+# the interface that received it; packets of kinds that cannot be read are left out, with one event
+# for each kind. No interface is made promiscuous.
 #
-# net:A,B has a socket for each interface, and gives their packets in the order of their times: a
-# packet, at most _FETCH of each interface, is held back while another interface may still bring an
-# earlier one. If the clock was set back, packets stamped before that are given at once.
+# net:A,B uses a socket for each interface, and merges their packets in the order of their times: a
+# packet is held back while another interface may still deliver an earlier one, but at most _FETCH
+# packets of each interface. If the clock was set back, packets stamped before that are not held.
 #
 # scapy takes 0.1 s to import, so it is imported only when a capture starts.
 
@@ -49,27 +49,27 @@ from mbtool.sources.source import LiveSource
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-# By hardware type, the kernel's ARPHRD_ (linux/if_arp.h): the link type, LINKTYPE_ of
-# tcpdump.org/linktypes.html. Ethernet and loopback have 1; tunnels and PPP, whose packets begin
-# with the IP header, have 101.
+# The link type (LINKTYPE_ of tcpdump.org/linktypes.html) for each hardware type (the kernel's
+# ARPHRD_ of linux/if_arp.h). Ethernet and loopback have link type 1; tunnels and PPP, whose packets
+# begin with the IP header, have 101.
 _ARPHRD_LOOPBACK = 772
 _LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 101, 776: 101}
 
 _MAX_PACKET = 2**17
-"""How many bytes of a packet are read: even a segment not yet cut to the MTU (64 KiB) has fewer."""
+"""The most bytes read of a packet. Even a segment not yet split to the MTU has only 64 KiB."""
 _BUFFER = 32 * 2**20
-"""The kernel's buffer for one interface, in bytes, if the process has the privilege."""
+"""Size in bytes of the kernel's buffer for one interface, if the process has the privilege."""
 _FETCH = 1000
-"""How many packets of one interface are fetched before the loop looks at the clock again."""
+"""The most packets of one interface that are fetched before the loop reads the clock again."""
 _LAST_FETCHES = 100
-"""When the capture ends: how many times up to _FETCH packets are still fetched."""
+"""At the end of a capture, up to _FETCH packets are fetched at most so many times."""
 _TICK_S = 0.1
 _SOON_S = 0.002
-"""How long the loop waits for packets while others are held back, in seconds."""
+"""The longest wait for packets, in seconds, while packets of other interfaces are held back."""
 _SETTLE_NS = 1_000_000
-"""How many ns may pass from the time of a packet until the packet can be fetched."""
+"""The longest time in ns from a packet's time stamp until the packet can be fetched."""
 _AHEAD_NS = 1_000_000_000
-"""If a packet's time is so many ns ahead of the clock, the clock has been set back since."""
+"""If a packet's time stamp is so many ns ahead of the clock, the clock has been set back."""
 _STATISTICS_NS = 1_000_000_000
 
 # Constants of linux/if_ether.h, asm-generic/socket.h and linux/if_packet.h that Python's socket
@@ -85,7 +85,7 @@ _PACKET_AUXDATA = 8
 
 @dataclass(slots=True)
 class _Capture:
-    """An interface that is captured."""
+    """An interface that is being captured."""
 
     name: str
     socket: Any
@@ -119,7 +119,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
         self._ports = ports
         self._captures: list[_Capture] = []
         self._told: set[int] = set()
-        """The hardware types that were reported as unreadable."""
+        """The hardware types already reported as unreadable."""
         self._alarm: tuple[int, int] | None = None
         """Both ends of a pipe; closing the second end wakes the thread, which then ends."""
 
@@ -192,7 +192,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
-        """Fetch waiting packets of all interfaces; return true if more may wait."""
+        """Fetch waiting packets of all interfaces; return true if more may be waiting."""
         if len(self._captures) == 1:
             (capture,) = self._captures
             packets, more = self._receive(capture)
@@ -223,7 +223,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(packet)
 
     def _receive(self, capture: _Capture) -> tuple[list[Packet], bool]:
-        """Fetch at most _FETCH packets of an interface; return them, and true if more may wait."""
+        """Fetch at most _FETCH packets of an interface, and true if more may be waiting."""
         packets: list[Packet] = []
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
@@ -283,14 +283,14 @@ class InterfaceSource(LiveSource[InterfaceLink]):
 
 
 def capture_trouble() -> Trouble | None:
-    """Tell what keeps this process from listening to any interface; None if nothing does."""
+    """Return the reason why this process cannot capture from any interface; None if it can."""
     if sys.platform != "linux":
         return Trouble(
             "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
-    # To open a packet socket shows whether the kernel permits it. Bound to no protocol, it hears
-    # nothing.
+    # Open a packet socket to see if the kernel permits it. It is bound to no protocol, so it
+    # receives nothing.
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
     except PermissionError:
@@ -303,7 +303,7 @@ def capture_trouble() -> Trouble | None:
 
 
 def _program() -> str:
-    """Return a command that starts this program under sudo, which has a search path of its own."""
+    """Return a command that starts this program under sudo; sudo has its own search path."""
     script = os.path.join(os.path.dirname(sys.executable), "mbtool")
     if not os.path.exists(script):
         return f"{sys.executable} -m mbtool"
@@ -312,7 +312,7 @@ def _program() -> str:
 
 
 def hardware_trouble(hardware: int) -> Trouble | None:
-    """Tell why packets of a hardware type (ARPHRD_ of linux/if_arp.h) cannot be read.
+    """Return the reason why packets of a hardware type (ARPHRD_, linux/if_arp.h) cannot be read.
 
     Returns None if they can be read.
     """
@@ -330,8 +330,8 @@ def _open(link: InterfaceLink, name: str) -> Any:
     of = _called(link, name)
     if sys.platform == "linux" and not is_any and name not in interfaces:
         raise LinkError(f"{of}: no such interface; here are: {', '.join(interfaces)}")
-    # The check for permission comes before the import of scapy, which takes time, and whose own
-    # error would say less.
+    # Check the permission before scapy is imported: the import takes time, and scapy's error
+    # message would say less.
     trouble = capture_trouble()
     if trouble is not None:
         raise LinkError(f"{link}: {trouble}")
@@ -342,8 +342,8 @@ def _open(link: InterfaceLink, name: str) -> Any:
     try:
         if not is_any:
             return L2ListenSocket(iface=name)
-        # scapy binds its socket to one interface. It is replaced by a socket bound to none, which
-        # hears all interfaces.
+        # scapy binds its socket to one interface. Replace it by a socket bound to none, which
+        # receives from all interfaces.
         capture = L2ListenSocket(iface="lo" if "lo" in interfaces else interfaces[0], promisc=False)
         capture.ins.close()
         capture.ins = _hearing_all()
@@ -354,12 +354,12 @@ def _open(link: InterfaceLink, name: str) -> Any:
 
 
 def _called(link: InterfaceLink, name: str) -> str:
-    """Return what a message calls an interface: the link, and the name if the link has several."""
+    """Return an interface's name for messages: the link, plus the name if the link has several."""
     return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 
 
 def _hearing_all() -> socket.socket:
-    """A socket that hears all interfaces, set up as scapy sets up its own."""
+    """A socket that receives from all interfaces, with the options that scapy sets on its own."""
     listener = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
     listener.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 1)
     listener.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -367,7 +367,7 @@ def _hearing_all() -> socket.socket:
 
 
 def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
-    """Enlarge the kernel's buffer and set the filter; drop packets from before the filter."""
+    """Enlarge the kernel's buffer, set the filter, and drop the packets that came before it."""
     _attach(listener, drop_everything())
     listener.setblocking(False)
     with suppress(BlockingIOError):
@@ -377,7 +377,7 @@ def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
         listener.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER)
     except PermissionError:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-    listener.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)  # Reading sets it to zero.
+    listener.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)  # Reading resets the count.
     _attach(listener, program)
 
 

@@ -1,15 +1,16 @@
-"""Finds a serial line's settings by listening, and says how sure they are. Never writes."""
+"""Finds a serial line's settings by listening, and says how certain they are. Never writes."""
 
-# The settings are tried one after the other, likely ones first, until one explains nearly all that
-# is heard. With each the port is read until the setting is sure, or until what was heard fits no
-# setting, or for LISTEN_S. Bytes before the first silence are skipped, since they began while the
-# port had other settings; but at most SKIPPED bytes, as some lines have no visible silence.
+# The settings are tried one after the other, likely ones first, until nearly all bytes are frames
+# with a correct checksum. With each setting the port is read until it is clear that the setting is
+# right or wrong, but at most for LISTEN_S. Bytes before the first silence are skipped, since they
+# began while the port had other settings; but at most SKIPPED bytes, as some lines have no visible
+# silence.
 #
-# This takes a second on a busy line with usual settings. If hardly anything is heard, it takes
+# This takes a second on a busy line with usual settings. If hardly any bytes come, it takes
 # LISTEN_S for each of 24 settings: four minutes.
 #
-# A setting with parity is sure only if the driver is known to mark errors: if it marked some with
-# another setting, or with the other parity.
+# A setting with parity is certain only if the driver is known to mark bytes with wrong parity: it
+# must have marked some with another setting, or with the other parity.
 
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LISTEN_S = 10
-"""How long each setting is tried at most, in seconds."""
+"""The longest time for which a setting is tried, in seconds."""
 SKIPPED = 300
-"""How many bytes before the first silence are skipped at most."""
+"""The most bytes that are skipped before the first silence."""
 
 
 def guess_line(
@@ -42,10 +43,10 @@ def guess_line(
     open_: Callable[[str, SerialFormat], ListeningPort] = open_listening,
     clock: Callable[[], int] = now_ns,
 ) -> tuple[SerialLink, str]:
-    """Return the link with the settings found, and a sentence that says how sure they are.
+    """Return the link with the settings found, and a sentence that says how certain they are.
 
-    Of a link with two ports, the one at the master's side is read. Raises LinkError if the port
-    cannot be opened, if nothing is heard, and if no settings fit what is heard.
+    If the link has two ports, only the port at the master's side is read. Raises LinkError if the
+    port cannot be opened, if no bytes come, and if no settings fit the bytes.
     """
     to_hear = settings_to_try()
     port = open_(link.ports[0], to_hear[0])
@@ -89,10 +90,10 @@ class _Listener:
         self._clock = clock
         self._only_ascii = only_ascii
         self.marked = 0
-        """How many bytes the driver has marked as damaged, in all."""
+        """Number of bytes that the driver has marked as damaged, with all settings so far."""
 
     def listen(self, heard_as: SerialFormat) -> SettingsTrial | None:
-        """Read the port with a setting, and return what was heard.
+        """Read the port with a setting, and return how well the bytes fit it.
 
         Returns None if the driver does not support the setting.
         """
@@ -113,8 +114,8 @@ class _Listener:
                 skipped += len(data)
             else:
                 hearing.feed(data, self._port.damaged, at_ns)
-            # Right after data the trial must not end: the frame may go on, as some adapters make
-            # pauses inside a frame.
+            # Do not end right after data: the frame may continue, as some adapters make pauses
+            # inside a frame.
             if (not data or hearing.heard >= ENOUGH) and hearing.is_decided:
                 break
         self.marked += hearing.marked
@@ -122,7 +123,7 @@ class _Listener:
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
-    """Say whether the parity is sure too: only if the driver is known to mark wrong parity."""
+    """Say how certain the settings are; the parity only if the driver is known to mark errors."""
     if heard_as.parity == "N" or listener.marked:
         return "sure"
     hearing = listener.listen(other_parity(heard_as))

@@ -27,9 +27,9 @@ def live_source(
 ) -> LiveSource[Any]:
     """Return the source for a link, not yet open.
 
-    `ports` are the TCP ports whose packets are captured from an interface; if it is empty, all are.
-    `allowed` are the machines that may connect to a tap. Raises UsageError for a link that cannot
-    be listened to.
+    `ports` are the TCP ports whose packets are captured from an interface; if it is empty, packets
+    of all ports. `allowed` are the machines that may connect to a tap. Raises UsageError for a link
+    that cannot be captured.
     """
     match link:
         case SerialLink(slave_port=str(), is_relay=False):

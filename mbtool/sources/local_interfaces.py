@@ -4,7 +4,8 @@
 # systems give only the names.
 #
 #     NAME/flags      bit 1H is IFF_UP
-#     NAME/carrier    1 if there is something at the other end of the cable; unreadable while down
+#     NAME/carrier    1 if the cable is connected at both ends; unreadable while the interface is
+#                     down
 #     NAME/type       ARPHRD_ of linux/if_arp.h
 #     NAME/uevent     DEVTYPE= names the kind of an interface that is not plain Ethernet
 #     NAME/device     leads to the hardware
@@ -31,9 +32,9 @@ _KINDS = {
     776: "tunnel",
     65534: "tunnel",
 }
-"""Words for hardware types (ARPHRD_ of linux/if_arp.h) other than Ethernet."""
+"""What the user reads for hardware types (ARPHRD_ of linux/if_arp.h) other than Ethernet."""
 _DEVICE_TYPES = {"wlan": "Wi-Fi", "vlan": "VLAN", "gadget": "USB gadget", "wwan": "mobile"}
-"""Words for the kinds of interfaces that DEVTYPE= in the file uevent names."""
+"""What the user reads for the kinds of interfaces after DEVTYPE= in the file uevent."""
 
 
 def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
@@ -49,14 +50,14 @@ def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
         names = sorted(os.listdir(folder))
     except OSError:
         return []
-    # Only the folders are interfaces: drivers put files there too, such as bonding_masters.
+    # Only the folders are interfaces; drivers also put files here, such as bonding_masters.
     return [_interface(folder / name, trouble) for name in names if (folder / name).is_dir()]
 
 
 def interfaces_by_name(trouble: Trouble | None) -> list[LocalInterface]:
-    """Return all interfaces with nothing but their names, as any system lists them.
+    """Return all interfaces by name only, which works on any system.
 
-    `trouble` is what keeps this process from capturing at all.
+    `trouble` is the reason why this process cannot capture at all; None if it can.
     """
     troubles = () if trouble is None else (trouble,)
     return [LocalInterface(name=name, troubles=troubles) for _, name in socket.if_nameindex()]

@@ -1,9 +1,9 @@
-"""Holds what a relay records for a few milliseconds, so that decoding delays no response."""
+"""Holds a relay's items back for a few ms, so that decoding them delays no response."""
 
-# If a request woke the consumer at once, the consumer would decode it and write the log just when
-# the response comes; as both run in one interpreter, the relay would have to wait. So the outbox
-# collects items and hands them to the inbox together, HOLD_S after the first of them: a quick
-# response has passed by then.
+# If the consumer got a request at once, it would decode it and write the log just when the response
+# comes; as both run in one interpreter, the relay would have to wait. So the outbox collects items
+# and passes them to the inbox together, HOLD_S after the first of them. By then a quick response
+# has been relayed.
 #
 # Memory: the items of HOLD_S seconds, at most MAX_HELD bytes and one item more. An outbox is used
 # only inside its event loop.
@@ -36,7 +36,7 @@ class Outbox:
 
     @property
     def held(self) -> int:
-        """The bytes of the items held, with ITEM_COST for each."""
+        """The size of the items held: their bytes plus ITEM_COST for each."""
         return self._held
 
     def put(self, item: Item) -> None:

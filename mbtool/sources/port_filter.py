@@ -1,20 +1,21 @@
 """The kernel filter that lets only Modbus traffic into a capture: classic BPF, assembled here."""
 
-# scapy compiles filters with libpcap, which may not be installed; this one program is all we need.
-# It reads the packet from the network header on (SKF_NET_OFF) and asks the kernel for the protocol,
-# so it works for every link type, and for packets whose VLAN tag the kernel has removed.
+# scapy compiles filters with libpcap, which may not be installed; so the one program that is needed
+# is assembled here. It reads the packet from the network header on (SKF_NET_OFF) and asks the
+# kernel for the protocol, so it works for every link type, and for packets whose VLAN tag the
+# kernel has removed.
 #
-# It keeps all packets that could belong to a Modbus connection:
+# The filter keeps all packets that could belong to a Modbus connection:
 #   TCP over IPv4 or IPv6 from or to one of the ports; any TCP if no port is named
 #   IPv4 fragments of TCP, since only the first one has the ports
 #   IPv6 with an extension header before TCP, or instead of it
 #   packets with a second VLAN tag (802.1ad), with a tag that the kernel does not remove (9100H), or
 #   with the tag of HSR
-#   ERSPAN over IPv4: what a switch mirrors to this machine over a network
+#   ERSPAN over IPv4: packets that a switch mirrors to this machine over a network
 # Packets in other tunnels, PPPoE and MPLS are dropped, as the filter could not tell which of them
-# carry Modbus. They are read from capture files only.
+# carry Modbus. mbtool reads such packets only from capture files.
 #
-# The loopback gives every packet twice, going out and coming in; the outgoing one is dropped. In a
+# The loopback shows every packet twice, as sent and as received; the sent one is dropped. In a
 # capture of all interfaces the filter checks for each packet if it comes from the loopback.
 #
 # The user can name at most 100 ports, as a conditional jump reaches only 255 instructions ahead.
@@ -53,7 +54,7 @@ _WHOLE_PACKET = 0x40000
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One instruction. A jump has two labels: where it goes if its test holds, and if it does not.
+    """One instruction. A jump has two labels: the targets if its test is true, and if it is false.
 
     An empty label stands for the next instruction.
     """
@@ -125,7 +126,7 @@ def _from_or_to(ports: Sequence[int]) -> Iterator[Instruction]:
 
 
 def drop_everything() -> list[bytes]:
-    """Return a filter that drops every packet; it is in place while a capture is set up."""
+    """Return a filter that drops every packet; it is used while a capture is being set up."""
     return _assemble([Instruction(_RETURN, 0)])
 
 

@@ -1,19 +1,19 @@
 """One connection through the tap: two transports that pass bytes to each other."""
 
-# The relay behaves as a direct connection would: it passes on a half-close, and the other direction
-# goes on; a reset becomes a reset; and back-pressure is passed on: a side that does not read stops
-# the other from writing. asyncio's transport holds 64 KiB for each side before it asks to stop, and
-# one read of at most 256 KiB may exceed that.
+# The relay behaves like a direct connection. It passes on a half-close while the other direction
+# goes on. It passes on a reset. It passes on back-pressure: if one side does not read, the relay
+# stops reading the other side. asyncio's transport holds 64 KiB for each side before it asks to
+# stop, and may exceed this by one read of at most 256 KiB.
 #
-# Each side may have TLS (ports/tls.py); the bytes inside TLS are recorded. The relay connects to
-# the target once the master's handshake is complete. Bytes that come right behind that handshake,
-# at most two reads, are kept until the target is connected, and count as received then. asyncio's
-# TLS knows no half-close: the end of one direction ends both, once pending bytes are sent. asyncio
+# Each side may have TLS (ports/tls.py); the decrypted bytes are recorded. The relay connects to the
+# target once the master's handshake is complete. Bytes that arrive right after the handshake, at
+# most two reads, are kept until the target is connected, and their time is then. asyncio's TLS
+# supports no half-close: the end of one direction ends both, once pending bytes are sent. asyncio
 # holds at most 256 KiB and one read of bytes that are received and not yet decrypted.
 #
-# Each read is one chunk. Its time is taken right after it was received, then it is passed on, then
-# recorded. The response can only come later, so the record keeps the order of cause and effect. If
-# a side fails, all that came from it before is already recorded.
+# Each read is one chunk. The relay notes the time right after the read, then passes the chunk on,
+# then records it. The response can only come later, so requests are always recorded before their
+# responses. If a side fails, all bytes that came from it before are already recorded.
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Sink
 
 CONNECT_S = 10.0
-"""How many seconds the target may take to accept, and the master to complete a TLS handshake."""
+"""Timeout in seconds for the target to accept, and for the master to complete a TLS handshake."""
 MAX_WAITING = 2**16
-"""How many bytes may wait to be sent to a side before the relay stops reading the other side.
+"""While more bytes than this wait to be sent to one side, the relay does not read the other side.
 
 With TLS, asyncio lets more bytes wait.
 """
@@ -93,8 +93,8 @@ class TcpRelay:
             self._connecting.cancel()
         for side in (self.master, self.slave):
             if side.transport is not None:
-                # In the first releases of Python 3.11, abort() of a TLS transport that has already
-                # ended raises AttributeError.
+                # In the first releases of Python 3.11, a TLS transport that has ended raises
+                # AttributeError in abort().
                 with suppress(AttributeError):
                     side.transport.abort()
 
@@ -107,8 +107,8 @@ class TcpRelay:
         host, port = transport.get_extra_info("peername")[:2]
         self._connection = Connection(Endpoint(host, port), self._target, self._number)
         if self._on_accept(self, transport, self._connection.master):
-            # Up to Python 3.11.3 asyncio starts to read after connection_made even if that has
-            # paused reading. So the pause comes in the event loop's next round.
+            # Up to Python 3.11.3 asyncio starts to read after connection_made, even if
+            # connection_made has paused reading. So reading is paused in the loop's next round.
             loop.call_soon(transport.pause_reading)
             self._connecting = loop.create_task(self._begin(transport, self._connection))
 
@@ -126,9 +126,9 @@ class TcpRelay:
         )
 
     def lost(self, side: _RelaySide, error: Exception | None) -> None:
-        """Close the other side too, as the transport of `side` has closed.
+        """Called when the connection of `side` has ended: close the other side, too.
 
-        The other side is reset if `error` ended this one, else it is closed in order.
+        If `error` ended this connection, the other one is reset, else closed in the normal way.
         """
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
@@ -181,7 +181,7 @@ class TcpRelay:
                     ssl=tls,
                     server_hostname=name,
                 )
-        except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name.
+        except (OSError, UnicodeError) as error:  # UnicodeError comes from an invalid host name.
             of_tls = failure(error, self.slave.who) if isinstance(error, OSError) else None
             why = of_tls or f"cannot be reached: {_why(error)}"
             if tls is not None and isinstance(error, TimeoutError):
@@ -206,7 +206,7 @@ class TcpRelay:
 
     def _open(self, slave: asyncio.Transport) -> None:
         if self.master.is_lost or self.master.transport is None or self._connection is None:
-            slave.abort()  # The master has gone meanwhile.
+            slave.abort()  # The master has disconnected meanwhile.
             return
         self._is_open = True
         sides = [(side, tls) for side in (self.master, self.slave) if (tls := side.tls) is not None]
@@ -239,7 +239,7 @@ class _RelaySide(asyncio.Protocol):
         self._has_ended = False
         self._is_told_to_close = False
         self._early = b""
-        """Bytes that arrived before the other side was connected; they are still to be sent."""
+        """Bytes that arrived before the other side was connected, not yet passed on."""
 
     @property
     def tls(self) -> ssl.SSLObject | None:
@@ -251,7 +251,7 @@ class _RelaySide(asyncio.Protocol):
             self.transport.set_write_buffer_limits(MAX_WAITING)
 
     def close(self) -> None:
-        """Send pending bytes, then close. A second call does nothing, as TLS permits only one."""
+        """Send pending bytes, then close. A second call does nothing; TLS would not permit it."""
         if self.transport is not None and not self._is_told_to_close:
             self._is_told_to_close = True
             self.transport.close()
@@ -272,7 +272,7 @@ class _RelaySide(asyncio.Protocol):
         self._relay.received(self, ts_ns, data)
 
     def pass_on_early(self) -> None:
-        """Pass on the bytes from before the other side was connected, as if they arrived now."""
+        """Pass on the bytes that came before the other side was connected, with the time of now."""
         early, self._early = self._early, b""
         if early:
             self.data_received(early)
@@ -290,11 +290,11 @@ class _RelaySide(asyncio.Protocol):
         return self.transport is not None and self.transport.can_write_eof()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self.is_lost:  # A handshake failed, and the relay has been told.
+        if self.is_lost:  # A TLS handshake failed; the relay already knows.
             return
         self.is_lost = True
-        # If the peer does not answer our closing of TLS, asyncio reports an error. The connection
-        # has ended as it should all the same.
+        # If the peer does not answer our closing of TLS, asyncio reports an error. We still count
+        # this as a normal end.
         is_over = self._is_told_to_close and isinstance(exc, ssl.SSLError | TimeoutError)
         self._relay.lost(self, None if is_over else exc)
 
@@ -303,14 +303,14 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        # A transport that has already read the end of file would report that a second time if it
+        # A transport that has already read the end of file would report it a second time if it
         # resumed reading.
         if self.peer.transport is not None and not self.peer._has_ended:
             self.peer.transport.resume_reading()
 
 
 def _why(error: Exception) -> str:
-    """Return in words for the user why the target cannot be reached."""
+    """Return a text for the user that says why the target cannot be reached."""
     if isinstance(error, UnicodeError):
         return "no such host"
     if isinstance(error, socket.gaierror):
@@ -318,7 +318,7 @@ def _why(error: Exception) -> str:
     if isinstance(error, TimeoutError) and error.errno is None:
         return f"no answer in {CONNECT_S:g} s"
     number = error.errno if isinstance(error, OSError) else None
-    if number is None:  # asyncio joins the errors of several addresses of a host into one text.
+    if number is None:  # With several addresses, asyncio gives only a text.
         found = _ERRNO.search(str(error))
         number = int(found[1]) if found is not None else 0
     return os.strerror(number) if number > 0 else str(error)

@@ -1,8 +1,8 @@
 """A serial port as a live source: chunks and silences, read by a process of its own."""
 
-# The reading process (serial_reader.py) takes the times; the thread here only carries its records
-# into the inbox, so it may lag behind without harm. For a serial tap one process reads both ports
-# and passes the bytes on (serial_relay.py).
+# The reading process (serial_reader.py) notes the time of each read; the thread here only moves the
+# records of that process into the inbox, so it does no harm if it is late. For a serial tap one
+# process reads both ports and passes the bytes on (serial_relay.py).
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Sink
 
 _START_S = 20.0
-"""How long the reading process may take to open its port, in seconds."""
+"""Timeout in seconds for the reading process to open its port."""
 
 
 class SerialSource(LiveSource[SerialLink]):
@@ -34,9 +34,11 @@ class SerialSource(LiveSource[SerialLink]):
     def __init__(
         self, link: SerialLink, inbox: Sink, speaker: Direction = Direction.UNKNOWN
     ) -> None:
-        """`speaker` says whom the port hears: the master (REQUEST), the slaves (RESPONSE) or both.
+        """`speaker` says whose bytes the port receives: the master's (REQUEST), the slaves'
+        (RESPONSE) or both (UNKNOWN).
 
-        It chooses the port of a link with two. A serial tap reads both ports and ignores it.
+        If the link has two ports, `speaker` chooses the port. A serial tap reads both ports and
+        ignores `speaker`.
         """
         super().__init__(link, inbox)
         self._speaker = Direction.REQUEST if link.is_relay else speaker
@@ -56,7 +58,7 @@ class SerialSource(LiveSource[SerialLink]):
             raise self._error or LinkError(f"serial port {self._port}: opening takes too long")
 
     def tell_to_end(self) -> None:
-        """Tell the reading process to end. Then the last bytes that it read and Ended are put."""
+        """Tell the reading process to end. Its last bytes, and Ended, still go into the inbox."""
         self._is_closing = True
         if self._child is not None:
             tell_to_end(self._child)
@@ -106,8 +108,8 @@ class SerialSource(LiveSource[SerialLink]):
                 self._tell(record, EventKind.LINE_ERROR, record.data.decode())
             case RecordKind.OVERRUN:
                 text = f"overrun: the port's driver lost at least {record.lost} bytes"
-                # The driver's report comes up to a second after the loss. So the event is no GAP,
-                # which would end the frame that is being decoded now.
+                # The driver reports a loss up to a second later. So the event is not a GAP: a GAP
+                # would end the frame that is being decoded now.
                 self._tell(record, EventKind.LINE_ERROR, text, record.lost)
             case RecordKind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))

@@ -1,7 +1,7 @@
-"""What the two processes that read serial ports share: serial_reader.py and serial_relay.py."""
+"""Code shared by the two processes that read serial ports: serial_reader.py and serial_relay.py."""
 
-# Such a process ends when its standard input ends or its output breaks (child.py). Both happen when
-# the parent ends, in whatever way.
+# Such a process ends when its standard input ends, or when nobody reads its output (child.py). Both
+# happen when the parent ends, for whatever reason.
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 
 def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
-    """Call `read`, which reads a port until it is told to end, in a process set up for that.
+    """Prepare this process for reading a port, and call `read`.
 
-    `read` gets the writer for its records, and the event that tells it to end. If it raises
-    LinkError, the text becomes the last record.
+    `read` gets the writer for its records, and an event that is set when it must end. If `read`
+    raises LinkError, the error's text becomes the last record.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     run_promptly()
-    gc.disable()  # The loops make no cycles, and a collection would delay a time stamp.
+    gc.disable()  # A collection would delay a time stamp, and there are no reference cycles.
     told_to_end = Event()
     Thread(target=_await_end, args=(told_to_end,), daemon=True).start()
     records = RecordWriter(sys.stdout.fileno())

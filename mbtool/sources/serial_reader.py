@@ -1,12 +1,12 @@
 """The process that reads one serial port: python -m mbtool.sources.serial_reader PORT FORMAT."""
 
-# The loop waits, reads, takes the time and writes a record. Nothing else runs in this interpreter:
-# beside a busy decoder the time would be that of the interpreter's next free moment. Each read
-# becomes one record.
+# The loop waits, reads, notes the time and writes a record. Each read becomes one record. Nothing
+# else runs in this interpreter: a busy decoder would make the loop wait for the interpreter, and
+# the noted times would be too late.
 #
-# A heartbeat (QUIET) comes twice t3.5 after the last byte, so that the end of a frame is known
-# without delay, and then every 50 ms. Its time is exact: it is taken before a read that found
-# nothing.
+# A QUIET record follows when the line has been silent for twice t3.5, so that the end of a frame is
+# known without delay, and then every 50 ms. The time of a QUIET record is noted before a read that
+# returned no bytes, so the line was certainly silent up to it.
 #
 # The driver's reports of damaged and lost bytes follow the record of the bytes (line_errors.py).
 

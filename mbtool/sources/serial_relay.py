@@ -1,19 +1,19 @@
 """The process of a serial tap: python -m mbtool.sources.serial_relay MASTER SLAVES FORMAT."""
 
-# The line is cut, and each end has a port. What one port hears, the other sends at once: the
-# process waits, reads, takes the time, passes the bytes on and records them. So the record of a
-# request always stands before that of its response. The records are those of serial_reader.py, and
+# The line is cut in two, and each end is connected to a port. The process waits, reads, notes the
+# time, sends the bytes to the other port at once, and records them. So the record of a request
+# always comes before the record of its response. The records are those of serial_reader.py, plus
 # ANSWER for bytes from the slaves' side.
 #
 # A port is not read while bytes of its last read still wait for the other port's driver. So at most
-# one read waits in each direction. If a side takes nothing, the system's own buffer fills and then
-# loses bytes, which the driver counts. No silence is reported in that time, as the port that is not
-# read may be hearing something.
+# one read waits in each direction. If the other port takes no bytes, the system's buffer of this
+# port fills and then loses bytes, which the driver counts. No silence is reported in that time, as
+# bytes may be arriving at the port that is not read.
 #
-# Recorded bytes are passed on also at the end: when the process is told to end, or one port is
-# gone, both ports are read a last time, and pending bytes have LAST_S to be sent.
+# All recorded bytes are also passed on: when the process is told to end, or one port is gone, both
+# ports are read a last time, and pending bytes are sent, for at most LAST_S.
 #
-# A byte is passed on without its damage: one with wrong parity is sent with correct parity, and a
+# Damaged bytes are passed on undamaged: a byte with wrong parity is sent with correct parity, and a
 # break is sent as 00. Both are reported as `line-error`.
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from threading import Event
 
 LAST_S = 0.5
-"""How long sending the pending bytes of one direction may take at the end, in seconds."""
+"""At the end, pending bytes of each direction are sent for at most so many seconds."""
 
 
 class Port(Protocol):
-    """What the relay needs of a port. `read` and `write` raise LinkError if the port is gone."""
+    """The methods of a port used here. `read` and `write` raise LinkError if the port is gone."""
 
     damaged: Sequence[int]
 
@@ -131,20 +131,20 @@ class SerialRelay:
 
 
 class _SerialDirection:
-    """One direction of the line: the port that it is read from, and the port that it goes to."""
+    """One direction of the line: the port to read from, and the port to write to."""
 
     onward: Port
 
     def __init__(self, port: Port, kind: RecordKind, name: str, format_: SerialFormat) -> None:
         self.port = port
         self.unsent = b""
-        """The bytes that the other port's driver had no room for."""
+        """Bytes that are still to be sent, as the other port's driver had no room for them."""
         self._kind = kind
         self._prefix = f"on {name}: "
         self._errors = LineErrors(port.counts, format_.character_ns, now_ns())
 
     def take(self, records: RecordWriter) -> bool:
-        """Read the port, pass the bytes on and record them; return True if there were any."""
+        """Read the port, pass the bytes on and record them; return True if bytes were read."""
         data = self.port.read(0)
         read_ns = now_ns()
         if not data:
@@ -152,7 +152,7 @@ class _SerialDirection:
         self.unsent = data
         try:
             self.send()
-        finally:  # What was heard is recorded, also if it cannot be passed on.
+        finally:  # Record the bytes even if they cannot be passed on.
             records.put(self._kind, read_ns, data)
             if self.port.damaged:
                 self._errors.mark(data, self.port.damaged, read_ns)
@@ -162,7 +162,10 @@ class _SerialDirection:
         self.unsent = self.unsent[self.onward.write(self.unsent) :]
 
     def finish(self, records: RecordWriter) -> None:
-        """Send pending bytes, then read the port a last time and send that: LAST_S for each."""
+        """Send pending bytes, then read the port a last time and send those bytes, too.
+
+        Each of the two may take at most LAST_S.
+        """
         self._send_rest()
         if not self.unsent:
             self.take(records)

@@ -1,4 +1,4 @@
-"""What all live sources have in common: their link, their inbox, and how they are opened."""
+"""The base class of all live sources: serial ports, network interfaces and taps."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ HeardLink = TypeVar("HeardLink", bound=SerialLink | InterfaceLink | TapLink)
 
 
 class LiveSource(ABC, Generic[HeardLink]):
-    """Puts what it hears into an inbox while its context is open, and Ended as the last item.
+    """Puts captured chunks or packets into an inbox while its context is open; at last an Ended.
 
-    Entering the context raises LinkError if the link cannot be opened. When the context has been
-    left, all that was heard is in the inbox.
+    Entering the context raises LinkError if the link cannot be opened. Leaving it waits until
+    everything captured is in the inbox.
     """
 
     def __init__(self, link: HeardLink, inbox: Sink) -> None:
@@ -35,7 +35,7 @@ class LiveSource(ABC, Generic[HeardLink]):
 
     @property
     def place(self) -> str:
-        """The link as text. If TCP port 0 was asked for, it has the port that the system chose."""
+        """The link as text; instead of TCP port 0, it has the port that the system chose."""
         return str(self._link)
 
     def __enter__(self) -> Self:
@@ -50,11 +50,11 @@ class LiveSource(ABC, Generic[HeardLink]):
         """Open the link and begin to listen. Raises LinkError if the link cannot be opened."""
 
     def accept(self) -> None:
-        """Let masters connect, if this is a tap; other sources do nothing."""
+        """Let masters connect, if this source is a tap; other sources do nothing."""
 
     @abstractmethod
     def close(self) -> None:
-        """Stop listening. All that was heard is then in the inbox, and Ended behind it.
+        """Stop capturing. Everything captured is then in the inbox, followed by Ended.
 
         A second call does nothing.
         """

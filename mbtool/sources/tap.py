@@ -1,24 +1,25 @@
-"""A relay in the line of a TCP connection that passes every byte on and records it."""
+"""A TCP tap: masters connect to it instead of the slave; it relays and records all bytes."""
 
 # The tap listens at one endpoint (ports/tcp_listener.py), connects to its target for each
 # connection that it accepts, and passes bytes both ways, at once and unchanged (relay.py). It runs
-# in a thread with an event loop of its own. What it records waits a few milliseconds before the
-# consumer gets it, so that decoding does not delay the response (outbox.py).
+# in a thread with an event loop of its own. The consumer gets recorded bytes a few ms later, so
+# that decoding does not delay the response (outbox.py).
 #
 # One thing differs from a direct connection: the master's connection is accepted before the target
-# has accepted one. If the target cannot be reached, the master's connection is reset, and a REFUSED
-# event gives the reason. A master whose address is not allowed is reset at once, likewise.
+# accepts the tap's. If the target cannot be reached, the master's connection is reset, and a
+# REFUSED event gives the reason. A master whose address is not allowed is reset at once, also with
+# an event.
 #
 # If a side has TLS, the decrypted bytes are recorded. The certificate files are read before the tap
 # listens.
 #
-# Connections of masters can use up the files that a process may have open. A recording program must
-# open its log before that, so a tap with `waits` accepts nobody until `accept` is called. Masters
-# that connect before that, and while no more files can be opened, wait in the system's queue.
+# Each connection uses up open files, whose number is limited for a process. The program must open
+# its log before they run out, so a tap with `waits` accepts no master until `accept` is called.
+# Masters that connect earlier, or while no more files can be opened, wait in the system's queue.
 #
-# Limits: 64 connections at once; one more is reset, with an event. A connection without a byte for
-# an hour is closed: few masters poll so rarely, and peers that vanished without a word would
-# otherwise fill the 64 places for good.
+# Limits: 64 connections at once; a further one is reset, with an event. A connection without a byte
+# for an hour is closed: few masters poll so rarely, and connections whose peers have vanished would
+# otherwise add up to 64.
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 64
 IDLE_S = 3600.0
 _TICK_S = 0.1
-"""After how many seconds each the tap puts a Quiet and looks for idle connections."""
+"""Every so many seconds the tap puts a Quiet and closes idle connections."""
 
 
 class TapSource(LiveSource[TapLink]):
@@ -87,7 +88,7 @@ class TapSource(LiveSource[TapLink]):
 
     @property
     def endpoint(self) -> Endpoint:
-        """The endpoint the tap listens at. After `open`, port 0 is replaced by the chosen port."""
+        """The endpoint the tap listens at; after `open` with the chosen port instead of port 0."""
         return self._listener.endpoint
 
     def open(self) -> None:
@@ -108,7 +109,7 @@ class TapSource(LiveSource[TapLink]):
 
     def close(self) -> None:
         if self._thread is not None:
-            with suppress(RuntimeError):  # The loop is closed: this is the second call.
+            with suppress(RuntimeError):  # The loop is already closed, by an earlier call.
                 self._loop.call_soon_threadsafe(self._told_to_end.set)
             self._thread.join()
 

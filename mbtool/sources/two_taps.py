@@ -1,10 +1,10 @@
-"""Two serial ports as one live source: one hears the master, the other the slaves."""
+"""Two serial ports as one live source: one receives the master's bytes, the other the slaves'."""
 
-# Each port has a reading process and a thread of its own; each chunk says which side spoke. A Quiet
-# promises that no byte heard before its time is still to come. One port can promise that for itself
-# only, so this source puts a Quiet with the earlier of the two ports' times. When the clock is set
-# back, these times go back too. Both ports end together: when one is gone, the other is told to
-# end, and the bytes that it has heard come before the single Ended.
+# Each port has a reading process and a thread of its own; each chunk says which side sent it. A
+# Quiet item means that all bytes received before its time are in the inbox. Each port knows this
+# only for itself, so this source puts a Quiet with the earlier of the two ports' times. When the
+# clock is set back, these times go back, too. Both ports end together: when one is gone, the other
+# is told to end; its last bytes come before the single Ended.
 
 from __future__ import annotations
 
@@ -36,16 +36,17 @@ class TwoTapsSource(LiveSource[SerialLink]):
             for speaker in (Direction.REQUEST, Direction.RESPONSE)
         }
         self._known_ns = dict.fromkeys(self._taps, 0)
-        """For each port, by who speaks there: until when all it heard is in the inbox, in ns."""
+        """For each port, named by the side it listens to: the time in ns up to which all its bytes
+        are in the inbox."""
         self._quiet_ns = 0
-        """The time of the last Quiet put: all that both ports heard before it is in the inbox."""
+        """The time in ns of the last Quiet: all bytes of both ports up to it are in the inbox."""
         self._listening = set(self._taps)
         self._error: LinkError | None = None
         self._opened = ExitStack()
 
     @property
     def taps(self) -> list[SerialSource]:
-        """The source of the master's side and that of the slaves' side."""
+        """The source at the master's side and the source at the slaves' side."""
         return list(self._taps.values())
 
     def open(self) -> None:
@@ -54,7 +55,7 @@ class TwoTapsSource(LiveSource[SerialLink]):
                 opened.enter_context(tap)
             self._opened = opened.pop_all()
         with self._lock:
-            if self._error is not None:  # One was lost before the other was open.
+            if self._error is not None:  # The first port was lost before the second was open.
                 self._tell_to_end()
 
     def close(self) -> None:
@@ -63,7 +64,7 @@ class TwoTapsSource(LiveSource[SerialLink]):
         self._opened.close()
 
     def put(self, item: Item, speaker: Direction) -> None:
-        """Take an item from the port at which `speaker` is heard; any thread may call this."""
+        """Take an item from the port that listens to `speaker`; any thread may call this."""
         with self._lock:
             if isinstance(item, Ended):
                 self._end(item, speaker)
@@ -99,7 +100,7 @@ def _known(until_ns: int, ts_ns: int) -> int:
 
 
 class _Tap:
-    """The sink of one of the two ports."""
+    """The sink for the items of one of the two ports."""
 
     def __init__(self, source: TwoTapsSource, speaker: Direction) -> None:
         self._source = source

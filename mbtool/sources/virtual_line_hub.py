@@ -3,27 +3,27 @@
 # ENDS is the number of ends, CHARACTER_NS the character time in ns. Each LINK is the path of a
 # symbolic link to make: the first one leads to the first end, the second one to the second end.
 #
-# If a program writes a character to an idle end, the other ends hear it one character time later,
-# as on a wire, where it is received when its stop bit has passed. The next character follows one
-# character time after that. Each character's time is counted from the first one, so if the process
-# wakes up late, this delays the characters due then and not those that follow. No character is
-# early. Two deliveries are at least GRAIN_NS apart: up to 38400 baud every character is delivered
-# alone, at 115200 baud three come at once.
+# If a program writes a character to an idle end, the other ends receive it one character time
+# later, as on a wire, where it is received when its stop bit has passed. The next character follows
+# one character time after that. Each character's time is counted from the first one, so if the
+# process wakes up late, this delays the characters due then, but not those that follow. No
+# character is early. Two deliveries are at least GRAIN_NS apart: up to 38400 baud every character
+# is delivered alone, at 115200 baud three are delivered at once.
 #
-# If two ends write at once, the others hear the characters of both, interleaved: nonsense, as on a
-# wire. No end hears itself.
+# If two ends write at once, the others receive the characters of both, interleaved and useless, as
+# on a wire. No end receives its own characters.
 #
 # Limits: the hub reads an end only while fewer than MAX_PENDING characters of it are pending, so a
-# writer is slowed as by a port's buffer. If nobody reads an end, the system keeps the first bytes
-# for it (Linux: 4095) and loses what comes after, like an overrun port. A program that opens the
-# end later reads the kept bytes, unless it flushes its input as pyserial and this package do.
+# writer must wait, as for a port's buffer. If no program reads an end, the system keeps the first
+# bytes for it (Linux: 4095) and drops later ones, like a port with an overrun. A program that opens
+# the end later reads the kept bytes, unless it flushes its input as pyserial and this package do.
 #
 # A pseudo-terminal has a side for the hub and a side for the user's program; the hub keeps both
-# open. Otherwise its own side would report EIO as soon as the program closes the other, and the
+# open. Otherwise the hub's side would report EIO as soon as the program closes the other, and the
 # terminal would lose its raw mode.
 #
-# The process ends when its standard input ends (child.py). It then removes the links that it made,
-# except those that somebody has meanwhile made to lead elsewhere.
+# The process ends when its standard input ends (child.py). It then removes the symbolic links that
+# it made, except those that somebody has changed to lead elsewhere.
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ GRAIN_NS = 250_000
 
 
 class Sender:
-    """The characters that one end has written and the others have not yet heard."""
+    """The characters written by one end and not yet delivered to the others."""
 
     def __init__(self, character_ns: int) -> None:
         self._character_ns = character_ns
@@ -111,7 +111,7 @@ def main() -> None:
 
 
 def run(control: int, ends: Sequence[int], character_ns: int) -> None:
-    """Carry characters between the ends until reading the descriptor `control` gives end of file.
+    """Move characters between the ends until the descriptor `control` reads end of file.
 
     `ends` are the descriptors of the hub's sides of the pseudo-terminals.
     """
@@ -145,9 +145,9 @@ def _deliver(data: bytes, ends: Sequence[int]) -> None:
 
 
 def _make_link(link: str, port: str) -> None:
-    """Make a link, or replace one whose target is gone, as a line that was killed leaves it.
+    """Make a symbolic link. An old one whose target is gone, left by a killed line, is replaced.
 
-    Raises OSError if there is anything else of that name, such as the port of a running line.
+    Raises OSError if any other file has this name, such as the link of a running line.
     """
     if os.path.islink(link) and not os.path.exists(link):
         os.unlink(link)

@@ -21,10 +21,10 @@ MANY_BITS = 8
 """More bits than this are shown in groups of GROUP."""
 GROUP = 8
 FOLDED = 4
-"""So many equal values in a row are shown once, with their number."""
+"""At least so many equal values in a row are shown once, with their number: `0 x24`."""
 
 MAX_RAW = 16
-"""The most bytes of an event that a cell lists."""
+"""The most bytes of an event that a cell shows."""
 
 _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_S = 86_400
@@ -34,7 +34,7 @@ _VERBS = {
     for code, one in FUNCTIONS.items()
     if one.table is not None
 } | {_MASK_WRITE: "mask write", _READ_WRITE: "read"}
-"""What a function does with the reference that follows."""
+"""The word between function code and reference, such as `read` or `write`."""
 
 
 def transaction_text(
@@ -45,8 +45,8 @@ def transaction_text(
 ) -> str:
     """The request and its result: `03 read HR400001..400002 -> 4660, 22136`.
 
-    `points` are those that were read, in the order in which they are shown. With `in_hex`, values
-    are shown as manuals write them (1234H), and points are not named.
+    `points` are the points read, in the order to show them. With `in_hex`, values are shown as
+    manuals write them (1234H), and points are not named.
     """
     code = transaction.function
     what = what_text(transaction, in_hex=in_hex)
@@ -140,7 +140,7 @@ def result_text(
 
 
 def _lacking_response(transaction: NamedTransaction) -> str | None:
-    """What the capture lacks of the response of a transaction; None if it has all of it."""
+    """A text on which part of the response the capture lacks; None if the response is complete."""
     is_cut = Verdict.CUT in transaction.verdicts
     if transaction.response_raw is None:
         return "request cut, no answer captured" if is_cut else "answer not captured"
@@ -149,7 +149,7 @@ def _lacking_response(transaction: NamedTransaction) -> str | None:
 
 
 def _lacking_request(transaction: NamedTransaction) -> str | None:
-    """How the result begins if a response has no whole request; None if it has one."""
+    """The beginning of the result if the capture lacks part of the request; None if it does not."""
     if transaction.outcome is Outcome.UNSOLICITED:
         return "unsolicited"
     if transaction.outcome is not Outcome.NOT_CAPTURED:

@@ -1,7 +1,7 @@
-"""Puts the points whose values changed since the last reading before the others."""
+"""Sorts points: those whose values changed since the last reading come first."""
 
-# Memory: the texts of at most MAX_POINTS points; when there are more, all are forgotten, and each
-# point's next value then counts as unchanged.
+# Memory: the texts of at most MAX_POINTS points. When there are more, all are forgotten; the next
+# value of each point then counts as unchanged.
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ChangedPoints:
         self._texts: dict[tuple[str, int, str, str], str] = {}
 
     def changed_first(self, transaction: NamedTransaction) -> Sequence[PointValue]:
-        """The points that a response contains: first those whose values differ from the last ones.
+        """The points in a response; those whose values changed come first.
 
         A point that was not read before counts as unchanged.
         """

@@ -1,7 +1,7 @@
 """Shows the differences between two captures: a table for each slave."""
 
-# Names come from profiles, and links from captures, so markup and control characters in them must
-# have no effect (tables.py).
+# Names come from profiles, and links from captures. Both may contain markup or control characters,
+# which must have no effect (tables.py).
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def print_differences(
 
 
 def what_text(difference: Difference) -> str:
-    """Describe where a difference is: the reference, and its name in the manual.
+    """Describe the addresses of a difference: the reference, and its name in the manual.
 
-    Then follow other requests whose latencies changed likewise; and, if it was computed, `p`, the
-    probability that chance alone causes such a difference.
+    After that come other requests whose latencies changed in the same way, and, if it was computed,
+    `p`, the probability that chance alone causes such a difference.
     """
     parts = [", ".join([difference.reference or "", *difference.alike])]
     if difference.name is not None and difference.name != difference.reference:

@@ -1,12 +1,12 @@
 """Findings as one document for programs: mbtool's own JSON, or SARIF 2.1.0."""
 
-# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0): a log with one run. Its rules
-# are those with findings. A result has its rule, a message, and a location: the capture is the
-# artifact; link, unit and reference are the logical location in it. SARIF has no field for a time,
-# so the time is in the properties, as nanoseconds and as text.
+# SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0) is a log with one run. The run
+# lists the rules that have findings. A result has its rule, a message, and a location: the capture
+# is the artifact; link, unit and reference are the logical location in it. SARIF has no field for a
+# time, so the time is in the properties, in nanoseconds and as text.
 #
 # A document is made in pieces of text, one for each finding, which the caller writes one after
-# another. Only the rules with findings are kept in memory.
+# another. Memory: only the rules with findings.
 
 from __future__ import annotations
 
@@ -122,9 +122,9 @@ def _result(finding: Finding, file: str, index: int) -> dict[str, Any]:
 
 
 def _logical(finding: Finding) -> dict[str, str]:
-    """The logical location of a finding: link, unit and reference, without those that it lacks.
+    """The logical location of a finding: link, unit and reference, as far as it has them.
 
-    Its name is the last of these parts.
+    The location's name is the last of these parts.
     """
     parts = [finding.link]
     if finding.unit is not None:

@@ -1,15 +1,17 @@
-"""Shows findings: a summary of each code, or every finding."""
+"""Shows findings: a summary of each code and place, or every finding."""
 
 # A master that repeats a mistake in every poll breaks the same rule many times. So the summary has
-# one entry for each code: the number of cases, the time of the first one, and its message.
+# one entry for each code and place: the number of cases, and the first and the last of them.
 #
-#     FT1A-Q16  error  812 times  2026-11-21 09:14:03.300  rs485 unit 1
-#         write registers HR400001..400110: quantity 110, limit is 100
+#     FT1A-Q16  error  812 times  rs485 unit 1, idec-ft1a-touch
+#         first 2026-11-21 09:14:03.300: write registers HR400001..400110: quantity 110, ...
+#         last  2026-11-21 09:20:11.100: write registers HR400001..400112: quantity 112, ...
 #
-# Memory: one finding for each code.
+# Memory: two findings for each entry, at most MAX_PLACES entries for each code.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -21,6 +23,7 @@ from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.views.cells import clock_time, day
 from mbtool.views.tables import printable
+from mbtool.views.transaction_table import host_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+MAX_PLACES = 5
+"""The most places that a summary shows for each code; a scan of all addresses would give many."""
 _INDENT = "    "
 _NARROWEST = 20
 _ORDER = tuple(Severity)
@@ -35,65 +40,109 @@ _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cy
 
 
 @dataclass(slots=True)
-class CodeSummary:
-    """The first finding of one code, and the number of cases."""
+class PlaceSummary:
+    """The cases of one code at one place: link, unit and device, and file if there are several."""
 
+    place: str
     first: Finding
+    last: Finding
     number: int = 0
 
     def add(self, finding: Finding) -> None:
         self.number += finding.count
         if finding.ts_ns < self.first.ts_ns:
             self.first = finding
+        if finding.ts_ns >= self.last.ts_ns:
+            self.last = finding
+
+
+class CodeSummary:
+    """The places where one code was found."""
+
+    def __init__(self, severity: Severity) -> None:
+        self.severity = severity
+        self._places: dict[tuple[str, str], PlaceSummary] = {}
+        self.number_elsewhere = 0
+        """Number of cases at further places, which are not kept."""
+
+    def add(self, finding: Finding, file: str) -> None:
+        place = _place(finding, file)
+        # For an attack it matters who makes it, so each source gets an entry of its own.
+        is_attack = finding.code.startswith("SEC")
+        key = (place, host_of(finding.source) if is_attack else "")
+        summary = self._places.get(key)
+        if summary is None:
+            if len(self._places) == MAX_PLACES:
+                self.number_elsewhere += finding.count
+                return
+            summary = self._places[key] = PlaceSummary(place, finding, finding)
+        summary.add(finding)
+
+    def places(self) -> list[PlaceSummary]:
+        """The places, the one with most cases first."""
+        return sorted(self._places.values(), key=lambda one: -one.number)
 
 
 class Summaries:
-    """Collects findings by code."""
+    """Collects findings by code and place."""
 
     def __init__(self) -> None:
         self._by_code: dict[str, CodeSummary] = {}
 
-    def add(self, finding: Finding) -> None:
-        self._by_code.setdefault(finding.code, CodeSummary(finding)).add(finding)
+    def add(self, finding: Finding, file: str = "") -> None:
+        """Add a finding. `file` is the file that it was found in; empty if only one is checked."""
+        code = self._by_code.get(finding.code)
+        if code is None:
+            code = self._by_code[finding.code] = CodeSummary(finding.severity)
+        code.add(finding, file)
 
     def __bool__(self) -> bool:
         return bool(self._by_code)
 
-    def __iter__(self) -> Iterator[CodeSummary]:
-        """Give the summaries sorted by severity, errors first, then by code."""
+    def __iter__(self) -> Iterator[tuple[str, CodeSummary]]:
+        """Give the codes and their summaries sorted by severity, errors first, then by code."""
         return iter(
-            sorted(
-                self._by_code.values(),
-                key=lambda one: (_ORDER.index(one.first.severity), one.first.code),
-            )
+            sorted(self._by_code.items(), key=lambda one: (_ORDER.index(one[1].severity), one[0]))
         )
 
 
 def print_summaries(console: Console, summaries: Summaries) -> None:
-    """Print two lines for each code: the number of cases with the first time and place, and the
-    message of the first finding.
-    """
+    """Print an entry for each code and place: the number of cases, and the first and last one."""
     rows = [
-        (
-            one.first.code,
-            one.first.severity.value,
-            counted(one.number, "time"),
-            f"{_time(one.first)}  {where(one.first)}",
-        )
-        for one in summaries
+        (code, summary, place, counted(place.number, "time"))
+        for code, summary in summaries
+        for place in summary.places()
     ]
-    widths = [max((len(row[index]) for row in rows), default=0) for index in range(3)]
-    for one, (code, level, times, place) in zip(summaries, rows, strict=True):
-        line = Text(code.ljust(widths[0]), _STYLES[one.first.severity])
-        line.append(f"  {level.ljust(widths[1])}  {times.rjust(widths[2])}  ", "default")
-        line.append(printable(place), "default")
+    code_width = max((len(row[0]) for row in rows), default=0)
+    level_width = max((len(row[1].severity) for row in rows), default=0)
+    times_width = max((len(row[3]) for row in rows), default=0)
+    elsewhere = Counter({code: summary.number_elsewhere for code, summary in summaries})
+    for index, (code, summary, place, times) in enumerate(rows):
+        level = summary.severity
+        line = Text(code.ljust(code_width), _STYLES[level])
+        line.append(f"  {level.value.ljust(level_width)}  {times.rjust(times_width)}  ", "default")
+        line.append(printable(place.place), "default")
         console.print(line, soft_wrap=True)
-        _print_message(console, one.first.message)
+        _print_cases(console, place)
+        is_last_of_code = index + 1 == len(rows) or rows[index + 1][0] != code
+        if is_last_of_code and elsewhere[code]:
+            _print_indented(console, f"and {counted(elsewhere[code], 'time')} at other places")
 
 
-def _print_message(console: Console, message: str) -> None:
-    """Print a finding's message, indented. Only a terminal gets it wrapped into several lines."""
-    text = printable(message)
+def _print_cases(console: Console, place: PlaceSummary) -> None:
+    """Print the first and the last finding of a place; one line if they are the same."""
+    first, last = place.first, place.last
+    if first is last:
+        _print_indented(console, f"{_time(first)}: {first.message}")
+        return
+    _print_indented(console, f"first {_time(first)}: {first.message}")
+    message = "the same" if last.message == first.message else last.message
+    _print_indented(console, f"last  {_time(last)}: {message}")
+
+
+def _print_indented(console: Console, text: str) -> None:
+    """Print an indented text; only on a terminal it is wrapped into several lines."""
+    text = printable(text)
     lines = [text]
     if console.is_terminal:
         lines = wrap(text, max(console.width - len(_INDENT), _NARROWEST))
@@ -110,8 +159,14 @@ def finding_line(finding: Finding) -> Text:
     return line
 
 
+def _place(finding: Finding, file: str) -> str:
+    """The place of a finding as text: link, unit, device, and the file if several are checked."""
+    device = f", {finding.device}" if finding.device else ""
+    return f"{where(finding)}{device}{', ' * bool(file)}{file}"
+
+
 def where(finding: Finding) -> str:
-    """The link, and the unit if the finding has one."""
+    """The link and the unit of a finding as text; without the unit if the finding has none."""
     text = finding.link
     if finding.unit is not None:
         text += f" unit {finding.unit}"

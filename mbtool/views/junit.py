@@ -1,9 +1,9 @@
 """Writes results as JUnit XML, which CI servers show."""
 
 # The format has no standard. Jenkins, GitLab and GitHub actions all read a `testsuite` of
-# `testcase` elements, in which failed ones have a `failure`, and those that could not be run an
-# `error`. They tell cases apart by `classname` and `name` together, so a name that a group has
-# twice gets a number. `time` is in seconds. Characters that XML does not allow are replaced.
+# `testcase` elements. A failed case has a `failure`; a case that could not be run has an `error`.
+# Cases are identified by `classname` and `name` together, so a name that occurs twice in a group
+# gets a number. `time` is in seconds. Characters that XML does not allow are replaced.
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Case:
     name: str
     failures: Sequence[str] = ()
     error: str | None = None
-    """Why the test could not be run; None if it was."""
+    """The reason why the test could not be run; None if it was run."""
     time_ns: int = 0
-    """How long the test took."""
+    """The duration of the test in ns."""
 
 
 def junit_xml(suite: str, cases: Sequence[Case]) -> str:
@@ -58,10 +58,10 @@ def _add(element: ElementTree.Element, kind: str, messages: Sequence[str]) -> No
 
 
 def _names(cases: Iterable[Case]) -> Iterator[str]:
-    """The names of the cases; one that its group has already gets a number, such as `read (2)`."""
+    """The names of the cases; a name that its group already has gets a number: `read (2)`."""
     taken: set[tuple[str, str]] = set()
     last: dict[tuple[str, str], int] = {}
-    """By group and name, the last number that was tried."""
+    """The last number that was tried, by group and name."""
     for case in cases:
         group, name = _text(case.group), _text(case.name)
         unique, number = name, last.get((group, name), 1)

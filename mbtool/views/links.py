@@ -3,8 +3,8 @@
 # Below the table of ports, each port has its LINK and its problems. Users copy a LINK or a command,
 # so it gets no line breaks: a narrow terminal wraps it, and still copies it as a whole.
 #
-# Names come from adapters, so markup and control characters in them must have no effect (see
-# tables.py).
+# Names come from adapters, so they may contain markup or control characters, which must have no
+# effect (see tables.py).
 
 from __future__ import annotations
 

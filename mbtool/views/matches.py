@@ -1,6 +1,8 @@
 """Shows the profiles that explain the traffic of each slave."""
 
-# For each slave: a sentence, and a table of the best profiles with the reasons for and against.
+# For each slave there is a sentence, and a table of the best profiles with the reasons for and
+# against them. If there are more than MAX_DETAILED slaves, there are no tables, and each sentence
+# comes only once, with the number of slaves and the names of some.
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
+from mbtool.core.wording import counted
 from mbtool.views.tables import plain, plain_table, printable
 
 if TYPE_CHECKING:
@@ -16,21 +19,48 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from mbtool.devices.observed_slave import ObservedSlave
     from mbtool.devices.profile_match import MatchResult, ProfileMatch
 
 MIN_SHOWN = 3
+MAX_DETAILED = 32
+_EXAMPLES = 3
+_MAX_SENTENCES = 40
 
 
 def print_match_results(console: Console, results: Sequence[MatchResult]) -> None:
-    """Print every slave with its best profiles."""
+    """Print every slave with its best profiles; of more than MAX_DETAILED slaves, a summary."""
+    if len(results) > MAX_DETAILED:
+        _print_summary(console, results)
+        return
     for index, result in enumerate(results):
         if index:
             console.print()
         slave = result.slave
-        where = f"unit {slave.unit} at {slave.destination or slave.link}"
-        console.print(plain(f"{where}: {result.sentence}", "bold"))
+        console.print(plain(f"{_where(slave)}: {result.sentence}", "bold"))
         if slave.has_responded:
             console.print(_table(shown_matches(result)))
+
+
+def _where(slave: ObservedSlave) -> str:
+    return f"unit {slave.unit} at {slave.destination or slave.link}"
+
+
+def _print_summary(console: Console, results: Sequence[MatchResult]) -> None:
+    """Print what is said of most slaves first."""
+    alike: dict[str, list[ObservedSlave]] = {}
+    for result in results:
+        alike.setdefault(result.sentence, []).append(result.slave)
+    ranked = sorted(alike.items(), key=lambda one: -len(one[1]))
+    for sentence, slaves in ranked[:_MAX_SENTENCES]:
+        console.print(plain(f"{counted(len(slaves), 'slave', ',')}: {sentence}", "bold"))
+        examples = ", ".join(map(_where, slaves[:_EXAMPLES]))
+        more = " and so on" if len(slaves) > _EXAMPLES else ""
+        console.print(plain(f"  {examples}{more}"))
+    if len(ranked) > _MAX_SENTENCES:
+        rest = sum(len(slaves) for _, slaves in ranked[_MAX_SENTENCES:])
+        console.print(plain(f"{counted(rest, 'slave', ',')} of which something else is said"))
+    console.print(plain("--format jsonl tells each slave with its profiles"))
 
 
 def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
@@ -40,7 +70,7 @@ def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
 
 
 def match_record(result: MatchResult) -> dict[str, Any]:
-    """A result as JSON data, with all profiles, also those that explain nothing."""
+    """A result as JSON data, with all profiles, even those with score 0."""
     slave = result.slave
     where: dict[str, Any] = {"link": slave.link, "destination": slave.destination}
     return {

@@ -1,7 +1,7 @@
 """Shows device profiles."""
 
-# Anyone can write a profile, so markup and control characters in it must have no effect (see
-# tables.py).
+# Anyone can write a profile, so it may contain markup or control characters, which must have no
+# effect (see tables.py).
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def _range(point: Point) -> list[str]:
 
 
 def _point_notes(profile: Profile) -> list[str]:
-    """Each different note of points once, with the references of all its points before it."""
+    """The notes of points, each only once, after the references of all points that have it."""
     about: dict[str, list[str]] = {}
     for point in profile.points:
         if point.note is not None:

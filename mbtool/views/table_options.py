@@ -1,4 +1,4 @@
-"""What a user can choose of the transaction table."""
+"""The user's options for the transaction table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class TimeStyle(StrEnum):
-    """Which time a row shows."""
+    """The kind of time that a row shows."""
 
     UTC = "utc"
     LOCAL = "local"
@@ -18,7 +18,7 @@ class TimeStyle(StrEnum):
 
 
 class TableColumn(StrEnum):
-    """A column of the table. The text of a row comes last in any case."""
+    """A column of the table that the user can choose. The text of a row always comes last."""
 
     NUMBER = "number"
     TIME = "time"
@@ -38,7 +38,7 @@ class TableOptions:
 
     time: TimeStyle = TimeStyle.UTC
     columns: tuple[TableColumn, ...] = ()
-    """The columns of each row, besides its text; empty for the usual ones."""
+    """The columns that the user chose, beside the text; empty for the default columns."""
     in_hex: bool = False
     """True to show values as 1234H, without the names of points."""
     wide: bool = False

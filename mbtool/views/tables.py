@@ -1,4 +1,4 @@
-"""Makes tables that look alike, and texts that have no effect on the terminal."""
+"""Makes tables of one style, and removes control characters from texts for a terminal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rich.text import Text
 
 
 def printable(text: str) -> str:
-    """Replace control characters, which could steer a terminal, with ? in a text."""
+    """Replace control characters in a text by ?, because a terminal would obey them."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else "?" for char in text)

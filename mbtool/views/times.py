@@ -1,4 +1,4 @@
-"""The times of rows: of the day in UTC or local time, or seconds since another row."""
+"""The times of rows: time of day in UTC or local time, or seconds since another row."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Times:
         self._origin_ns: int | None = None
 
     def text(self, record: Record) -> str:
-        """The time of a row, 12 characters or more. Each row is asked for once."""
+        """The time of a row, at least 12 characters. Call this once for each row, in order."""
         ts_ns = _start_ns(record)
         match self._style:
             case TimeStyle.UTC:
@@ -36,7 +36,7 @@ class Times:
         return f"{(ts_ns - since_ns) / 1e9:+12.6f}"
 
     def day_of(self, record: Record) -> str:
-        """The day of a row with its time zone; "" where rows show no time of the day."""
+        """The day of a row with the time zone; "" if rows show seconds instead of a time of day."""
         ts_ns = _start_ns(record)
         match self._style:
             case TimeStyle.UTC:
@@ -51,7 +51,7 @@ def _start_ns(record: Record) -> int:
 
 
 def _offset_ns(ts_ns: int) -> int:
-    """By how much local time is ahead of UTC at a time; 0 where the system cannot tell."""
+    """Local time minus UTC, in ns, at the time `ts_ns`; 0 if the system does not know it."""
     try:
         return time.localtime(ts_ns // 1_000_000_000).tm_gmtoff * 1_000_000_000
     except (ValueError, OverflowError, OSError):

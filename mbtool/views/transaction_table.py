@@ -5,14 +5,14 @@
 #       12  09:14:03.201     8.2  03 read HR400001..400004 -> 100, 200, 300, 400
 #       13  09:14:03.260     2.1  06 write HR400001 := 4660
 #
-# What stays the same for several rows (link, master, unit, day) is said in a heading, which comes
-# again when it changes. If link, master or unit change often, each row has them instead, and the
-# heading no longer does: see _Places. The first SAMPLE rows are looked at before any is printed, so
-# that a table rarely changes its form; a live table cannot wait for them and calls `pause`.
+# A heading has the link, master, unit and day of the rows below it; when one of them changes, there
+# is a new heading. If link, master or unit change often, they become columns and leave the heading:
+# see _PlaceColumns. The first SAMPLE rows are examined before any is printed, so that a table
+# rarely changes its columns; a live table cannot wait for them and calls `pause`.
 #
-# On a terminal, a text too long for its line goes on below, on at most MAX_LINES lines; then a
-# line says how many more there are. Findings stand below their row. In a pipe, in a file and with
-# --wide a row is one line, with all of its text at its end, and always has its link and unit.
+# On a terminal, a long text continues on the lines below, at most MAX_LINES lines; then a line says
+# how many more there are. Findings are below their row. In a pipe, in a file and with --wide a row
+# is one line, with the whole text at the end, and always has its link and unit.
 #
 # Text from a wire is never markup, and control characters in it are replaced.
 
@@ -43,13 +43,14 @@ if TYPE_CHECKING:
 
 SAMPLE = 100
 MAX_LINES = 4
-"""The most lines on a terminal of a row's text; with --full there is no limit."""
+"""The most lines that a row's text takes on a terminal; with --full there is no limit."""
 _MIN_TEXT = 24
-"""The least characters of a line of text; on a narrower terminal lines are too long."""
+"""Lines of text are not made narrower than this, in characters; a narrow terminal breaks them."""
 _INDENT = 12
-"""By how many characters a line is indented that continues the text of a row."""
+"""The indent, in characters, of a line that continues the text of a row."""
 MANY_CHANGES, FEW_ROWS = 3, 16
-"""A place that changed MANY_CHANGES times within FEW_ROWS rows is shown in each row."""
+"""A link, master or unit that changes MANY_CHANGES times within FEW_ROWS rows gets a column, and
+leaves the heading."""
 
 
 _WIDTHS = {
@@ -74,7 +75,7 @@ _PLACES = (TableColumn.LINK, TableColumn.MASTER, TableColumn.UNIT)
 
 
 class _TableRow(NamedTuple):
-    """What a row needs of its record."""
+    """The texts and numbers of one row, taken from a record."""
 
     number: int | None
     """The number of the transaction in the capture; None for an event."""
@@ -98,21 +99,21 @@ class TransactionTable:
         self._times = Times(self._options.time)
         self._points = ChangedPoints()
         self._styles: dict[str, tuple[str, str]] = {}
-        self._places = _Places()
+        self._places = _PlaceColumns()
         self._columns = self._options.columns
         if not self._columns and not self._wraps:
             self._columns = (*_USUAL, TableColumn.LINK, TableColumn.UNIT)
         self._is_chosen = bool(self._columns)
         self._heading = ""
         self._link = self._place = ""
-        """The link of the last row, and what the heading says of its places."""
+        """The link of the last row, and the text on link, master and unit in the last heading."""
         self._titled: tuple[TableColumn, ...] = ()
         """The columns that the last line of titles names."""
 
     def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
         """Add a transaction, `number` of the capture, or a wire event.
 
-        With a profile, findings have its figures.
+        With a profile, the texts of findings contain the profile's figures.
         """
         row = _TableRow(
             None if isinstance(record, WireEvent) else number, record, profile, _places(record)
@@ -125,7 +126,7 @@ class TransactionTable:
             self.flush()
 
     def pause(self) -> None:
-        """Print the rows that wait for others to determine the columns."""
+        """Print the rows that wait until the columns are decided."""
         self.flush()
 
     def flush(self) -> None:
@@ -135,7 +136,7 @@ class TransactionTable:
             self._pending = pending
             return
         if not self._is_chosen:
-            trial = _Places()
+            trial = _PlaceColumns()
             for row in pending:
                 trial.note(row.places)
             self._places.in_row = trial.in_row
@@ -161,7 +162,7 @@ class TransactionTable:
             self._print_line("  ! ".join((f"{prefix}{printable(text)}", *findings)), style)
 
     def _print_heading(self, row: _TableRow) -> None:
-        """Print what has changed since the last heading, and the titles of new columns."""
+        """Print a heading if link, master, unit or day changed, and titles if columns changed."""
         if not self._is_chosen:
             self._note_place(row.record)
         heading = ", ".join(part for part in (self._place, self._times.day_of(row.record)) if part)
@@ -180,7 +181,7 @@ class TransactionTable:
             self._link = self._place = record.link
 
     def _prefix(self, row: _TableRow) -> str:
-        """The cells of a row before its text."""
+        """The text of all cells of a row that come before its text."""
         cells = []
         for column in self._columns:
             match column:
@@ -198,7 +199,7 @@ class TransactionTable:
         return f"{' '.join(cells)}  "
 
     def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
-        """Print a row whose text goes on below its first line."""
+        """Print a row whose text takes several lines."""
         first, *below = self._wrapped(text, len(prefix))
         self._print_line(prefix + first, style)
         for finding in findings:
@@ -207,12 +208,13 @@ class TransactionTable:
             self._print_line(" " * _INDENT + line, style)
 
     def _wrapped(self, text: str, used: int) -> list[str]:
-        """The lines of a text, the first of which begins behind `used` characters."""
+        """Break a text into lines; in the first line, `used` characters are already taken."""
         text, width = printable(text), self._console.width
         if len(text) <= width - used:
             return [text]
         room = max(width - _INDENT, _MIN_TEXT)
-        # The first line is shorter by what stands before it, so as many characters are put there.
+        # The first line has less room. So a filler of that length is put before the text, and is
+        # removed again after wrapping.
         filler = "\0" * max(min(used - _INDENT, room - _MIN_TEXT), 0)
         lines = wrap(filler + text, room, break_on_hyphens=False)
         lines[0] = lines[0].removeprefix(filler)
@@ -239,18 +241,18 @@ class TransactionTable:
         return codes
 
 
-class _Places:
-    """Decides which of link, master and unit stand in each row: those that often change."""
+class _PlaceColumns:
+    """Decides which of link, master and unit are columns: those that change often."""
 
     def __init__(self) -> None:
         self.in_row: tuple[TableColumn, ...] = ()
         self._last = ["", "", ""]
         self._count = 0
         self._changes: list[deque[int]] = [deque(maxlen=MANY_CHANGES) for _ in _PLACES]
-        """For each place, at which rows it changed."""
+        """For each of link, master and unit: the numbers of the last rows in which it changed."""
 
     def note(self, places: tuple[str, str, str]) -> None:
-        """Take the places of the next row."""
+        """Note the link, master and unit of the next row."""
         self._count += 1
         for index, text in enumerate(places):
             if not text or text == self._last[index]:
@@ -265,7 +267,7 @@ class _Places:
                 )
 
     def heading(self, record: NamedTransaction) -> str:
-        """What the heading says of a row's places: those that do not stand in each row."""
+        """The heading's text: link, master and unit, except those with a column of their own."""
         link, master, unit = self._last
         parts = []
         if TableColumn.LINK not in self.in_row:
@@ -317,4 +319,4 @@ _MORE: dict[TableColumn, Callable[[Record], str]] = {
         one.kind.value if isinstance(one, WireEvent) else one.outcome.value
     ),
 }
-"""Cells of columns that are shown only if they are chosen."""
+"""Makes the cells of columns that are shown only if the user chooses them."""

@@ -1,9 +1,9 @@
 """Checks captures and logs against the rules: files in, findings out."""
 
-# A log is not decoded again: its transactions and events also hold what its sources knew of
-# connections and damage. But its transactions are named again, by the profiles of the user and of
-# the log, so that the rules of today's profiles apply. Each capture is checked on its own; the
-# parts of a rotated capture are one capture.
+# A log is not decoded again: its transactions and events hold facts about connections and damage
+# that only the live sources knew. But its transactions get their names again, from the profiles of
+# the user and of the log, so that the rules of today's profiles apply. Each capture is checked
+# separately; the files of a rotated capture are checked as one.
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CodeFilter:
-    """Chooses codes by how they begin: those of `select`, but not those of `ignore`.
+    """Chooses finding codes that begin with a text of `select`, but not with one of `ignore`.
 
     If a code begins with a text of each, the longer text decides. If both are equally long, the
     code is ignored.
@@ -59,8 +59,8 @@ class CodeFilter:
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]
-        # Codes of devices cannot be listed: after the prefix of the profile and the letter of the
-        # kind of rule comes, for example, a function code.
+        # Not all codes of devices can be listed: behind the prefix of the profile and the letter of
+        # the kind of rule is, for example, a function code.
         of_devices = tuple(f"{prefix}{letter}" for prefix in prefixes for letter in letters)
         for text in (*self.select, *self.ignore):
             is_known = any(each.startswith(text) for each in (*codes, *prefixes))
@@ -98,18 +98,18 @@ class CheckRun:
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
         self._checker: Checker | None = None
-        """Checks the capture that is being read."""
+        """Checks the rules in the capture that is being read."""
         self._lines: UnreadableLines | None = None
-        """Notices which serial lines of this capture cannot be read."""
+        """Finds the serial lines in this capture that cannot be read."""
         self._namer: Namer | None = None
-        """Names the transactions of a log again, by today's profiles; None where no log is read."""
+        """Names the transactions of a log by today's profiles; None while no log is read."""
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
         self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
         self.counts: Counter[str] = Counter()
-        """How often each chosen code was found."""
+        """Number of findings of each chosen code."""
 
     def demand_codes(self) -> None:
         """Raise UsageError if no code begins with a text of the filter.
@@ -125,14 +125,14 @@ class CheckRun:
 
     @property
     def remarks(self) -> list[str]:
-        """What a user should know of the files beside the findings, a line each."""
+        """Lines for the user about the files, beside the findings."""
         return [*self.reading.remarks, *self._remarks, *self._hints.remarks]
 
     def findings(self) -> Iterator[FileFinding]:
-        """Give the chosen findings, capture by capture.
+        """Yield the findings with chosen codes, capture by capture.
 
-        Raises InputError for a file that cannot be read; for one that is cut or damaged, after all
-        findings were given.
+        Raises InputError for a file that cannot be read. For a file that is cut or damaged,
+        InputError is raised after all findings.
         """
         try:
             for record in self.reading.records():
@@ -197,5 +197,5 @@ def _codes(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def _longest(code: str, beginnings: Sequence[str]) -> int | None:
-    """The length of the longest text that the code begins with; None if there is none."""
+    """The length of the longest text in `beginnings` that the code begins with; None if none."""
     return max((len(each) for each in beginnings if code.startswith(each)), default=None)

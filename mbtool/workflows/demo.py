@@ -1,4 +1,4 @@
-"""The whole loop on one machine: record two slaves, and play the recording as the slaves."""
+"""The demo: record the traffic of two slaves, play it as the slaves, compare the responses."""
 
 # An FT1A Touch answers a master on a virtual serial line, where the sniffer listens. An FA3-AT1M8X
 # answers another master through a TCP tap of the sniffer. Both are recorded in one log. Then the
@@ -51,28 +51,28 @@ MODULE_UNIT = 0
 """The unit id that the module's manual tells a master to send; the module ignores it."""
 
 Exchange = tuple[int, bytes, bytes | None]
-"""Unit, request PDU and response PDU; no response where the slave stayed silent."""
+"""Unit, request PDU and response PDU; None if the slave did not respond."""
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
-"""Time for the last bytes to reach the sniffer."""
+"""The sniffer listens for so many ns longer, until the last bytes have reached it."""
 
 _TIMEOUT_NS = 5_000_000_000
-"""The longest wait for a response: slaves of the demo always respond, but a busy machine is
-slow."""
+"""The longest wait for a response, in ns. The demo's slaves always respond, but a busy machine may
+be slow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How the responses of the log compare with those of the devices."""
+    """How many responses played from the log equal those of the devices, and which do not."""
 
     asked: int
     differences: tuple[Exchange, ...]
-    """Each request that was answered differently, with the response of the log."""
+    """The requests that were answered differently, each with the response from the log."""
 
 
 class Demo:
-    """One run of the demo. `assignments` tells which of its devices has which profile."""
+    """One run of the demo. `assignments` says which profile each device has."""
 
     def __init__(self, log_path: str) -> None:
         self._log_path = log_path
@@ -81,7 +81,7 @@ class Demo:
         self.assignments = Assignments()
 
     def record(self) -> Iterator[Record]:
-        """Run devices, masters and the sniffer; give the records that the sniffer decodes."""
+        """Run devices, masters and the sniffer; yield the records that the sniffer decodes."""
         with ExitStack() as stack:
             folder = stack.enter_context(TemporaryDirectory(prefix="mbtool-"))
             names = [f"{folder}/{name}" for name in ("touch", "master", "rs485")]
@@ -163,7 +163,7 @@ def touch_requests() -> list[bytes]:
 
 
 def module_requests() -> list[bytes]:
-    """The set-up of an FA3-AT1M8X (manual, chapter 10.5), and a read of undefined registers."""
+    """Requests that set up an FA3-AT1M8X (manual, 10.5), and a read of undefined registers."""
     averaging = (0x0000, 0x2010, 0, 0, 0, 0, 0, 5000, 0, 100)
     return [
         b"\x42\x00",
@@ -204,8 +204,7 @@ def _module(link: TcpLink) -> Responder:
 def _when_done(masters: threading.Thread) -> Callable[[int], bool]:
     """Return a function that tells the sniffer when to stop.
 
-    It gets the time in ns, and returns True once the masters have ended and the time for the last
-    bytes has passed.
+    It takes the time in ns, and returns True once the masters have ended and _QUIET_NS has passed.
     """
     since: list[int] = []
 

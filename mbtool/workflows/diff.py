@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """What is compared."""
+    """How two captures are read, and which parts of them are compared."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
     ignore: Sequence[str] = ()
-    """Ranges of registers whose values may differ, as the device's manual or mbtool writes them."""
+    """Ranges of registers whose values may differ, such as HR400001..400010 or `holding 0..9`."""
     latency: bool = True
 
 
@@ -37,7 +37,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """False if there is more to compare than the limits of replay/traffic.py let it keep."""
+    """False if some traffic was not compared, as it exceeded the limits of replay/traffic.py."""
     differences: list[Difference]
 
 
@@ -46,9 +46,9 @@ def compare(
 ) -> Comparison:
     """Read both files and compare them.
 
-    A file that is cut or damaged is compared as far as it can be read. `on_remark` gets a line for
-    each thing a user should know of the files. Raises InputError for a file that cannot be read or
-    has no transaction, UsageError for a range that no device has.
+    A file that is cut or damaged is compared as far as it can be read. `on_remark` gets lines for
+    the user about the files. Raises InputError for a file that cannot be read or has no
+    transaction, UsageError for a range that no device has.
     """
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):

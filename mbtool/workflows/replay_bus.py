@@ -1,4 +1,4 @@
-"""Plays a recording onto a serial line: every byte of both sides."""
+"""Plays a recording onto a serial line: the bytes of the master and of the slaves."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
-"""The pause between two rounds of --loop, in ns of recorded time."""
+"""With --loop, the pause between the end and the next beginning, in ns of recorded time."""
 _LOOK_NS = 30_000_000
-"""The longest wait before keys, and the user's wish to end, are asked for again."""
+"""The user's keys, and the wish to end, are checked at least once in so many ns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusOptions(PlayOptions):
-    """How a recording is played as the bus."""
+    """How a recording is played as master and slaves of a serial line."""
 
     is_loop: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """What a run has sent, and how late."""
+    """The number of pieces and bytes that a run has sent, and how late."""
 
     pieces: int
     bytes: int
     held: int
-    """Pieces that were sent late because the line was still busy."""
+    """Number of pieces sent late because the line was still busy."""
     lateness_p99_ns: int | None
-    """How late pieces were sent that the line did not delay: the 99th percentile in ns. None if
-    there is none, or if recorded times were not to be kept."""
+    """The 99th percentile, in ns, of the delays of pieces that the line did not delay. None if
+    there are none, or if the user did not want recorded times."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:
@@ -79,7 +79,7 @@ class BusRun:
 
     @property
     def length_ns(self) -> int:
-        """The ns from the beginning of the window to its end; without an end, to the last piece."""
+        """The duration of the part to be played, in ns; if it has no end, up to the last piece."""
         window = self._options.window
         if window.end_ns is not None:
             return window.end_ns - window.start_ns
@@ -90,7 +90,7 @@ class BusRun:
     ) -> BusReport:
         """Send every byte; end early when `stops` returns True.
 
-        `controls` brings the keys of the user: pause, step, faster, slower. Raises LinkError if the
+        `controls` returns the user's keys: pause, step, faster, slower. Raises LinkError if the
         port cannot be opened or is lost.
         """
         link, options = self._link, self._options
@@ -122,7 +122,7 @@ class BusRun:
 
 
 def _let_pass(player: BusPlayer) -> None:
-    """Wait until the last byte has left the port: closing it could discard bytes."""
+    """Wait until the last byte has left the port; closing it earlier could discard bytes."""
     if player.passed_ns is not None:
         time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
 

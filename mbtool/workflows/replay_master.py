@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
-"""The longest wait before the user's wish to end is asked for again."""
+"""The user's wish to end is checked at least once in so many ns."""
 _STEERED_NS = 30_000_000
-"""The longest wait if there are keys, too: a person expects a key to work at once."""
+"""The same if the user can press keys: 30 ms, as a key should act at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,12 +55,12 @@ class MasterOptions(PlayOptions):
     ignore: Sequence[str] = ()
     """Ranges of registers and bits whose values may differ."""
     learns: bool = False
-    """True to report registers that differ as `learned`, and not to count them as differences."""
+    """True to report registers with other values as `learned` instead of as differences."""
     tolerance: Tolerance | None = None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The result of a run, as it is written to a report."""
+    """The result of a run; also the content of the JSON report."""
 
     recording: str
     link: str
@@ -71,12 +71,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     unsolicited: int
     """Responses that belong to no pending request."""
     lateness_p99_ns: int | None
-    """How late requests were sent that did not have to wait for a response: the 99th percentile in
-    ns. None if there is none, or if recorded times were not to be kept."""
+    """The 99th percentile, in ns, of the delays of requests that did not have to wait for a
+    response. None if there are none, or if the user did not want recorded times."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
-    """Ranges of registers that differed, as --ignore takes them; empty without --learn."""
+    """Ranges of registers that differed, in the form that --ignore takes; empty without --learn."""
     uncompared_latencies: int = 0
     """Requests with too few responses for their latencies to be compared."""
     problem: str | None = None
@@ -124,10 +124,10 @@ class MasterRun:
         """Send all recorded requests, and compare the responses with the recorded ones.
 
         Ends early when `stops` returns True. `on_answer` is called for each step with its response,
-        None if there was none, and True if that is as recorded. `controls` brings the keys of the
-        user: pause, step, faster, slower. If the link cannot be opened or its serial port is lost,
-        the report has the `problem` and what was compared until then. Raises UsageError if a master
-        cannot use the link.
+        None if there was none, and True if this is as recorded. `controls` returns the user's keys:
+        pause, step, faster, slower. If the link cannot be opened or its serial port is lost, the
+        report has the `problem` and the results so far. Raises UsageError if a master cannot use
+        the link.
         """
         options = self._options
         judge = Judge(
@@ -162,7 +162,7 @@ class MasterRun:
         on_answer: Callable[[Step, bytes | None, bool], None],
         longest_wait_ns: int,
     ) -> None:
-        """Send the request that is due; if none is, wait for responses."""
+        """Send the request that is due, if there is one; otherwise wait for responses."""
         now_ns = time.monotonic_ns()
         for number in master.lost():
             for gone, is_right in conductor.give_up(number, now_ns):
@@ -204,8 +204,8 @@ class MasterRun:
 def junit(report: Report) -> str:
     """The report as JUnit XML: a case for each request, and one for each register that differs.
 
-    The case of a request fails if one of its responses was not as recorded, or if its latencies are
-    too long. If the link did not work, a case with an error says why.
+    A request's case fails if one of the responses was not as recorded, or if the latencies are too
+    long. If the link did not work, a case with an error says why.
     """
     cases = [
         Case(
@@ -240,5 +240,5 @@ def _told(difference: Difference) -> str:
 
 
 def _written(span: Span) -> str:
-    """A range in the notation that does not depend on a profile, such as `holding 9..19`."""
+    """A range in the notation for any device, such as `holding 9..19`."""
     return write_reference(None, span.table, span.first, span.last - span.first + 1)

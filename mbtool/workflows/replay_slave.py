@@ -78,8 +78,8 @@ class SlaveRun:
     ) -> None:
         """Read the recording. If it is cut or damaged, use the part that can be read.
 
-        Raises InputError if the file cannot be read or has no request to play an answer for, and
-        UsageError if the options contradict each other or the recording.
+        Raises InputError if the file cannot be read or has no request to answer, and UsageError if
+        the options contradict each other or do not fit the recording.
         """
         if options.rate is None and options.match.by_clock:
             raise UsageError(
@@ -91,7 +91,7 @@ class SlaveRun:
         recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events)
-        # The transactions are not kept: they take several times the memory of the recording.
+        # Keep only the profiles: the transactions take several times the memory of the recording.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
         if not self.recording.answers:
@@ -102,8 +102,8 @@ class SlaveRun:
     def on(self, link: LinkSpec, *, allowed: AllowedPeers = THIS_MACHINE) -> PlayedSlave:
         """Return the recording's slaves on a link, not yet started.
 
-        Raises UsageError if no slave can answer on the link, or for a wrong file of faults;
-        InputError if that file cannot be read.
+        Raises UsageError if no slave can answer on the link, or if the file of faults is wrong;
+        InputError if the file of faults cannot be read.
         """
         where = slave_link(link)
         options = self._options
@@ -135,7 +135,7 @@ class SlaveRun:
 
 
 class PlayedSlave:
-    """The slaves of a recording on a link. The shell's thread answers, another one controls."""
+    """The slaves of a recording on a link. The shell's thread answers; another thread controls."""
 
     def __init__(
         self,
@@ -152,11 +152,11 @@ class PlayedSlave:
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:
-            # The time of a request is taken from the clock that also times the keys.
+            # Use the clock that is also used for the user's keys.
             return self._responder.respond(unit, pdu, time.monotonic_ns())
 
     def control(self, control: Control) -> None:
-        """Do what the user asks for with a key: pause, step, play faster or slower."""
+        """Apply a key that the user has pressed: pause, step, faster or slower."""
         with self._lock:
             self._slave.control(control, time.monotonic_ns())
 
@@ -168,7 +168,7 @@ class PlayedSlave:
 class RecordedDevice:
     """A simulated device, made from its profile, for requests that are not in the recording.
 
-    Before each request it is given the recorded values of the registers that the request names.
+    Before each request the player sets the registers in the request to their recorded values.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -183,7 +183,7 @@ class RecordedDevice:
 
 
 def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
-    """The profiles by unit, for units that have one."""
+    """The device profiles by unit, without units that have no profile."""
     profiles: dict[int, Profile] = {}
     for transaction in recorded.transactions:
         profile = recorded.assignments.profile_for(transaction)
@@ -199,7 +199,7 @@ def _transport(link: SerialLink | TcpLink) -> Transport:
 
 
 def _fixed_latency_ns(text: str) -> int | None:
-    """The latency that --latency gives for every response; None for `recorded` and `sampled`.
+    """The fixed latency in ns that --latency sets; None for `recorded` and `sampled`.
 
     Raises UsageError for a text that is not understood, and for a time above MAX_LATENCY_NS.
     """

@@ -59,10 +59,10 @@ def device_slave(
     """Return a shell with a device on a link, and others by their units, not yet started.
 
     The first device's rules decide which TCP connections are accepted and when they are closed.
-    `monitor` is told each request and response. `on_trouble` gets a line for the user when a
-    capture is not whole, and when the state cannot be kept while the slave runs. Raises UsageError
+    `monitor` gets each request and response. `on_trouble` gets a line for the user when a capture
+    is incomplete, and when the state file cannot be written while the slave runs. Raises UsageError
     for a link, a unit or a file that does not fit the devices, InputError for a file that cannot be
-    read, and OutputError if the state cannot be kept.
+    read, and OutputError if the state file cannot be written at the start.
     """
     stations = {unit: Station(profile, image_file), **(others or {})}
     where = _with_silences(slave_link(link), stations)
@@ -92,7 +92,10 @@ def device_slave(
 def _play(
     station: Station, where: SerialLink | TcpLink, on_trouble: Callable[[str], None]
 ) -> tuple[DeviceResponder, Responder]:
-    """Return the device of a station, and the responder that its requests go to."""
+    """Return the device of a station, and the responder that answers requests to it.
+
+    They differ if values of the device change over time.
+    """
     profile = station.profile
     if isinstance(where, SerialLink) and where.ascii:
         profile = profile.in_mode(Transport.ASCII)

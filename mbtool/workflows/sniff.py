@@ -1,7 +1,7 @@
-"""Listens on links, decodes what comes, and logs both."""
+"""Captures from links, decodes bytes and packets, and logs them with the decoded records."""
 
-# One loop serves all sources. Each item (bytes, a packet, a mark) is written to the log before it
-# is decoded, and each record is written to the log before the caller gets it.
+# One loop serves all sources. Each item (bytes, a packet, a silence) is written to the log before
+# it is decoded, and each record is written to the log before the caller gets it.
 #
 # Order at the start: open all sources, begin the log, let taps accept connections. So a link that
 # cannot be opened leaves no log behind, and connections cannot use up the file descriptors that the
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from mbtool.sources.source import LiveSource
 
 POLL_S = 0.1
-"""The longest wait for an item before the loop looks at the clock."""
+"""The longest wait for an item, in seconds, before the loop reads the clock again."""
 MAX_REASONS = 64
-"""At most so many different reasons for refusals are told for one link: a master can send any text
-as a reason."""
+"""The most reasons for refusals that are told to the user for one link. There must be a limit, as
+part of the reason may be text from a master."""
 
 
 class Log(Protocol):
@@ -51,14 +51,14 @@ class Log(Protocol):
     def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Take the time (ns); write items to the file that have been in memory for a while."""
+        """Called regularly with the time in ns: write items that have been waiting in memory."""
 
     def close(self, final: Mapping[str, str]) -> None:
-        """Complete the log; `final` holds values that are known at the end of a run only."""
+        """Complete the log; `final` holds values that are only known at the end of a run."""
 
 
 class Sniffer:
-    """Runs sources until told to stop. A context manager whose exit completes the log."""
+    """Captures from sources until told to stop. A context manager; its exit completes the log."""
 
     def __init__(
         self,
@@ -70,11 +70,11 @@ class Sniffer:
         allowed: AllowedPeers = THIS_MACHINE,
         on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """`on_remark` gets a line for the user in four cases.
+        """`on_remark` gets a line for the user in these cases.
 
-        A link is lost while others remain open; a source lost bytes or packets, so that they are
-        missing in the log; a tap turns a master away (once for each reason, until a master was
-        served again); at the end, packets were cut, or requests dropped by a limit.
+        A link is lost while others remain open. A source has lost bytes or packets, so that the log
+        lacks them. A tap refuses a master (reported once for each reason, until a master is served
+        again). At the end: packets were cut, or requests were dropped by a limit.
         """
         self._links = links
         self._decoder = decoder
@@ -88,20 +88,19 @@ class Sniffer:
         self._inbox = Inbox()
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
-        """One for each link, in the order of the links, from when the context is entered."""
+        """One source for each link, in the same order; empty until the context is entered."""
         self._open = 0
         self._discarded_packets = 0
         self._discarded_bytes = 0
-        """How many bytes the sources have lost. The bytes of packets that the kernel dropped are
-        not counted."""
+        """Number of bytes that the sources lost, without packets that the kernel dropped."""
 
     @property
     def places(self) -> list[str]:
-        """The links as opened, with the ports that taps really listen at."""
+        """The open links as text; a tap with port 0 shows the port that the system chose."""
         return [source.place for source in self.sources]
 
     def __enter__(self) -> Self:
-        """Open the links and begin the log. Raises LinkError, and what `begin_log` raises."""
+        """Open the links and begin the log. Raises LinkError, and the errors of `begin_log`."""
         with ExitStack() as opened:
             for link in self._links:
                 source = live_source(link, self._inbox, ports=self._ports, allowed=self._allowed)
@@ -117,7 +116,7 @@ class Sniffer:
     def __exit__(self, *_: object) -> None:
         try:
             for _record in self._rest():
-                pass  # Nobody takes the record, but it is written to the log.
+                pass  # Nobody reads the record, but _rest has written it to the log.
         finally:
             if self._log is not None:
                 self._log.close(
@@ -128,7 +127,7 @@ class Sniffer:
                 )
 
     def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
-        """Give records as they are decoded, until `stop` returns True or all links are lost.
+        """Yield records as they are decoded, until `stop` returns True or all links are lost.
 
         `stop` is called with the time (ns) at least ten times a second. Raises LinkError when the
         last link is lost, OutputError when the log cannot be written.
@@ -163,9 +162,9 @@ class Sniffer:
         yield from self._logged(self._decoder.feed(item))
 
     def _rest(self) -> Iterator[Record]:
-        """Close the sources, and give the records of what they had received.
+        """Close the sources, and yield the records of all bytes that they had received.
 
-        A second call gives nothing new.
+        A second call yields nothing.
         """
         self._open_sources.close()
         while (item := self._inbox.get(0)) is not None:
@@ -184,7 +183,7 @@ class Sniffer:
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
-    """The serial links by name, as chunks refer to them. Raises UsageError for equal names."""
+    """The serial links by the name that chunks have. Raises UsageError if two names are equal."""
     names = [link.name for link in links]
     for name in names:
         if names.count(name) > 1:
@@ -193,10 +192,10 @@ def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
 
 
 def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
-    """Return the links, with settings found by listening for those that have none.
+    """Return the links; for a serial link without settings, find them by listening.
 
-    That takes up to minutes for each. `on_remark` gets a line before and after each search. Raises
-    LinkError if nothing is heard, or nothing that tells the settings.
+    This takes up to minutes for each link. `on_remark` gets a line before and after each search.
+    Raises LinkError if no bytes come, or none that tell the settings.
     """
     return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
 
@@ -209,15 +208,14 @@ def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
 
 
 class Refusals:
-    """Picks the refusals of a tap that are to be told: a reason once, until a master is served.
+    """Chooses the refusals of a tap to report: each reason once, until a master is served again.
 
-    A master that is turned away usually tries again and again. A master counts as served when a
-    connection that opened after the refusal brings a response. A response on an older connection
-    does not count, and an opened connection alone does not: with TLS 1.3 a slave may refuse it
-    right after.
+    A refused master usually tries again and again. A master counts as served when a connection
+    opened after the refusal carries a response. A response on an older connection does not count,
+    nor does opening a connection: with TLS 1.3 a slave may refuse it right after.
 
-    Holds, for each link that refused and has not served since, at most MAX_REASONS reasons, and the
-    masters' ends of the connections that opened since.
+    Memory: for each link since its last refusal, at most MAX_REASONS reasons, and the masters'
+    endpoints of the connections opened since then.
     """
 
     def __init__(self) -> None:
@@ -225,7 +223,7 @@ class Refusals:
         self._open: dict[str, set[str]] = {}
 
     def is_news(self, record: Record) -> TypeGuard[WireEvent]:
-        """Take the next record. True if it is a refusal for a reason that was not told yet."""
+        """Look at the next record. True if it is a refusal for a reason not yet reported."""
         link = record.link
         if not isinstance(record, WireEvent):
             is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION)

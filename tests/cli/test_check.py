@@ -18,8 +18,8 @@ def test_findings_are_an_answer_of_no(capsys: pytest.CaptureFixture[str]) -> Non
     assert run(["check", SHOWS]) == exit_codes.NO
     captured = capsys.readouterr()
     assert captured.out == (
-        "MB-103  error  1 time  2026-01-01 00:00:00.056  10.0.0.2 unit 1\n"
-        "    write coil 0: value 0001H for a coil\n"
+        "MB-103  error  1 time  10.0.0.2 unit 1\n"
+        "    2026-01-01 00:00:00.056: write coil 0: value 0001H for a coil\n"
     )
     assert captured.err == "1 finding in 3 transactions; docs/findings.md explains each code\n"
 
@@ -56,8 +56,9 @@ def test_a_limit_says_from_where_on_something_is_a_scan(
     limits = ["--limit", "sec-202=9/1min", "--limit", "SEC-201=2/5s"]
     assert run(["check", nearly, *limits]) == exit_codes.NO
     assert capsys.readouterr().out == (
-        "SEC-202  warning  9 times  2026-01-01 00:00:00.004  10.0.0.2\n"
-        "    10.0.0.1 asks 9 units of 10.0.0.2:502 and polls none of them: 1, 2, 3, ...\n"
+        "SEC-202  warning  9 times  10.0.0.2\n"
+        "    2026-01-01 00:00:00.004: "
+        "10.0.0.1 asks 9 units of 10.0.0.2:502 and polls none of them: 1, 2, 3, ...\n"
     )
     assert run(["check", nearly, *limits, "--ignore", "SEC"]) == exit_codes.DONE
 

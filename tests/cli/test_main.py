@@ -25,7 +25,9 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 COMMANDS = (
     "sniff",
     "decode",
+    "inventory",
     "check",
+    "stats",
     "replay",
     "diff",
     "slave",

@@ -20,13 +20,13 @@ def filled(*appends: tuple[bytes, int]) -> TimedBuffer:
 
 def test_byte_keeps_the_time_of_its_append() -> None:
     buffer = filled((b"ab", 10), (b"", 15), (b"c", 20))
-    assert [buffer.ns_at(index) for index in range(3)] == [10, 10, 20]
+    assert [buffer.mark_at(index)[0] for index in range(3)] == [10, 10, 20]
     assert buffer.take(1) == b"a"
-    assert (buffer.first_ns, buffer.ns_at(1)) == (10, 20)
+    assert (buffer.first_ns, buffer.mark_at(1)[0]) == (10, 20)
     assert buffer.take(1) == b"b"
     assert buffer.first_ns == 20
     with pytest.raises(IndexError):
-        buffer.ns_at(1)
+        buffer.mark_at(1)
 
 
 def test_peek_leaves_bytes_and_take_removes_them() -> None:

@@ -19,7 +19,7 @@ def test_a_transaction_is_one_line_with_bytes_in_hex() -> None:
         b'"response_values":[4660,22136],"outcome":"ok","request_ns":1700000000000000000,'
         b'"response_ns":1700000000000500000,"latency_ns":400000,"retries":0,'
         b'"request_raw":"010300000002c40b","response_raw":"010304123456788107",'
-        b'"direction_by":"pending","confidence":0.9}\n'
+        b'"direction_by":"pending","confidence":0.9,"time":"2023-11-14T22:13:20.000000000Z"}\n'
     )
 
 
@@ -27,7 +27,7 @@ def test_an_event_is_one_line_that_its_kind_tells_from_a_transaction() -> None:
     assert event_to_jsonl(EVENT) == (
         b'{"ts_ns":1700000000000000001,"link":"10.0.0.9","kind":"gap",'
         b'"message":"60 bytes are missing","source":"10.0.0.1:50211",'
-        b'"destination":"10.0.0.9:502","missing":60}\n'
+        b'"destination":"10.0.0.9:502","missing":60,"time":"2023-11-14T22:13:20.000000001Z"}\n'
     )
     assert "kind" not in NamedTransaction.__struct_fields__
     assert "outcome" not in json.loads(event_to_jsonl(EVENT))
@@ -38,6 +38,7 @@ def test_a_line_holds_all_of_a_transaction(item: NamedTransaction) -> None:
     line = transaction_to_jsonl(item)
     assert line.count(b"\n") == 1
     fields = json.loads(line)
+    fields.pop("time")
     for name in ("request_raw", "response_raw"):
         if name in fields:
             fields[name] = bytes.fromhex(fields[name])
@@ -61,7 +62,7 @@ def test_a_csv_row_has_a_cell_for_each_column() -> None:
 
 
 def test_every_field_of_a_transaction_has_a_column() -> None:
-    assert set(CSV_COLUMNS) == set(NamedTransaction.__struct_fields__)
+    assert set(CSV_COLUMNS) == {*NamedTransaction.__struct_fields__, "time"}
     assert len(CSV_COLUMNS) == len(set(CSV_COLUMNS))
 
 

@@ -6,7 +6,13 @@ from typing import Any
 from rich.console import Console
 
 from mbtool.devices.checking.finding import Finding
-from mbtool.views.findings_table import Summaries, finding_line, print_summaries, where
+from mbtool.views.findings_table import (
+    MAX_PLACES,
+    Summaries,
+    finding_line,
+    print_summaries,
+    where,
+)
 
 NOON_NS = 1_767_268_800_000_000_000
 """2026-01-01 12:00 UTC."""
@@ -19,27 +25,60 @@ def finding(code: str = "FT1A-Q16", *, at_s: int = 0, **fields: Any) -> Finding:
     )
 
 
-def shown(*findings: Finding, width: int | None = None) -> str:
+def shown(*findings: Finding, width: int | None = None, file: str = "") -> str:
     """As in a pipe, or on a terminal of a width."""
     summaries = Summaries()
     for one in findings:
-        summaries.add(one)
-    file = io.StringIO()
+        summaries.add(one, file)
+    output = io.StringIO()
     console = Console(
-        file=file, width=width or 80, force_terminal=width is not None, color_system=None
+        file=output, width=width or 80, force_terminal=width is not None, color_system=None
     )
     print_summaries(console, summaries)
-    return file.getvalue()
+    return output.getvalue()
 
 
-def test_each_code_is_shown_once_with_its_number_and_its_first_finding() -> None:
+def test_each_code_is_shown_with_its_number_and_its_first_and_last_finding() -> None:
     several = [finding(at_s=at, message=f"at {at}", unit=1) for at in (5, 3, 9)]
     assert shown(*several, finding("MB-402", count=7)) == (
-        "FT1A-Q16  error    3 times  2026-01-01 12:00:03.000  rs485 unit 1\n"
-        "    at 3\n"
-        "MB-402    warning  7 times  2026-01-01 12:00:00.000  rs485\n"
-        "    limit is 100\n"
+        "FT1A-Q16  error    3 times  rs485 unit 1\n"
+        "    first 2026-01-01 12:00:03.000: at 3\n"
+        "    last  2026-01-01 12:00:09.000: at 9\n"
+        "MB-402    warning  7 times  rs485\n"
+        "    2026-01-01 12:00:00.000: limit is 100\n"
     )
+
+
+def test_a_message_that_the_first_and_the_last_share_is_shown_once() -> None:
+    assert shown(finding(at_s=1), finding(at_s=2)).splitlines()[1:] == [
+        "    first 2026-01-01 12:00:01.000: limit is 100",
+        "    last  2026-01-01 12:00:02.000: the same",
+    ]
+
+
+def test_each_place_is_shown_the_worst_first() -> None:
+    text = shown(
+        finding(unit=1, device="fa3-x0"),
+        finding(unit=2, count=3),
+        finding(unit=1, device="fa3-x0"),
+        file="a.pcap",
+    )
+    assert [line for line in text.splitlines() if line.startswith("FT1A")] == [
+        "FT1A-Q16  error  3 times  rs485 unit 2, a.pcap",
+        "FT1A-Q16  error  2 times  rs485 unit 1, fa3-x0, a.pcap",
+    ]
+
+
+def test_an_attack_has_an_entry_for_each_host_that_makes_it() -> None:
+    sources = ("10.0.0.9:40000", "10.0.0.9:40001", "10.0.0.8:40000")
+    text = shown(*(finding("SEC-201", source=source) for source in sources))
+    assert [line.split()[2] for line in text.splitlines() if "SEC" in line] == ["2", "1"]
+
+
+def test_places_beyond_the_first_five_are_counted_together() -> None:
+    text = shown(*(finding(unit=unit) for unit in range(MAX_PLACES + 2)), finding(unit=0))
+    assert text.count("FT1A-Q16") == MAX_PLACES
+    assert text.endswith("\n    and 2 times at other places\n")
 
 
 def test_errors_come_first() -> None:
@@ -48,12 +87,13 @@ def test_errors_come_first() -> None:
     assert codes == ["FT1A-F1", "MB-402", "RTU-201", "MB-404"]
 
 
-def test_a_hundred_thousand_findings_are_one_entry() -> None:
+def test_a_hundred_thousand_findings_of_a_place_are_one_entry() -> None:
     summaries = Summaries()
     one = finding()
     for _ in range(100_000):
         summaries.add(one)
-    assert [summary.number for summary in summaries] == [100_000]
+    ((_, summary),) = summaries
+    assert [place.number for place in summary.places()] == [100_000]
 
 
 def test_without_findings_nothing_is_shown() -> None:

@@ -10,7 +10,13 @@ from mbtool.devices import load_profile
 from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.devices.profile_match import MatchResult, match_profiles
 from mbtool.modbus.transaction import Outcome, Transaction
-from mbtool.views.matches import MIN_SHOWN, match_record, print_match_results, shown_matches
+from mbtool.views.matches import (
+    MAX_DETAILED,
+    MIN_SHOWN,
+    match_record,
+    print_match_results,
+    shown_matches,
+)
 from tests.devices.transactions import transaction
 
 NAMES = ("fa3-at1m8x", "fa3-at1m8y", "fa3-th1m16y", "idec-ft1a-touch")
@@ -66,3 +72,17 @@ def test_a_program_gets_all_of_it() -> None:
     assert record["best"] == ["idec-ft1a-touch"]
     assert {one["profile"] for one in record["profiles"]} == set(NAMES)
     assert record["profiles"][0]["score"] == 90
+
+
+def test_of_many_slaves_there_is_a_summary() -> None:
+    silent = transaction(3, 0, quantity=1, outcome=Outcome.NO_ANSWER)
+    many = [verdict(silent, link=f"line{number}") for number in range(MAX_DETAILED)]
+    lines = [line.rstrip() for line in printed(verdict(READ), *many).splitlines()]
+    assert lines == [
+        f"{MAX_DETAILED} slaves: never answered, so nothing tells what it is",
+        "  unit 5 at line0, unit 5 at line1, unit 5 at line2 and so on",
+        "1 slave: explained best by idec-ft1a-touch, though no refusal, model code or name "
+        "confirms it",
+        "  unit 5 at rs485",
+        "--format jsonl tells each slave with its profiles",
+    ]

@@ -1,4 +1,4 @@
-"""What the rules need to know about a capture: device profiles, line settings, ports."""
+"""Facts about a capture that the rules use: device profiles, line settings, ports."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """What the rules need besides the records: the user's options and the settings of the lines."""
+    """Facts that the rules use beside the records: the user's options, settings of the lines."""
 
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line
     """Returns the settings of a serial link; None if the times of the link's bytes are unknown."""
     has_exact_times: Callable[[str], bool] = lambda _: False
-    """True for a serial link if the time of every byte is exact, as a logic analyser gives it."""
+    """True for a serial link if the time of every byte is exact, as from a logic analyser."""
     ports: frozenset[int] | None = None
     """TCP ports that should carry Modbus; None for all ports."""
     limits: SecurityLimits = field(default_factory=SecurityLimits)

@@ -1,12 +1,12 @@
 """Checks decoded records against all rules."""
 
-# Each rule gets the records that it is about in the order in which they are decoded. That is the
-# order in which the transactions and events end. Rules do not read the clock, and their memory is
-# bounded; each module says how. Findings that summarise many transactions come at the end of the
-# capture.
+# Each rule gets the records that concern it in the order in which they are decoded, which is the
+# order in which the transactions and events end. Rules do not read the clock. Their memory is
+# bounded; each module states its bounds. Findings that summarise many transactions come at the end
+# of the capture.
 #
-# An ambiguous frame (Verdict.AMBIGUOUS) breaks no rule about content, because its bytes may mean
-# something else (naming.py gives it no finding codes). A remark tells how many transactions are
+# Rules about content do not apply to an ambiguous frame (Verdict.AMBIGUOUS), because it may have
+# been misread (naming.py gives it no finding codes). A remark says how many transactions are
 # ambiguous.
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""The rules about what a master orders: too many writes, and commands that stop a device."""
+"""The rules about too many writes, and about commands that stop a device (SEC-102, SEC-103)."""
 
 # SEC-102  a master writes to one slave, or on one line, more often than a plant needs
 # SEC-103  a command that stops or restarts a device: diagnostics (08) with sub-function 1 or 4, and
-#          function 5AH, in which Schneider's programming software speaks with its controllers
+#          function 5AH, by which Schneider's programming software talks to controllers
 #
 # Function 5AH has no public specification. After the function code comes a session key and then a
-# command. The numbers of those that read, or that hold and end a session, are known from analyses
-# that were published (Kaspersky ICS CERT, "The secrets of Schneider Electric's UMAS protocol");
-# plants use these also in operation. Every other command counts as one that stops the device:
-# start and stop, the load of a program, and commands that are not known.
+# command. Published analyses (Kaspersky ICS CERT, "The secrets of Schneider Electric's UMAS
+# protocol") give the numbers of commands that read, or that keep or end a session; plants use these
+# in normal operation. Every other command counts as one that stops the device: start and stop, the
+# load of a program, and unknown commands.
 #
-# Memory: a window (sliding_window.py) of each of the MAX_WRITERS masters and slaves that wrote
-# last, and of each source of commands.
+# Memory: a window (sliding_window.py) for each of the last MAX_WRITERS pairs of a master that
+# writes and its slave, and for each source of commands.
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _STOPPING_DIAGNOSTICS = {  # Application Protocol V1.1b3, 6.8.1
 }
 _UMAS = 0x5A
 _UMAS_COMMAND = 2
-"""Where the command is in the PDU, after the function code and the session key."""
+"""The offset of the command in the PDU, after the function code and the session key."""
 _UMAS_HARMLESS = frozenset((
     0x01, 0x02, 0x03, 0x04, 0x06, 0x0A,  # opens a session, reads the identity, echoes
     0x10, 0x11, 0x12,  # takes, releases and keeps the right to change the device
@@ -61,7 +61,7 @@ _UMAS_NAMES = {
 
 
 class CommandRules:
-    """Finds SEC-102 and SEC-103, which are given at the end of the capture."""
+    """Finds cases of SEC-102 and SEC-103; reports them at the end of the capture."""
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._cases = cases

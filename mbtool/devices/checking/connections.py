@@ -8,12 +8,12 @@
 # TCP-203  a retransmission differs from the first copy
 # RTU-201  RTU over TCP: a wrong CRC
 #
-# A capture may begin and end inside an ADU, and bytes may be missing in between. So bytes are no
-# finding if they come before the first ADU of a connection that was open before the capture, beside
-# missing bytes, or within EDGE_NS of the end of the capture.
+# A capture may begin and end inside an ADU, and may miss bytes in between. So unreadable bytes are
+# no finding if they come before the first ADU of a connection that was open before the capture,
+# right before or after missing bytes, or within EDGE_NS of the end of the capture.
 #
 # Memory: ids and times of the last MAX_RECENT transactions of each connection (lru_dict.py), and
-# at most MAX_PENDING events that may still turn out to be beside missing bytes or at the end.
+# at most MAX_PENDING events that may still turn out to be next to missing bytes or at the end.
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MAX_PENDING = 256
 EDGE_NS = 1_000_000_000
 
 _LENGTH_END = 6
-"""How many bytes an MBAP header has up to and including its length field."""
+"""Number of bytes of an MBAP header up to and including the length field."""
 
 
 @dataclass(slots=True)
@@ -58,7 +58,7 @@ class ConnectionRules:
         self._connections: LruDict[tuple[str, str | None], _Connection] = LruDict(_Connection)
         self._pending: deque[WireEvent] = deque()
         """Events with bytes that are no ADU. They wait until it is certain that no bytes are
-        missing beside them, and that the capture goes on for EDGE_NS."""
+        missing next to them, and that the capture goes on for EDGE_NS."""
         self._last_ns = 0
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
@@ -145,7 +145,7 @@ class ConnectionRules:
 
 
 def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
-    """The two keys that the event's connection may have: its source can be either end."""
+    """The two keys that the event's connection may have, as either end may be the sender."""
     return (event.link, event.source), (event.link, event.destination)
 
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64
 RESET_NS = 2_000_000_000
-"""How long a module accepts no connection after a remote reset, in ns."""
+"""The time in ns after a remote reset in which a module accepts no connection."""
 
 MIN_UNANSWERED = 3
 """The default of 00F4H, the number of alive checks after which a module disconnects."""
@@ -53,7 +53,7 @@ MIN_UNANSWERED = 3
 _SETTINGS = range(0x0102, 0x0144)
 """The settings of the analog modules that take effect with Y9, in the holding registers."""
 _VALUES = range(0x02, 0x0A)
-"""The values of the eight channels: RWr2 to RWr9, RWw2 to RWw9."""
+"""The addresses of the values of the eight channels: RWr2 to RWr9, RWw2 to RWw9."""
 _UNANSWERED = re.compile(r"^connection closed: reset.*, the last (\d+) unanswered$")
 _REMOTE_RESET = 0x41
 _REQUEST_FLAG = "Initial data setting request flag"
@@ -66,8 +66,8 @@ class _Module:
     """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
     most MAX_CONNECTIONS."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """The time (ns) of each recent request and connection attempt, and the finding to give if it
-    turns out that a reset came less than RESET_NS before."""
+    """The time (ns) of each recent request and connection attempt, and the finding to report if a
+    reset less than RESET_NS earlier is decoded later."""
     reset_by: str | None = None
     """HOST:PORT of the master that requested a remote reset; None once its connection is closed."""
     reset_ns: int | None = None
@@ -144,10 +144,10 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Give the finding, once for each master, if the module was reset less than RESET_NS
-        before.
+        """Report the finding, once for each master, if the module was reset less than RESET_NS
+        earlier.
 
-        Otherwise remember the finding, because the reset can be decoded later.
+        Otherwise remember it, because the reset can be decoded later.
         """
         since_ns = module.reset_ns
         if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:

@@ -1,4 +1,4 @@
-"""A finding: which rule is broken, where and when."""
+"""A finding: says which rule is broken, where and when."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Finding:
     device: str | None = None
     """The name of the slave's profile; None if the slave has none."""
     count: int = 1
-    """How many cases the finding stands for."""
+    """Number of cases that the finding stands for."""
 
     @property
     def severity(self) -> Severity:

@@ -1,12 +1,12 @@
 """The rules for serial lines: silences, damage, the master's pace, and broadcasts."""
 
 # MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
-# RTU-101..104      silences, by silences.py
+# RTU-101..104      silences; silences.py finds them
 # RTU-201..203      damage
-# RTU-301, RTU-302  the master's pace; not where RTU-104 says that the times tell nothing
+# RTU-301, RTU-302  the master's pace; not checked if RTU-104 says that the times are useless
 #
-# A capture may begin and end inside a frame, so bytes before the first frame of a line and after
-# its last one are no finding.
+# A capture may begin and end inside a frame, so unreadable bytes before the first frame of a line
+# and after the last one are no finding.
 #
 # Memory: some numbers for each line and each of its units (see lru_dict.py).
 
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 TURNAROUND_NS = 100_000_000
-"""The least silence after a broadcast: the standard calls a turnaround delay of 100 to 200 ms
-usual."""
+"""The shortest silence, in ns, that must follow a broadcast. The standard gives 100 to 200 ms as
+the usual turnaround delay."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
-"""A response that begins at most this long after a broadcast is a response to the broadcast."""
+"""A response that begins at most so many ns after a broadcast is a response to the broadcast."""
 _DIAGNOSTICS = 0x08
 
 

@@ -1,19 +1,20 @@
 """The rules about hosts that are not the usual masters: a second writer, a late identification."""
 
-# SEC-101  a second master writes to a slave. Of two hosts that ask one slave, the first is the one
-#          that came earlier. The later one is the second master in two cases: it came when the
-#          first had asked the slave for at least the limit's time; or both write, within that time
-#          of each other. If both came at about the same time and only one writes, nobody knows
-#          which one was there first.
+# SEC-101  a second master writes to a slave. Of two hosts that send requests to one slave, the
+# first
+#          master is the host that began earlier. The other host is the second master in two cases:
+#          it began when the first had already sent requests for at least the limit's time; or both
+#          write within that time. If both began at about the same time and only one writes, the
+#          capture does not show who is the usual master, and there is no finding.
 # SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
-#          modules), and was not heard within the limit's time from the beginning of the capture.
-#          Masters of the plant are heard then; one that restarts later is still known.
+#          modules), and sent nothing within the limit's time from the beginning of the capture. The
+#          usual masters of a plant do send something then; one that restarts later is still known.
 #
-# Hosts are told apart by their addresses, without ports. So nothing is found on serial lines, or
-# between masters that share an address.
+# Hosts are identified by IP address, without port. So nothing is found on serial lines, or between
+# masters that share an address.
 #
-# Memory: the MAX_MASTERS hosts heard last of each slave (lru_dict.py); MAX_HOSTS hosts of the first
-# minutes (if there are as many, there is no SEC-205), and as many that came later.
+# Memory: for each slave, the MAX_MASTERS hosts that sent last (lru_dict.py); MAX_HOSTS hosts of the
+# first minutes (if the number is reached, there is no SEC-205), and as many later ones.
 
 from __future__ import annotations
 
@@ -44,24 +45,25 @@ _EVER_NS = 1 << 63
 
 @dataclass(slots=True)
 class _Master:
-    """A host that asks a slave."""
+    """A host that sends requests to a slave."""
 
     host: str
     first_ns: int
     last_ns: int
     predecessor: str | None
-    """A host that had asked the slave for the limit's time when this one came, and still asked.
+    """A host that was already a master of the slave when this host began.
 
-    None if there was none."""
+    It had sent requests for at least the limit's time, and had not stopped. None if there was none.
+    """
     window: SlidingWindow
-    """Its writes as a second master."""
+    """Counts this host's writes as the second master of the slave (SEC-101)."""
     uncounted_ns: deque[int]
-    """The times of its last writes that are not in `window`."""
+    """The times (ns) of this host's last writes that are not in `window`."""
     last_write: NamedTransaction | None = None
 
 
 class MasterRules:
-    """Finds SEC-101 and SEC-205, which are given at the end of the capture."""
+    """Finds cases of SEC-101 and SEC-205; reports them at the end of the capture."""
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._cases = cases
@@ -70,13 +72,13 @@ class MasterRules:
         self._first_time_ns = limits.identification.window_ns
         self._began_ns: int | None = None
         self._known: set[str] = set()
-        """The hosts that were heard at the beginning of the capture."""
+        """The hosts that sent something at the beginning of the capture."""
         late = SecurityLimit(limits.identification.number, _EVER_NS)
         self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
-        """Those of each host that was not heard at the beginning."""
+        """Counts the reads of an identification by each host that is not in `_known`."""
 
     def heard(self, host: str, at_ns: int) -> None:
-        """Take into account that a host spoke or opened a connection."""
+        """Note that a host sent something or opened a connection."""
         if self._began_ns is None:
             self._began_ns = at_ns
         if at_ns - self._began_ns <= self._first_time_ns and len(self._known) < MAX_HOSTS:
@@ -171,7 +173,7 @@ def _is_identification(transaction: NamedTransaction) -> bool:
 
 
 def _function(transaction: NamedTransaction) -> str:
-    """The function, and the MEI type of function 2B: `2B/0E`, `11H`."""
+    """The function code as text, for function 2B with the MEI type: `2B/0E`, `11H`."""
     if transaction.function == ENCAPSULATED:
         return f"2B/{transaction.sub_function:02X}"
     return f"{transaction.function:02X}H"

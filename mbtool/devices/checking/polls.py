@@ -4,7 +4,8 @@
 # next. The periods of a poll are regular if their interquartile range is at most MAX_SPREAD of
 # their median. A period of a regular poll is irregular if it differs from the median by more than
 # half. There is one finding for each regular poll with irregular periods, with figures. A poll with
-# a median below MIN_PERIOD_NS has none: its master waits for responses, not for a clock.
+# a median period below MIN_PERIOD_NS gets no finding: such a master sends as soon as the response
+# has come, not by a clock.
 #
 # Memory: MAX_POLLS polls with fewer than MAX_PERIODS periods each, plus the shortest and the
 # longest. If there are more periods, a pseudo-random sample is kept that is spread over the whole
@@ -32,11 +33,11 @@ if TYPE_CHECKING:
 MAX_POLLS = 4096
 MAX_PERIODS = 256
 MIN_PERIODS = 20
-"""The least number of periods for a finding: the median of fewer periods says too little."""
+"""A finding needs at least so many periods: the median of fewer periods is too uncertain."""
 MIN_IRREGULAR = 5
 MIN_IRREGULAR_SHARE = 0.03
-"""The least share of irregular periods, 0 to 1, for a finding. Fewer of them are occasional pauses,
-which every capture has."""
+"""A finding needs at least this share of irregular periods, 0 to 1. A lower share are occasional
+pauses, which every capture has."""
 MAX_SPREAD = 0.2
 MIN_PERIOD_NS = 20_000_000
 

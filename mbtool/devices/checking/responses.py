@@ -9,7 +9,7 @@
 #
 #     a request at the end of the capture, whose response may follow later
 #     a response at the beginning of the capture, whose request may have come before
-#     a request or response beside bytes that are lost or unreadable
+#     a request or response right before or after bytes that are lost or unreadable
 #     an ambiguous frame (Verdict.AMBIGUOUS), and the request before it to the same unit, which it
 #     may respond to
 #     a request that the device carries out in silence: function 08 with sub-function 4, a function
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 MAX_PENDING = 4096
 MAX_RETRIES = 16
 PATIENCE_NS = 5_000_000_000
-"""How long a request waits for its response or for the response to a retry. A response that comes
-this soon after the beginning of a capture may belong to a request before the capture."""
+"""How long a request waits for its response or for the response to a retry, in ns. A response in
+this time after the beginning of a capture may belong to a request before the capture."""
 EDGE_NS = 1_000_000_000
-"""A request this close to the end of the capture may have a response after the end."""
+"""A request within so many ns of the end of the capture may have a response after the end."""
 
 _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
@@ -109,7 +109,7 @@ class ResponseRules:
         if is_ambiguous and transaction.outcome in _UNPAIRED:
             self._forget(connection, transaction.unit)
         if transaction.outcome is Outcome.NOT_CAPTURED:
-            self._forget(connection, transaction.unit)  # What the capture lacks is nobody's fault.
+            self._forget(connection, transaction.unit)  # Part of it is not in the capture.
             return
         if transaction.outcome is Outcome.UNSOLICITED:
             if _is_surely_unsolicited(state, at_ns) and not is_ambiguous:
@@ -157,8 +157,8 @@ class ResponseRules:
     def close(self) -> Iterator[Finding]:
         """Report the requests that are still pending at the end of the capture.
 
-        A request in its last EDGE_NS is left out, because the response may come after the end; not
-        so on a serial line whose master has sent another request since.
+        A request in the last EDGE_NS is not reported, because the response may come after the end.
+        But on a serial line it is, if the master has sent another request since.
         """
         pending, self._pending = self._pending, OrderedDict()
         for (connection, _, _), transactions in pending.items():

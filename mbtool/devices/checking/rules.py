@@ -4,9 +4,9 @@
 #
 # A rule of the standard has a code like MB-101: a family and a number. A rule of a device's manual
 # has a code like FT1A-Q16: the profile's prefix, a letter for the kind of rule, and the function
-# code in decimal (for the letter E, the exception code). The code does not contain the limit in the
-# manual, so it stays when the limit is corrected. The number lets users select the rule for one
-# function. A code never changes its meaning.
+# code in decimal (for the letter E, the exception code), so that users can select the rule for one
+# function. The code does not contain the limit in the manual, so it stays the same when the limit
+# is corrected. A code never changes its meaning.
 #
 # Sources, each with its section: MODBUS Application Protocol Specification V1.1b3, MODBUS over
 # Serial Line V1.02, MODBUS Messaging on TCP/IP Implementation Guide V1.0b; the devices' manuals.
@@ -24,9 +24,9 @@ class Severity(StrEnum):
     ERROR = "error"
     """A request that cannot have a correct response, or an incorrect response."""
     WARNING = "warning"
-    """Something that may work in one case and fail in another."""
+    """Behaviour that may work in one case and fail in another."""
     NOTE = "note"
-    """Something that is worth knowing, and not necessarily wrong."""
+    """A fact that is worth knowing, but not necessarily wrong."""
 
 
 @dataclass(frozen=True, slots=True)

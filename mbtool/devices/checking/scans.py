@@ -1,14 +1,14 @@
-"""The rules about scans: a master that tries out what there is, in place of polling it."""
+"""The rules about scans: a master that searches for addresses, units, functions or registers."""
 
-# SEC-201  a master asks or opens many addresses that it does not poll
-# SEC-202  a master asks many units of one address or line that it does not poll
-# SEC-203  a master asks a unit for many functions that it does not have: the unit refuses them with
-#          exception 01, or neither the standard nor its profile has them
-# SEC-204  a unit refuses a master many addresses, with exception 02 or 03
+# SEC-201  a master connects or sends requests to many IP addresses that it does not poll
+# SEC-202  a master sends requests to many units of one IP address or line that it does not poll
+# SEC-203  a master sends a unit many functions that the unit does not have: the unit refuses them
+#          with exception 01, or neither the standard nor the unit's profile has them
+# SEC-204  a unit refuses many of a master's register addresses, with exception 02 or 03
 #
-# A master that polls may also ask many units and registers, but it asks for them again and again.
-# unpolled.py leaves out what is polled. As that may be known late, the findings come at the end of
-# the capture.
+# A master that polls may also use many units and registers, but it repeats the same requests.
+# unpolled.py leaves out everything that is polled. As a poll may be known only late, the findings
+# come at the end of the capture.
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.
 
 
 class ScanRules:
-    """Finds SEC-201 to SEC-204, all at the end of the capture."""
+    """Finds cases of SEC-201 to SEC-204; reports them at the end of the capture."""
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._hosts = Unpolled(limits.host_scan, cases)
@@ -67,7 +67,7 @@ class ScanRules:
         )
 
     def close(self) -> None:
-        """Settle what is not known to be polled, at the end of the capture."""
+        """At the end of the capture, count everything that was not polled."""
         for things in (self._hosts, self._units, self._functions, self._registers):
             things.close()
 
@@ -135,7 +135,10 @@ class ScanRules:
 
 
 def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
-    """A finding about several units, functions or registers, so without those of the first."""
+    """Make a finding about several units, functions or registers.
+
+    It is made from the first case, but without the unit, function and reference of this case.
+    """
     one = transaction_finding(code, transaction, text)
     return replace(one, unit=None, function=None, reference=None)
 
@@ -145,7 +148,7 @@ def _hosts(source: str) -> str:
 
 
 def _request(transaction: NamedTransaction) -> int:
-    """A number that equal requests to one unit have in common."""
+    """A hash of a request: equal requests to one unit have the same."""
     return hash((transaction.function, transaction.address, transaction.quantity))
 
 

@@ -1,8 +1,8 @@
-"""The rules about attacks and scans, SEC-101 to SEC-205, joined."""
+"""All rules about attacks and scans, SEC-101 to SEC-205."""
 
-# Each source has one finding for each rule, at the end of the capture, with the number of cases.
+# At the end of the capture, each rule gives one finding for each source, with the number of cases.
 # A source is a host; on a serial line, where masters have no addresses, it is the line. The rules
-# that tell hosts apart (SEC-101, SEC-201, SEC-205) apply to networks only.
+# that distinguish hosts (SEC-101, SEC-201, SEC-205) apply to networks only.
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Collects the cases of each source and rule, so that each gets one finding with a number."""
+"""Collects the cases of each source and rule, so that they become one finding with their number."""
 
-# Memory: the number of cases, MAX_EXAMPLES examples and one finding for each source and rule, of at
-# most MAX_SOURCES sources and rules; later sources have no finding.
+# Memory: for each combination of source and rule, the number of cases, MAX_EXAMPLES examples and
+# one finding. There are at most MAX_SOURCES combinations; later ones get no finding.
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_SOURCES = 4096
 @dataclass(slots=True)
 class _SourceCases:
     finding: Finding
-    """The finding about the first case; its message has the places {count} and {examples}."""
+    """The finding about the first case; {count} and {examples} in the message are filled later."""
     count: int = 0
     examples: list[str] = field(default_factory=list)
     has_more_examples: bool = False
@@ -51,7 +51,7 @@ class SecurityCases:
 
     def __init__(self) -> None:
         self._cases: dict[tuple[str, str], _SourceCases] = {}
-        """By the code of the rule and the source."""
+        """The cases, by the code of the rule and the source."""
 
     def add(self, source: str, finding: Finding, count: int, examples: Iterable[str] = ()) -> None:
         """Add cases of one source. Only the finding of its first cases is kept."""
@@ -80,5 +80,5 @@ def master_text(transaction: NamedTransaction) -> str:
 
 
 def place_text(transaction: NamedTransaction) -> str:
-    """Where the slave is, for a message: `10.0.0.2:502`, `the line rs485`."""
+    """The slave's address or line, for a message: `10.0.0.2:502`, `the line rs485`."""
     return transaction.destination or f"the line {transaction.link}"

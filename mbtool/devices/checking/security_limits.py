@@ -1,7 +1,7 @@
-"""The limits of the rules about attacks and scans: a number of cases, and the time for them."""
+"""The limits of the rules about attacks and scans: a number of cases within a time."""
 
 # The defaults are chosen so that ordinary operation stays below them; docs/findings.md gives the
-# reason of each. What the time of a rule means stands in the module that checks the rule.
+# reason of each. The module that checks a rule says how the rule uses the time.
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 MAX_NUMBER = 4096
-"""The largest number of cases: the rules hold a time for each case."""
+"""The largest number of cases in a limit: a rule keeps the time of each case in memory."""
 MAX_WINDOW_NS = 24 * 3_600_000_000_000
 
 _SECOND_NS = 1_000_000_000
@@ -34,7 +34,7 @@ _PATTERN = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class SecurityLimit:
-    """How many cases within which time are a finding."""
+    """A rule reports a finding if at least `number` cases occur within `window_ns`."""
 
     number: int
     window_ns: int
@@ -46,9 +46,9 @@ class SecurityLimits:
 
     second_writer: SecurityLimit = SecurityLimit(1, 10 * _SECOND_NS)
     write_flood: SecurityLimit = SecurityLimit(300, 5 * _SECOND_NS)
-    """On a network."""
+    """The limit for writes on a network."""
     line_write_flood: SecurityLimit = SecurityLimit(150, 5 * _SECOND_NS)
-    """On a serial line, which is slower: at 9600 baud it can carry about 40 writes a second."""
+    """The limit for writes on a serial line; at 9600 baud it carries about 40 per second."""
     stop_command: SecurityLimit = SecurityLimit(1, 60 * _SECOND_NS)
     host_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
     unit_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)

@@ -1,20 +1,20 @@
 """The rules about silences inside and between the frames of a line: RTU-101 to RTU-104."""
 
-# How sure a silence is depends on where the times of the bytes come from.
+# How certain a silence is depends on the source of the times.
 #
-# Times of an adapter, a driver or packets. A serial adapter may collect bytes and deliver them in
+# Times from an adapter, a driver or packets: a serial adapter may collect bytes and deliver them in
 # blocks. Then many transactions of a line seem to have no silence between frames, or silences
-# inside them, and the times say nothing about the line. RTU-104 reports that once, in place of
+# inside them, and the times say nothing about the line. RTU-104 reports this once, in place of
 # RTU-101..103. A line needs at least MIN_TRANSACTIONS transactions for RTU-104. A busy computer
-# sometimes reads late, which looks the same: on healthy lines, up to 16 % of the transactions had
-# such a silence (measured). A fault of the line affects many transactions of one unit. So
-# RTU-101..103 are only reported for a unit if at least MIN_SILENCES of its transactions have such a
-# silence, and these are at least the share MIN_SILENCES_SHARE of all its transactions. Otherwise a
-# remark tells how many there are.
+# sometimes reads late, which looks the same: on healthy lines, up to 16 % of the transactions had a
+# wrong silence (measured). A fault of the line affects many transactions of one unit. So
+# RTU-101..103 are only reported for a unit if at least MIN_SILENCES of its transactions, and at
+# least the share MIN_SILENCES_SHARE of them, have a wrong silence. Otherwise a remark says how many
+# there are.
 #
-# Exact times of every byte, as of a logic analyser. Each such silence was on the line, so one is
-# enough, however many there are, and there is no RTU-104. RTU-103 says who sent too soon: the slave
-# its answer, or the master its request.
+# Exact times of every byte, as from a logic analyser: each wrong silence was really on the line, so
+# a single one is reported, and there is no RTU-104. RTU-103 says who sent too soon: the slave its
+# response, or the master its request.
 #
 # Memory: for each line, some numbers for each of at most 256 units.
 
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 MIN_TRANSACTIONS = 8
 ADAPTER_SHARE = 0.25
-"""The share of a line's transactions, 0 to 1, that must be glued or split before the adapter is
-said to deliver bytes in blocks. Glued: no silence between frames; split: a silence inside one."""
+"""If at least this share of a line's transactions, 0 to 1, is glued (no silence between frames) or
+split (a silence inside a frame), the reason is an adapter that delivers bytes in blocks."""
 MIN_SILENCES = 3
 MIN_SILENCES_SHARE = 0.2
-"""The least share of a unit's transactions, 0 to 1, that must have a wrong silence for a finding.
-It is above the 16 % that late reads were measured to cause."""
+"""A finding needs a wrong silence in at least this share of a unit's transactions, 0 to 1. Late
+reads alone caused up to 16 % (measured)."""
 
 _SILENCES = {
     Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),
@@ -58,7 +58,7 @@ class _Silences:
     first: NamedTransaction
     number: int = 0
     least_ns: int | None = None
-    """The shortest silence, in ns, where it is known."""
+    """The shortest of the silences, in ns; None if none is known."""
 
     def add(self, silence_ns: int | None = None) -> None:
         self.number += 1
@@ -73,10 +73,10 @@ class LineSilences:
 
     transactions: int = 0
     in_blocks: int = 0
-    """How many transactions are glued (no silence between frames) or split (a silence inside
-    one)."""
+    """Number of transactions that are glued (no silence between frames) or split (a silence inside
+    a frame)."""
     of_unit: Counter[int] = field(default_factory=Counter)
-    """How many transactions each unit has."""
+    """Number of transactions of each unit."""
     wrong: dict[tuple[Verdict, int], _Silences] = field(default_factory=dict)
     """The transactions with a wrong silence, by the kind of silence and the unit."""
     too_soon: dict[tuple[bool, int], _Silences] = field(default_factory=dict)
@@ -107,8 +107,8 @@ class LineSilences:
         if latency_ns is not None and latency_ns < format_.t3_5_ns:
             self._add_too_soon(transaction, latency_ns, is_request=False)
         before_ns = silence_before(transaction, format_, end_ns)
-        # A transaction is glued, too, if only the next request follows it too soon. The length of
-        # its frame does not tell exactly when it began, but well enough to exclude that case.
+        # A transaction also counts as glued if only the next request follows it too soon. So the
+        # silence before this request is computed from the frame's length, which is exact enough.
         if before_ns is not None and before_ns < 2 * format_.t3_5_ns:
             is_next = latency_ns is None or latency_ns >= format_.t3_5_ns
             if is_next or before_ns < format_.t3_5_ns:
@@ -122,7 +122,7 @@ class LineSilences:
 
     @property
     def are_in_blocks(self) -> bool:
-        """True if so many transactions are glued or torn that an adapter must be the reason."""
+        """True if so many transactions are glued or split that an adapter must be the reason."""
         share = self.in_blocks / max(self.transactions, 1)
         return share >= ADAPTER_SHARE and self.transactions >= MIN_TRANSACTIONS
 
@@ -137,8 +137,8 @@ class LineSilences:
         )
 
     def findings(self, remarks: list[str], format_: SerialFormat | None) -> Iterator[Finding]:
-        """RTU-101 to RTU-103, for times that an adapter made. Adds to `remarks` what falls
-        short.
+        """RTU-101 to RTU-103, for times from an adapter. Silences too few for a finding get a
+        remark in `remarks`.
         """
         few: Counter[str] = Counter()
         for (sign, unit), cases in self.wrong.items():
@@ -174,11 +174,11 @@ def silence_before(
 ) -> int | None:
     """The silence, in ns, from `end_ns` to the request's first byte; None if it is unknown.
 
-    It is reckoned from the request's end and length, so it is exact to a character or so.
+    It is computed from the end and the length of the request, so it is exact to about a character.
     """
     request_ns, raw = transaction.request_ns, transaction.request_raw
     if end_ns is None or request_ns is None or raw is None or request_ns < end_ns:
-        return None  # In the last case, the clock was set back.
+        return None  # request_ns < end_ns: the clock was set back.
     return max(request_ns - len(raw) * format_.character_ns - end_ns, 0)
 
 
@@ -193,7 +193,7 @@ def _too_soon_text(is_request: bool, cases: _Silences, total: int, format_: Seri
 
 
 def _which_t3_5(format_: SerialFormat | None, *, keeps_characters: bool = False) -> str:
-    """Name the rule that is broken if it is the standard's fixed t3.5, and not 3.5 characters."""
+    """A text that says that t3.5 is fixed on this line (above 19200 baud); empty if it is not."""
     if format_ is None or not format_.has_fixed_silences:
         return ""
     fixed = f"above 19200 baud the standard fixes t3.5 at {format_.t3_5_ns / 1e6:.2f} ms"

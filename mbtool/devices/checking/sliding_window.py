@@ -1,10 +1,10 @@
-"""Counts cases that come close together: at least a number of them within a time."""
+"""Counts cases that come close together: at least the limit's number within the limit's time."""
 
-# A window is any span of at most the limit's time, its ends included. It is full if it has at least
-# the limit's number of cases. The times may come slightly out of order, because a request without a
-# response is decoded late.
+# A window is any span of time of at most the limit's length, its ends included. It is full if it
+# contains at least the limit's number of cases. The times of cases may be slightly out of order,
+# because a request without a response is decoded late.
 #
-# Memory: the last times, fewer than KEPT times the limit's number.
+# Memory: the times of the last cases, fewer than KEPT x the limit's number.
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class SlidingWindow:
         """The time of the first case in the first full window, in ns; None if none was full."""
 
     def add(self, at_ns: int) -> int:
-        """Add a case, and return how many cases are counted now that were not counted before.
+        """Add a case, and return the number of cases that are newly counted because of it.
 
-        That is 0 unless a full window contains the new case.
+        The number is 0 unless a full window contains the new case.
         """
         times, number = self._times, self._limit.number
         place = bisect_right(times, at_ns)
@@ -51,7 +51,7 @@ class SlidingWindow:
         return counted
 
     def _full_window(self, place: int) -> int | None:
-        """Where the first full window begins that contains the time at `place`."""
+        """The index in `_times` at which the first full window with the case `place` begins."""
         times, number, window_ns = self._times, self._limit.number, self._limit.window_ns
         for begin in range(max(0, place - number + 1), min(place, len(times) - number) + 1):
             if times[begin + number - 1] - times[begin] <= window_ns:
@@ -59,13 +59,13 @@ class SlidingWindow:
         return None
 
     def _count(self, begin: int) -> int:
-        """How many cases of the full window that begins at `begin` were not counted yet."""
+        """Number of cases not yet counted in the full window that begins at the index `begin`."""
         times, known_ns = self._times, self._counted_to_ns
         end = begin + self._limit.number
         if known_ns is None:
             new = self._limit.number
         elif times[end - 1] <= known_ns:
-            return 1  # A case out of order, between cases that were counted.
+            return 1  # A late case, between cases already counted.
         else:
             new = end - bisect_right(times, known_ns, begin, end)
         self._counted_to_ns = times[end - 1]

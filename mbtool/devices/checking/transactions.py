@@ -1,7 +1,7 @@
 """Makes findings about single transactions, with figures in their messages."""
 
-# Each finding has a code that naming.py put into the transaction. `mbtool check` names every
-# transaction again, so that today's rules also apply to the log of an older edition, or to a log
+# Each finding has a code that naming.py has put into the transaction. `mbtool check` names every
+# transaction again, so that today's rules also apply to a log from an older version, or to a log
 # without the slave's profile.
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class TransactionRules:
     def check(self, transaction: NamedTransaction, profile: Profile | None) -> Iterator[Finding]:
         """Give a `Finding` for each finding code in a transaction.
 
-        `profile` is the one that its values were named with; None if there is none.
+        `profile` is the slave's profile, by which the values were named; None if it has none.
         """
         for code in transaction.findings:
             yield transaction_finding(code, transaction, self._message(code, transaction, profile))
@@ -128,7 +128,7 @@ def request_text(transaction: NamedTransaction) -> str:
     if not transaction.reference:
         return name
     if function in _READS_OR_WRITES and is_neutral(transaction.reference):
-        name = "write" if FUNCTIONS[function].writes else "read"  # The reference has the table.
+        name = "write" if FUNCTIONS[function].writes else "read"  # The reference names the table.
     return f"{name} {transaction.reference}"
 
 
@@ -155,7 +155,7 @@ def _wrong_quantity(transaction: NamedTransaction) -> str:
 
 
 def _written(transaction: NamedTransaction) -> int:
-    """How many registers a function 17H writes."""
+    """Number of registers that a request with function 17H writes."""
     return (written_by_17h(transaction) or (0, 0))[1]
 
 

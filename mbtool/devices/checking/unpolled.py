@@ -1,18 +1,19 @@
-"""Counts what a master asks for, but does not poll: addresses, units, functions, registers."""
+"""Counts what a master requests without polling it: addresses, units, functions, registers."""
 
-# A "thing" is what a rule about scans counts; its "scope" is the source, and the slave and unit in
-# which it is counted. A master polls a thing if it sends the same request to it a second time
-# after an answer, or MAX_ATTEMPTS times after the first without an answer.
+# A "thing" is an address, unit, function or register that a rule about scans counts. A "scope" is
+# the source, slave and unit within which things are counted together. A master polls a thing if it
+# repeats the same request to it after a response, or repeats it MAX_ATTEMPTS times without one.
 #
-# To tell a repeated request without holding all requests, one request to each thing is remembered:
-# the first, then the ones with the numbers 2, 4, 8 and so on (Brent's cycle detection). So a master
-# that sends several requests in turn is known to poll in the third turn at the latest. The opening
-# of a connection counts as a request, but only until there is another one: a scan may open a
+# To recognise a repeated request without storing all requests, one request to each thing is
+# remembered: number 1, then 2, 4, 8 and so on (Brent's cycle detection). So a master that sends
+# several requests in turn is recognised as polling in the third turn at the latest. The opening of
+# a connection counts as a request, but only until a real request comes: a scan may open a
 # connection for each request.
 #
-# Memory: MAX_THINGS things that were not seen to be polled, and as many that were. If there are
-# more, the oldest one of the former is counted as never polled. For each of at most MAX_ENTRIES
-# scopes (lru_dict.py) a window (sliding_window.py), and as many things as the rule's limit says.
+# Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
+# more, the oldest thing not known to be polled is counted as never polled. For each of at most
+# MAX_ENTRIES scopes (lru_dict.py) a window (sliding_window.py), and as many things as the rule's
+# limit says.
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
-"""So many repeated requests without an answer are a poll. Most masters give up after three."""
+"""So many repetitions of a request without a response are a poll; most retries end after three."""
 
 OPENED = 0
 """Stands for the opening of a connection, in place of the hash of a request."""
@@ -42,7 +43,7 @@ _Thing = tuple[_Scope, Hashable]
 
 @dataclass(slots=True)
 class _Attempts:
-    """What a master asked of one thing that it is not known to poll."""
+    """The requests of a master to one thing that it is not known to poll."""
 
     request: int
     """The hash of the remembered request."""
@@ -54,7 +55,7 @@ class _Attempts:
     number: int = 1
     """The number of requests so far."""
     repeats: int = 0
-    """How often the remembered request was repeated."""
+    """Number of times that the remembered request was repeated."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
         """Take the next request into account. True if the master is now known to poll."""
@@ -75,7 +76,7 @@ class _Attempts:
 
 
 class _UnpolledThings:
-    """The things of one scope that are not polled, and how close together they come."""
+    """The things of one scope that are not polled, and a window over their times."""
 
     def __init__(self, limit: SecurityLimit) -> None:
         self.window = SlidingWindow(limit)
@@ -83,7 +84,7 @@ class _UnpolledThings:
 
 
 class Unpolled:
-    """Counts the things of one rule. The cases go to `cases`, at the end of the capture."""
+    """Counts the unpolled things for one rule, and adds them to `cases`."""
 
     def __init__(self, limit: SecurityLimit, cases: SecurityCases) -> None:
         self._cases = cases
@@ -114,8 +115,9 @@ class Unpolled:
     ) -> bool:
         """Take a request to a thing into account. True if the thing is now known to be polled.
 
-        The first item of the scope is the source. `describe` is called for the first request to a
-        thing; it returns the thing as an example, and the finding if it is the first of a scan.
+        The first item of `scope` is the source. `describe` is called for the first request to a
+        thing; it returns a text about the thing as an example, and the finding to use if this is
+        the first case of a scan.
         """
         thing = (scope, item)
         if thing in self._polled:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @dataclass(slots=True)
 class _Coupler:
     first: NamedTransaction | None = None
-    """The first of the transactions with exception 04 since any other response; None if none."""
+    """The first transaction with exception 04 after the last other response; None if none."""
     is_reported: bool = False
 
 

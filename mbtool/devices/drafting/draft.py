@@ -45,7 +45,7 @@ _PREFIXES = {
     Table.HOLDING_REGISTERS: "HR",
     Table.INPUT_REGISTERS: "IR",
 }
-"""The letters that begin the names of areas and points; the address on the wire follows them."""
+"""The letters before the address in the names of areas and points, by table."""
 
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
 """Flags of an address: a request read it; a request wrote it; no request for it had a response."""
@@ -179,9 +179,7 @@ def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
 def _about_area(
     area: Area, flags: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
 ) -> Iterator[str]:
-    """The comments on an area: what was never written or read there, and what was refused beside
-    it.
-    """
+    """Yield comments on an area: addresses never written or read, requests refused next to it."""
     if flags[0] & _NO_RESPONSE:
         yield "Asked for, but never answered: perhaps there is nothing here."
     if area.access is Access.READ and area.table.is_writable:
@@ -222,7 +220,7 @@ class _Function:
     most: int = 0
     """The largest quantity that the slave accepted."""
     refused: Counter[int] = field(default_factory=Counter)
-    """How many requests the slave refused, by exception code."""
+    """Number of requests that the slave refused, by exception code."""
     least_refused: int = 1 << 16
     """The smallest quantity that the slave refused with exception 03 although it has the
     addresses."""
@@ -292,15 +290,16 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 def _points(
     profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> tuple[list[Point], int]:
-    """Return points for the registers with sampled values, and how many registers got no point
-    because there are MAX_POINTS.
+    """Return points for the registers with sampled values.
+
+    The second result is the number of registers without a point, beyond MAX_POINTS.
     """
     points: list[Point] = []
     left_out = 0
     for table in (Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS):
         taken: set[int] = set()
-        # Requests that read come before those that write, and long ranges before short ones: they
-        # show best which registers form a value.
+        # Use reads before writes, and long ranges before short ones, as these show best which
+        # registers form one value.
         requests = sorted(
             (request for request in seen.samples if request.table is table),
             key=lambda request: (request.writes, -request.quantity, request.address or 0),

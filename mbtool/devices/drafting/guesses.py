@@ -1,6 +1,6 @@
 """Guesses the types of registers from sampled values, with a reason for each guess."""
 
-# The reader judges by the reason. Types, in the order in which they are tried:
+# The user can judge each guess by its reason. Types, in the order in which they are tried:
 #
 #   string        at least _MIN_TEXT_WORDS registers with printable ASCII characters, mostly letters
 #                 and digits, that never change
@@ -11,7 +11,7 @@
 #   32 bits       one register counts up when the other starts again from a lower value; or the two
 #                 registers are requested alone
 #   int16         values near 0 and near FFFFH
-#   uint16        everything else; this is not a guess, and the reason tells the values
+#   uint16        everything else; this is not a guess, and the reason gives the sampled values
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Guess:
     reason: str
     word_order: WordOrder = WordOrder.HIGH_FIRST
     length: int | None = None
-    """How many registers a string has; None for other types."""
+    """The length of a string in registers; None for other types."""
 
     @property
     def words(self) -> int:
@@ -91,7 +91,7 @@ def _text(first: int, columns: Sequence[Sequence[int]], at: int, samples: Sample
     letters = sum(chr(byte).isalnum() for byte in data)
     if letters * 10 < len(data) * 6:
         return None
-    # Zeros or spaces behind a text are its padding.
+    # Zeros or spaces behind a text are padding and belong to the text.
     while end < len(columns) and not samples.changes[end] and columns[end][0] in (0, 0x2020):
         end += 1
     words = min(end - at, READ_LIMIT)
@@ -219,8 +219,9 @@ def _single(
 
 
 def _crosses_zero(values: Collection[int]) -> bool:
-    """True if the values are small positive and small negative numbers. FFFFH does not count as
-    negative, because it may mean "no value".
+    """True if some values are small positive and some are small negative numbers.
+
+    FFFFH does not count as -1, because it may mean "no value".
     """
     near, far = _NEAR_ZERO, 0x10000 - _NEAR_ZERO
     return (

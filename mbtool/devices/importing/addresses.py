@@ -1,4 +1,4 @@
-"""Reads the addresses of a register list, and decides what their numbers stand for."""
+"""Reads the addresses in a register list, and decides how they are counted."""
 
 #   4x0012, HR12      the letters name the table; 4x0001 is address 0
 #   0x0BB7, 0BB7H     hexadecimal: the address on the wire
@@ -37,7 +37,7 @@ class AddressCell:
     suffix: str = ""
     radix: Radix = Radix.DECIMAL
     digits: int = 0
-    """How many digits the number has, zeros in front included."""
+    """The number of digits, with leading zeros."""
     bit: int | None = None
     """The bit of the register that the cell names, 3 in `40001.3`; None if it names none."""
     last: int | None = None
@@ -47,7 +47,7 @@ class AddressCell:
 
     @property
     def registers(self) -> int | None:
-        """How many registers the range has; None if the cell has no range."""
+        """Number of registers in the range; None if the cell has no range."""
         return None if self.last is None else self.last - self.number + 1
 
     @property
@@ -67,8 +67,9 @@ class AddressCell:
 
     @property
     def counts_from_1_always(self) -> bool:
-        """True if the digit of a table and x stand before the number, as in 4x0001: such numbers
-        count from 1, whatever the other addresses of the list do.
+        """True if a table's digit and an x come before the number, as in 4x0001.
+
+        Such numbers count from 1, even if other addresses in the list count from 0.
         """
         return self.is_decimal and self.prefix[:1].isdigit()
 
@@ -90,8 +91,8 @@ def read_addresses(
 ) -> list[AddressCell | None]:
     """Read the cells of the address column; the result has None for a cell without an address.
 
-    `heading` is the column's heading after columns.fold(). `style` is what the user says that the
-    numbers are; None if the user does not say it.
+    `heading` is the column's heading after columns.fold(). `style` is the kind of numbers that the
+    user gives; None if the user gives none.
     """
     is_hex = style is AddressStyle.HEXADECIMAL or (style is None and _is_bare_hex(cells, heading))
     in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)
@@ -111,11 +112,11 @@ def read_addresses(
 
 
 def _is_bare_hex(cells: Sequence[str], heading: str) -> bool:
-    """True if the addresses are hexadecimal, but without a sign of it such as 0x or H: `0BB7`."""
+    """True if the addresses are hexadecimal without a mark such as 0x or H: `0BB7`."""
     there = [cell.strip() for cell in cells if not is_nothing(cell)]
     if not there or not all(re.fullmatch(r"[0-9A-Fa-f]{1,6}", one) for one in there):
         return False
-    # A single letter before digits is more likely a part of a name, as in D100, than a hexadecimal
+    # A single letter before digits, as in D100, is probably part of a name, not a hexadecimal
     # digit.
     letters = any(re.search(r"\d[A-Fa-f]|[A-Fa-f]{2}", one) for one in there)
     return letters or bool(re.search(r"\bhex", heading))
@@ -126,8 +127,8 @@ def parse_address(
 ) -> AddressCell | None:
     """Read the address in a cell; None if the cell holds none.
 
-    `bare_hex` is True if digits without a sign such as 0x or H are hexadecimal. `tables_in_front`
-    is True if the column also has addresses like 4x0001, so that 0x0001 is a coil.
+    `bare_hex` is True if digits without a mark such as 0x or H are hexadecimal. `tables_in_front`
+    is True if the column also has addresses like 4x0001; then 0x0001 is a coil, not hexadecimal.
     """
     text = " ".join(text.replace("\u00a0", " ").split()).removesuffix(".")
     if len(text) > 40:
@@ -166,7 +167,7 @@ def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> Ad
 def decide_style(
     addresses: Sequence[tuple[AddressCell, Table | None]], heading: str
 ) -> tuple[AddressStyle, str]:
-    """Decide what the decimal numbers of a list are. Returns the decision and its reason as text.
+    """Decide how the decimal numbers of a list are counted. Returns the style and a reason as text.
 
     Each address comes with the table that its row names, or None. `heading` is the heading of the
     address column after columns.fold().
@@ -195,7 +196,7 @@ def _can_be_reference(address: AddressCell, table: Table | None) -> bool:
 
 
 def reference_table(number: int, digits: int) -> Table | None:
-    """The table that the first of five or six digits stands for, as in 40001, 300012 and 00001.
+    """The table that the first digit names in a reference of five or six digits: 40001, 300012.
 
     None if the number is no such reference.
     """
@@ -206,10 +207,10 @@ def reference_table(number: int, digits: int) -> Table | None:
 
 
 def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | None, int]:
-    """The table that an address names, or None; and the number that stands for address 0.
+    """The table that an address names, or None; and the number that means address 0 on the wire.
 
-    `style` says what decimal numbers are. Raises ValueError if it says that they are references,
-    and this number is none.
+    `style` says how decimal numbers are counted. Raises ValueError if they are references, and this
+    number is not a reference.
     """
     if not address.is_decimal:
         return None, 0

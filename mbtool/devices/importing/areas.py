@@ -1,7 +1,7 @@
 """Makes areas of the points of a register list."""
 
-# An area is a range of addresses that the list names. It goes on over a hole of fewer than MAX_HOLE
-# addresses that the list leaves out, since masters read over such holes and most devices let them.
+# An area is a range of addresses in the list. If the list leaves out fewer than MAX_HOLE addresses,
+# the area includes this hole, since masters read over such holes and most devices allow it.
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0
 def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
     """Return the areas, the points, and the functions by code.
 
-    A point only has an access if it differs from that of its area. The functions are those that the
-    list names, and those by which its tables are read and written.
+    A point only has an access of its own if its area has another one. The functions are those that
+    the list names, and those that read and write its tables.
     """
     runs: list[list[RowPoint]] = []
     for one in made:
@@ -60,9 +60,9 @@ def _goes_on(last: RowPoint, one: RowPoint) -> bool:
 
 
 def _area(run: Sequence[RowPoint], taken: Collection[str]) -> Area:
-    """Make the area of rows that follow one another.
+    """Make one area from consecutive rows, named after its table and the list's numbers.
 
-    If its name is in `taken`, because numbers of the list repeat, the address is added to the name.
+    `taken` are the names in use. If the name is among them, the address is added to it.
     """
     rights = {one.area.access for one in run}
     access = rights.pop() if len(rights) == 1 else Access.READ_WRITE

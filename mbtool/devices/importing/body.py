@@ -2,8 +2,8 @@
 
 # A row with an address is a value. Of rows without one
 #
-# - a heading that names a table ("Input registers", "Eingangsregister (FC 04)") holds for the rows
-#   below it that have no table of their own,
+# - a heading that names a table ("Input registers", "Eingangsregister (FC 04)") gives this table to
+#   the rows below that name none,
 # - `Bit 3: Alarm` and `1 = Auto` belong to the row above,
 # - any other row is text, and is left out.
 
@@ -27,16 +27,14 @@ if TYPE_CHECKING:
     from mbtool.devices.importing.report import ImportReport
 
 _MAX_SECTION = 80
-"""The most characters that a heading between the rows has. A longer text is no heading."""
+"""The most characters of a heading between the rows. A longer text is no heading."""
 
 _TOO_LONG = "stands behind the last heading; a delimiter within a cell needs quotes around it"
 _ADDRESS_WANTED = "is no address, as 40001, 4x0001, 12, 0x0102, 0102H and HR12 are"
 
 
 def tell_columns(sheet: Sheet, report: ImportReport) -> None:
-    """Add remarks to the report: what each column that the user did not name is taken for, and
-    which columns are not used.
-    """
+    """Report the row of headings, the guessed meanings of columns, and the unused columns."""
     if any(cell.strip() for row in sheet.rows[: sheet.heading_row] for cell in row):
         row = sheet.heading_row + 1
         report.tell(f"row {row} is taken for the headings, and the rows above it are left out")
@@ -79,7 +77,7 @@ class BodyReader:
         ):
             if any(not is_nothing(cell) for cell in row):
                 self._follows_row = self._read(number, row, address)
-        # Rows that already have a problem are left out, so that no mistake is reported twice.
+        # Rows with a problem are left out here, so that no mistake is reported twice.
         good = [row for row in self._rows if row.row not in self._report.bad_rows]
         return merge_bits(good, self._report)
 
@@ -122,7 +120,7 @@ class BodyReader:
         self._report.tell(f'"{text}": the rows below are {table}', number)
 
     def _add_to_row_above(self, text: str) -> bool:
-        """Add `Bit 3: Alarm` or `1 = Auto` to the row above; False if it is something else."""
+        """Add `Bit 3: Alarm` or `1 = Auto` to the row above; False if `text` is something else."""
         bits = parse_bits(text) or {}
         texts = (parse_texts(text) or {}) if re.match(r"-?\w+\s*=", text) else {}
         if not bits and not texts:

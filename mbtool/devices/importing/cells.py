@@ -17,7 +17,7 @@ from mbtool.modbus.tables import Table
 NOTHING = frozenset(
     ("", "-", "--", "---", "\u2013", "\u2014", "n/a", "n.a.", "na", "none", "/", "null", "nil", "*")
 )
-"""The texts, in lower case, of cells that hold no value."""
+"""The texts, in lower case, that mean that a cell has no value."""
 
 MAX_DIGITS = 8
 REGISTER_BITS = range(16)
@@ -89,7 +89,7 @@ _ACCESS = {
     **dict.fromkeys(("r", "ro", "read", "readonly", "input", "lesen", "nurlesen", "lecture", "rd"),
                     Access.READ),
     **dict.fromkeys(("w", "wo", "write", "writeonly", "schreiben", "ecriture"), Access.WRITE),
-    # "rwc" is R/WC in lists of Schneider: a register that is written by a command.
+    # "rwc" is R/WC in Schneider's lists: a register that only a command can write.
     **dict.fromkeys(("rw", "wr", "rwc", "readwritable", "lesenschreiben", "readwriteonly", "output",
                      "readwrite", "readandwrite", "randw", "rundw"), Access.READ_WRITE),
 }  # fmt: skip
@@ -98,7 +98,7 @@ _ACCESS = {
 def parse_access(text: str) -> Access | None:
     """Read what a master may do: `R`, `RO`, `R/W`, `read/write`, `W`, `read only`, `lesen`.
 
-    Returns None if the text says nothing of that.
+    Returns None if the text is something else.
     """
     return _ACCESS.get(re.sub(r"[^a-z]+", "", fold(text)))
 
@@ -162,7 +162,7 @@ def _table_of(codes: list[str]) -> TableCell:
         else int(code)
         for code in codes
     ]
-    # A code 10 is taken for 10H, which writes registers: the function 10 in decimal has no table.
+    # A code 10 is taken as 10H, which writes registers: decimal 10 (0AH) is no such function.
     numbers = [16 if number == 10 else number for number in numbers]
     known = {FUNCTIONS[number].table if number in FUNCTIONS else None for number in numbers}
     functions = () if None in known else tuple(dict.fromkeys(numbers))
@@ -194,13 +194,12 @@ def parse_bits(text: str) -> dict[int, str] | None:
 def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None:
     """Read pairs of a number and a text; None if the text is something else.
 
-    A separator stands between two pairs, or the second one begins where the pattern `next_one`
-    fits.
+    Two pairs are separated by a separator, or the second begins where the pattern `next_one` fits.
     """
     pair = re.compile(rf"\s*{number}{_IS}\s*", re.IGNORECASE)
     splits = [text.split(sign) for sign in ("\n", ";", "|", ",")]
     splits.append(re.split(rf"\s+(?={next_one})", text))
-    # A text may have a comma in it. So the separator that gives the most parts is tried first.
+    # A text may contain a separator, such as a comma. Try first the one that gives most parts.
     for parts in sorted(splits, key=len, reverse=True):
         pairs = [pair.fullmatch(part.rstrip(" ,;|")) for part in parts if part.strip()]
         found = {_whole(one["number"]): one["text"] for one in pairs if one is not None}

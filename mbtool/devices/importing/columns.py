@@ -1,12 +1,12 @@
 """Finds the columns of a register list: its delimiter, its row of headings, what each means."""
 
-# The row of headings is one of the first MAX_PREAMBLE rows: the one with the most headings that the
-# user names, and among equal ones the one with the most headings that are known. A heading is known
-# as a whole, or else by its last known words: a "register description" is a description. Headings
-# are English, German or French.
+# The row of headings is the one, among the first MAX_PREAMBLE rows, with the most headings that the
+# user names; if several are equal, the one with the most known headings. A heading is known as a
+# whole, or by its last words: a "register description" is a description. Headings are English,
+# German or French.
 #
-# Several columns may hold names or descriptions. Of any other meaning the first column counts, and
-# the others are not used. A column that the user names for a meaning is the only one of it.
+# Several columns may have names or descriptions. For any other meaning, only the first column is
+# used. If the user names a column for a meaning, only this column is used.
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DELIMITERS = ";\t,|"
 
 
 class Meaning(StrEnum):
-    """What a column holds."""
+    """The meaning of a column: the kind of value that it holds."""
 
     ADDRESS = "address"
     NAME = "name"
@@ -128,7 +128,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """A register list, cut into rows of cells."""
+    """A register list, split into rows of cells."""
 
     rows: Sequence[Sequence[str]]
     heading_row: int
@@ -157,7 +157,7 @@ class Sheet:
 
 
 def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None) -> Sheet:
-    """Cut a text into cells and find its columns; `named` are the headings that the user names.
+    """Split a text into cells and find its columns; `named` are the headings that the user names.
 
     Raises UsageError if the text is no CSV, or has no column of addresses or several, or lacks a
     column that the user names.
@@ -174,8 +174,8 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
             continue
         first = rows[:MAX_PREAMBLE]
         sheets += [Sheet(rows, at, _columns(row, named)) for at, row in enumerate(first) if row]
-    # If several delimiters are equally likely, max() takes the first of them. A semicolon comes
-    # before a comma, because it is less often part of a text.
+    # If several delimiters are equally likely, max() takes the first. The semicolon is before the
+    # comma, because it is less often part of a text.
     best = max(sheets, key=_likeness, default=None)
     if problems and (best is None or best.column(Meaning.ADDRESS) is None):
         raise UsageError(f"{problems[0]}; a quote that opens a cell must close it")
@@ -186,7 +186,7 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
 
 
 def _likeness(sheet: Sheet) -> tuple[int, int, bool, int]:
-    """How much the sheet's row of headings looks like one. Greater is more."""
+    """A measure of how much the row of headings looks like one; more is greater."""
     named = sum(column.is_named for column in sheet.columns)
     has_address = sheet.column(Meaning.ADDRESS) is not None
     return named, len(sheet.columns), has_address, len(sheet.headings)
@@ -232,7 +232,7 @@ def _columns(row: Sequence[str], named: Mapping[Meaning, str]) -> tuple[Column, 
 
 
 def meaning_of(heading: str) -> Meaning | None:
-    """What a column with this heading holds; None if the heading is not known."""
+    """The meaning of a column with this heading; None if the heading is not known."""
     plain = fold(heading)
     if not plain or len(plain) > 60 or _OF_THE_SLAVE.search(plain):
         return None

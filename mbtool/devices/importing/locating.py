@@ -8,7 +8,7 @@
 #     4  otherwise an on/off value is a coil, or a discrete input if the list says that it can only
 #        be read; any other value is in holding registers
 #
-# If 1 names a table, and 2 (or 3 where 2 names none) names another one, the row is a problem.
+# If 1 names a table, and 2 (or 3, if 2 names none) names another table, the row has a problem.
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def locate_rows(
 def _style(
     rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
 ) -> AddressStyle:
-    """What the decimal addresses of the list are: references, or counted from 0 or from 1."""
+    """Return how the decimal addresses are counted: from 0, from 1, or as references."""
     decimal = [
         (row.address, _said_table(row, options.table))
         for row in rows
@@ -99,10 +99,10 @@ def _said_table(row: ListRow, table: Table | None) -> Table | None:
 
 
 def _place(row: ListRow, style: AddressStyle, table: Table | None) -> tuple[Table | None, int]:
-    """The row's table, or None if nothing names one; and the number that stands for address 0.
+    """The row's table, or None if nothing names one; and the number that means address 0.
 
-    Raises ValueError if the address is not 0 to 65535, two different tables are named, or the row
-    says that it is written and the table cannot be.
+    Raises ValueError if the address is not 0 to 65535, if two different tables are named, or if the
+    row can be written but its table cannot.
     """
     by_number, base = table_and_base(row.address, style)
     address = row.address.number - base
@@ -128,9 +128,9 @@ def _functions(row: ListRow) -> tuple[int, ...]:
 
 
 def _usual_access(row: ListRow, table: Table) -> Access:
-    """What a master may do with a row that does not say so.
+    """The access (read, write) of a row that does not state it.
 
-    The functions that the row names decide; without them, the table does.
+    It follows from the functions that the row names, or else from the table.
     """
     functions = _functions(row)
     if not table.is_writable:

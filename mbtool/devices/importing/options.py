@@ -1,4 +1,4 @@
-"""What the user says of a register list, so that it need not be guessed."""
+"""The user's options for a register list: facts that need not be guessed then."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbtool.modbus.tables import Table
 
 
 class AddressStyle(StrEnum):
-    """What the numbers in the column of addresses are."""
+    """How the numbers in the column of addresses are counted."""
 
     ZERO_BASED = "zero-based"
     """Addresses on the wire, counted from 0."""
@@ -23,11 +23,11 @@ class AddressStyle(StrEnum):
     """Numbers like 40001 or 300012: the first digit stands for the table, the others count from
     1."""
     HEXADECIMAL = "hexadecimal"
-    """Addresses on the wire, written in hexadecimal digits without a sign that they are."""
+    """Addresses on the wire in hexadecimal, without a mark such as 0x or H."""
 
 
 class Scaling(StrEnum):
-    """What is done with the number in a register and the factor in the list."""
+    """The use of the factor in the list: to multiply or to divide the number in the register."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
@@ -35,18 +35,18 @@ class Scaling(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """What the user says of a register list. A field that is None is left to the list."""
+    """The user's options for a register list. A fact that is None is taken from the list."""
 
     columns: Mapping[Meaning, str] = field(default_factory=dict)
-    """The heading of the column for each meaning for which the user names a column."""
+    """The headings of the columns that the user names, by meaning."""
     addresses: AddressStyle | None = None
     table: Table | None = None
-    """The table of the rows for which the list names none."""
+    """The table for rows for which the list names no table."""
     scaling: Scaling | None = None
     word_order: WordOrder | None = None
-    """The word order of the values for which the list names none."""
+    """The word order for values for which the list names none."""
     skip_bad: bool = False
-    """True to leave out rows that cannot be read, False to make no profile if there are any."""
+    """True to leave out unreadable rows; False to make no profile if a row is unreadable."""
 
 
 def parse_columns(said: Sequence[str]) -> dict[Meaning, str]:

@@ -1,7 +1,7 @@
-"""Makes points of the located rows of a register list."""
+"""Makes points from the rows of a register list whose addresses are known."""
 
-# A row that has more registers than one value of its type takes is a series of values. Two rows at
-# one address are a problem.
+# If a row has more registers than one value of its type takes, it is a series of values. Two rows
+# at one address are a problem.
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
 
 
 def _size(row: ListRow, area: Area, words: int) -> int:
-    """How many addresses a row takes; `words` is how many one value takes.
+    """Number of addresses that a row takes; one value takes `words`.
 
     Raises ValueError if the number is no multiple of `words`, or goes beyond address 65535.
     """
@@ -141,7 +141,7 @@ def _type(row: ListRow, table: Table, report: ImportReport) -> TypeSpelling:
         kind = PointType.UINT32 if row.registers == 2 else PointType.UINT16
         report.tell(f"no type named, taken as {kind}", row.row)
         type_ = TypeSpelling(kind)
-    elif type_.type is PointType.BIT:  # A yes or no that has a register to itself.
+    elif type_.type is PointType.BIT:  # An on/off value in a register of its own.
         type_ = replace(type_, type=PointType.UINT16)
     if type_.type.words > 1 and (type_.is_bits or row.bits):
         report.tell("bits in several registers cannot have names, so a whole number", row.row)
@@ -179,14 +179,13 @@ def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]
 
 
 def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float], list[str]]:
-    """Return the range and the default by key, and notes with those that could be misunderstood.
+    """Return the keys for the range and the default, or notes if they would be ambiguous.
 
-    A list does not say whether the range and the default of a scaled value are before or after
-    scaling.
+    They are ambiguous for a scaled value: a list does not say if they are before or after scaling.
     """
     is_plain = kind.is_number and (row.scale, row.offset) == (1, 0)
     said = {"minimum": row.minimum, "maximum": row.maximum, "default": row.default}
-    if kind is PointType.BIT:  # It is 0 or 1 whatever its range.
+    if kind is PointType.BIT:  # A bit is 0 or 1, whatever the list says.
         said = {"default": row.default}
     fits = dict.fromkeys(said, is_plain)
     fits["default"] = is_plain and words == 1 and _is_default(row)

@@ -1,10 +1,10 @@
-"""Makes a profile of a register list: a vendor's table of registers, saved as CSV."""
+"""Makes a profile from a register list: a vendor's table of registers, saved as CSV."""
 
-# Nothing is guessed that the user says. A remark tells each guess; the remarks also stand in a
-# comment at the top of the profile. All rows that cannot be read are reported at once; then no
+# Facts that the user gives are not guessed. Each guess is reported in a remark; the remarks are
+# also in a comment at the top of the profile. All unreadable rows are reported together; then no
 # profile is made, unless the user lets such rows be left out.
 #
-# Limits: a file of at most MAX_BYTES and MAX_ROWS rows.
+# Limits: a file of at most MAX_BYTES bytes and MAX_ROWS rows.
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MAX_ROWS = 20_000
 
 
 class BadRowsError(UsageError):
-    """Rows of a register list cannot be read; `lines` tells what is wrong in each of them."""
+    """Rows of a register list cannot be read; `lines` has a message for each of them."""
 
     def __init__(self, file: str, report: ImportReport) -> None:
         count = len(report.bad_rows)
@@ -55,13 +55,13 @@ class ImportedList:
     text: str
     """The profile as the text of a TOML file."""
     remarks: tuple[str, ...]
-    """Sentences on what was guessed, and what was left out."""
+    """Sentences about each guess, and about everything that was left out."""
 
 
 def import_register_list(
     data: bytes, file: str, options: ImportOptions | None = None, name: str | None = None
 ) -> ImportedList:
-    """Make a profile of a register list, whose file is `data`; `file` is its name for messages.
+    """Make a profile from a register list; `data` is the file's content, `file` its name.
 
     Raises BadRowsError if rows cannot be read and the options do not skip them, and UsageError if
     the file is no register list.
@@ -127,7 +127,7 @@ def _plain_text(text: str) -> str:
 
 
 def _text(profile: Profile, remarks: Sequence[str]) -> str:
-    """The profile as the text of a TOML file, with a comment at its top on what was guessed."""
+    """The profile as the text of a TOML file, with the guesses in a comment at the top."""
     return dump_profile(
         profile,
         {

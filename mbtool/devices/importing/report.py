@@ -1,4 +1,4 @@
-"""Collects what an import tells the user: what it took for granted, and which rows are wrong."""
+"""Collects the messages of an import for the user: guesses, and rows that cannot be read."""
 
 from __future__ import annotations
 

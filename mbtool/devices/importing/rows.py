@@ -1,8 +1,8 @@
 """Reads the rows of a register list: each value with its type, scale, unit and rights."""
 
-# Every cell that cannot be read is a problem of its row. The other cells of the row are read all
-# the same, so that all that is wrong is told at once. One thing is decided for a whole column: that
-# its factors multiply, or that they divide.
+# Every cell that cannot be read is a problem of the row. The other cells of the row are still read,
+# so that all problems are reported together. Only one thing is decided for a whole column: whether
+# its factors multiply or divide.
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class RowReader:
         self._report.add_problem(self._number, heading, text, problem)
 
     def _read(self, meaning: Meaning, parse: Callable[[str], T | None], problem: str) -> T | None:
-        """Read the row's cell of a meaning with `parse`; None if the cell is empty.
+        """Read the row's cell in the column of a meaning with `parse`; None if it is empty.
 
         A text for which `parse` returns None becomes a problem in the report.
         """
@@ -181,7 +181,7 @@ class RowReader:
         column = self._sheet.column(Meaning.WORD_ORDER)
         if order is None or column is None or "word" not in column.hint:
             return order
-        return order[0], ByteOrder.HIGH_FIRST  # "Little" says nothing about bytes here.
+        return order[0], ByteOrder.HIGH_FIRST  # Here "little" is only about words, not bytes.
 
     def _access(self) -> Access | None:
         column = self._sheet.column(Meaning.ACCESS)
@@ -194,8 +194,8 @@ class RowReader:
     def _scaled(self, type_: TypeSpelling | None) -> tuple[float, int | None, str | None]:
         """Return the scale, the number of decimals, and the unit.
 
-        The scale is the product of the row's factors; without factors the factor in the unit's
-        cell; without that it follows from the decimals.
+        The scale is the product of the row's factors. If there are none, it is the factor in the
+        unit's cell; if there is none, it follows from the number of decimals.
         """
         unit_factor, unit = parse_unit(self._text(Meaning.UNIT))
         places = self._number_of(Meaning.DECIMALS)
@@ -216,7 +216,7 @@ class RowReader:
         text = self._text(meaning)
         if text in self._names and parse_factor(text) is None:
             self._report.tell("scaled by another register, kept as a note", self._number)
-            return 1.0  # SunSpec: the other register holds the power of ten.
+            return 1.0  # In SunSpec, another register holds the power of ten.
         factor = self._read(meaning, parse_factor, _SCALE_WANTED)
         if factor is None:
             return None
@@ -242,9 +242,7 @@ class RowReader:
         return {}, {}, None
 
     def _notes(self, used: str | None) -> list[str]:
-        """The row's texts that are kept as notes: neither its name nor the cell `used`, which lists
-        values.
-        """
+        """The row's texts to keep as notes: all but the name and the list of values in `used`."""
         notes = [
             text for text in self._words(self._row) if text not in (self.name(self._row), used)
         ]
@@ -262,7 +260,7 @@ class RowReader:
         return [*notes, *prose]
 
     def _factors_divide(self, scaling: Scaling | None) -> bool:
-        """True if a factor without a sign such as x or / divides the register's number."""
+        """True if a factor without a mark such as x or / divides the register's number."""
         column = self._sheet.column(Meaning.SCALE)
         if scaling is not None or column is None:
             return scaling is Scaling.DIVIDE
@@ -286,7 +284,7 @@ class RowReader:
 def merge_bits(rows: Sequence[ListRow], report: ImportReport) -> list[ListRow]:
     """Merge all rows that name bits of one register into one row.
 
-    That is the row of the whole register if the list has one, and else a new row without a name.
+    The result is the row of the whole register, if the list has one, else a new row without a name.
     """
     merged = [row for row in rows if row.address.bit is None]
     places = {_register(row): at for at, row in enumerate(merged)}
@@ -325,10 +323,10 @@ def _known_table(text: str) -> TableCell | None:
 
 
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
-"""Matches a number whose comma may be a decimal comma, or one between thousands: 1,000."""
+"""Matches a number whose comma may be a decimal comma or a thousands separator: 1,000."""
 
 _UNITS_OF_LENGTH = {Meaning.LENGTH: 1, Meaning.LENGTH_IN_BYTES: 2, Meaning.LENGTH_IN_BITS: 16}
-"""How many registers, bytes or bits make one register."""
+"""Number of units of a length column in one register: 1 register, 2 bytes or 16 bits."""
 
 _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.TEXTS, lambda _: None, ""),
@@ -337,8 +335,8 @@ _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.MAXIMUM, parse_number, "maximum: "),
     (Meaning.DEFAULT, parse_number, "default: "),
 )
-"""Cells that may hold words instead of a value: the meaning of their column, how to read a value,
-and what to write before the words in a note."""
+"""Columns whose cells may hold prose instead of a value: the meaning, the function that reads a
+value, and the word to write before the prose in a note."""
 
 _MULTIPLIERS = ("multipl", "factor", "faktor", "facteur", "resolution", "coefficient", "lsb",
                 "accuracy", "precision", "step", "auflosung", "conversion")  # fmt: skip

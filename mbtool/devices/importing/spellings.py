@@ -1,9 +1,8 @@
 """Reads the spellings that register lists have for types, and for the order of words and bytes."""
 
 # A type may be followed by its word and byte order (`FLOAT32 CDAB`, `32BIT_UINT_3412`, `UINT32 (low
-# word first)`) or its length (`STRING[16]`). If only its family is named (`INT`, `float`), the
-# number of registers decides. What is not known as a whole is no type: `FLOTE` is an error, not a
-# float.
+# word first)`) or its length (`STRING[16]`). If only a family of types is named (`INT`, `float`),
+# the number of registers decides. The whole word must be known: `FLOTE` is an error, not a float.
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ class TypeSpelling:
     order: Order | None = None
     """The word and byte order; None if the cell names none."""
     length: int | None = None
-    """The length of a string, as the cell has it; None if the cell has none."""
+    """The length of a string, as the cell gives it; None if it gives none."""
     length_is_registers: bool = False
     """True if `length` counts registers, False if it counts characters, two in a register."""
     is_switch: bool = False
@@ -45,9 +44,9 @@ _LETTERS = {
     "ab": HIGH_LOW, "ba": HIGH_SWAPPED,
 }  # fmt: skip
 
-# "Little endian byte swap" is CDAB and "big endian byte swap" BADC in the masters with which most
-# people check a register list. A swap of words or bytes that names no endianness starts from big
-# endian.
+# In the programs that most people use to read registers, "little endian byte swap" means CDAB and
+# "big endian byte swap" means BADC. A swap of words or bytes without an endianness is taken from
+# big endian.
 _PHRASES = (
     (r"little ?endian byte ?swap(?:ped)?|mid(?:dle)? ?little ?endian", LOW_HIGH),
     (r"little ?endian word ?swap(?:ped)?|(?:big ?endian )?byte ?swap(?:ped)?", HIGH_SWAPPED),
@@ -145,7 +144,7 @@ def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | 
     said = int(numbers.pop()) if numbers else None
     types, usual = _family(letters, has_bits=said is not None)
     if types is _BCD and said in (4, 8):
-        said *= 4  # These are digits.
+        said *= 4  # `bcd4` counts decimal digits, of 4 bits each.
     known = bits if bits in types else None
     type_ = types.get(said or usual or known or min(types, default=0))
     return None if type_ is None else TypeSpelling(type_, order, is_bits=types is _CODES)

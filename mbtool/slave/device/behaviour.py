@@ -1,9 +1,10 @@
-"""What a device does beyond its profile's data: the hooks that a responder calls."""
+"""The methods of a device that a profile cannot describe; the responder calls them."""
 
-# A profile says which registers, functions and exceptions a device has. A Behaviour adds what no
-# table can say. This class adds nothing; a family's own class overrides what differs:
+# A profile lists the registers, functions and exceptions of a device. A Behaviour adds code for
+# what a list cannot describe, such as an output that follows a register. The class here adds
+# nothing. The class of a device family overrides these members:
 #
-#     own          by function code, the functions that neither read nor write registers or bits
+#     own          the functions that neither read nor write registers or bits, by function code
 #     watches      True if `barred` and `answered` are to be called for each request
 #     barred       the exception for any request, checked first (check 0 of responder.py)
 #     allows       True if a range may be read, or written (check 3)
@@ -16,15 +17,15 @@
 #     answered     called with each request and its response
 #     units        the unit numbers that the device can have on a serial line
 #     rules        the device's rules for TCP connections, if it has any
-#     kept         the registers that survive a restart
+#     kept         the addresses whose values survive a restart
 #     inputs_set   called when values at the device's inputs may have changed
 #     outputs      the state of the device's outputs; shown to people, no master reads it
 #
-# All of it runs in the slave's thread with the time as an argument. Only `outputs` may be called
-# from another thread.
+# All methods run in the slave's thread, and those that need the time get it as an argument. Only
+# `outputs` may be called from another thread.
 #
-# Memory: the answers of `allows` for at most MAX_ALLOWED ranges. Looking through a profile's
-# blocks takes longer than all the rest of a request.
+# Memory: the results of `allows` for at most MAX_ALLOWED ranges. They are kept because the search
+# through a profile's blocks takes longer than all other work on a request.
 
 from __future__ import annotations
 
@@ -73,9 +74,9 @@ class Behaviour:
         self.own: Mapping[int, OwnFunction] = {}
         self.rules: ConnectionPolicy | None = None
         self.keep: Callable[[], None] | None = None
-        """Saves the registers of `kept`; called when one has changed. None if nothing is saved."""
+        """Saves the registers in `kept`, when one of them has changed. None if nothing is saved."""
         self._allowed: dict[tuple[Table, int, int, bool], bool] = {}
-        """The answers of `allows`, at most MAX_ALLOWED."""
+        """Known results of `allows`, by its arguments; at most MAX_ALLOWED."""
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
@@ -124,7 +125,10 @@ class Behaviour:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the values that a write would replace; a mask write (16H) keeps some bits."""
+        """Return the present values of a range that is to be written.
+
+        A mask write (16H) needs them, as it changes only some bits of a register.
+        """
         return self.image.get(table, span.start, len(span))
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
@@ -148,7 +152,10 @@ class Behaviour:
         """Called with each request PDU and its response PDU, if `watches`."""
 
     def inputs_set(self, now_ns: int) -> None:
-        """Called when inputs in the image may have changed; a device that averages needs this."""
+        """Called when input values in the image may have changed.
+
+        A device that averages its inputs must know when they change.
+        """
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
         """The state of all outputs."""

@@ -1,8 +1,9 @@
 """Registers that a device gives out in blocks: a read must begin at the block's first address."""
 
-# A profile's point says so with `block`. The registers of a block are apart from the table: a read
-# that begins at the block's first address gives the block's registers; a read that begins at one
-# of the addresses behind it gives the table's. devices/block_reads.py says which reads are allowed.
+# In the profile, a point of a block has the key `block`. The block's registers are stored apart
+# from the table. A read that begins at the block's first address returns the block's registers; a
+# read that begins at a later address returns the table's. devices/block_reads.py says which reads
+# are allowed.
 #
 # Size: a block ends with its last point, so it has at most 65536 registers.
 
@@ -47,9 +48,10 @@ class Blocks:
         return None if block is None else block[: len(span)]
 
     def set(self, table: Table, first: int, offset: int, values: Sequence[int]) -> None:
-        """Write registers of the block at `first`, from its register `offset` (0-based) on.
+        """Write `values` into the block at address `first`, from the block's register `offset` on.
 
-        Raises ValueError if they extend beyond the block's end, or if a value is not 0..65535.
+        `offset` counts from 0. Raises ValueError if the values extend beyond the block's end, or if
+        one is not 0..65535.
         """
         block = self._blocks[table, first]
         if offset + len(values) > len(block) or not all(0 <= one <= 0xFFFF for one in values):
@@ -57,7 +59,7 @@ class Blocks:
         block[offset : offset + len(values)] = values
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Give `table` the blocks of `with_table`: from now on both tables share them."""
+        """Let `table` use the blocks of `with_table`, from now on."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block

@@ -9,8 +9,8 @@
 # The policy also says how the sockets' keep-alive and idle times are to be set. A request may
 # change these values; `changed` is then True until the shell has read them again.
 #
-# Memory: one Peer for each accepted connection, `places` at most, and the last MAX_NOTES messages
-# for the user.
+# Memory: one Peer for each accepted connection, at most `places` of them, and the last MAX_NOTES
+# messages for the user.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Loss(Enum):
     """Why a connection ended."""
 
     CLOSED = auto()
-    """The master or the slave closed or reset it."""
+    """The master or the slave closed or reset the connection."""
     NOT_ALIVE = auto()
     """The master did not answer the keep-alive probes."""
     SPLIT = auto()
@@ -49,9 +49,9 @@ class Admission:
     peer: Peer | None
     """None if the connection is refused."""
     leaves: Peer | None = None
-    """The master whose connection is closed to make room."""
+    """The master whose connection is closed in favour of the new one; None if none is."""
     is_full: bool = False
-    """True if the connection is refused because all places are taken."""
+    """True if it is refused because as many masters as allowed are connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +63,14 @@ class KeepAlive:
     interval_s: int
     """Seconds from one probe to the next."""
     count: int
-    """Unanswered probes until the connection is given up."""
+    """The connection is closed after so many unanswered probes."""
 
 
 class ConnectionPolicy:
-    """The policy of a device whose manual states none: a number of places and an idle time."""
+    """The policy of a device whose manual states none.
+
+    At most `places` masters may be connected, and an idle connection is closed after `idle_s`.
+    """
 
     def __init__(self, places: int = 32, idle_s: float = 600.0) -> None:
         self.places = places
@@ -80,7 +83,7 @@ class ConnectionPolicy:
         """
         self.peers: list[Peer] = []
         self.notes: deque[str] = deque(maxlen=MAX_NOTES)
-        """What the policy has done, as messages for the user."""
+        """Messages that tell the user what the policy has done."""
 
     @property
     def keep_alive(self) -> KeepAlive | None:
@@ -89,12 +92,12 @@ class ConnectionPolicy:
 
     @property
     def split_s(self) -> float:
-        """The longest time in seconds that a request in parts may take to arrive."""
+        """How long a request in several TCP segments may take to arrive, in seconds."""
         return math.inf
 
     @property
     def closed_until_ns(self) -> int | None:
-        """Until when, in ns, all connections are closed and none is accepted; None for neither."""
+        """The time in ns until which no connection may be open; None while connections may be."""
         return None
 
     def admit(self, host: str, now_ns: int) -> Admission:
@@ -106,6 +109,9 @@ class ConnectionPolicy:
         return Admission(peer)
 
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
-        """Learn that a connection has ended, and free its place. A second call does nothing."""
+        """Forget a master whose connection has ended, so that another may connect.
+
+        A second call for the same master does nothing.
+        """
         if peer in self.peers:
             self.peers.remove(peer)

@@ -1,11 +1,11 @@
-"""A device some of whose values change over time."""
+"""A device with values that change over time."""
 
 # The values are computed when a request arrives, so nothing runs between two requests. Time counts
-# from the first request. If a master writes to such an address, the written value stays until a
-# request comes at least RESOLUTION_NS after the values were last computed.
+# from the first request. If a master writes to an address with a changing value, the written value
+# stays until a request comes at least RESOLUTION_NS after the last computation.
 #
-# A device that averages its inputs (Behaviour.inputs_set) is also given the values that they had
-# since the previous request, at MAX_BETWEEN moments at most.
+# A device that averages its inputs (Behaviour.inputs_set) also gets the input values at fewer than
+# MAX_BETWEEN moments between the previous request and this one.
 
 from __future__ import annotations
 

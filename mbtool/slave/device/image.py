@@ -35,7 +35,7 @@ class RegisterImage:
 
     @classmethod
     def of(cls, profile: Profile) -> Self:
-        """The image of a device that nobody has written to: its points' defaults, else 0."""
+        """Make the image of a device as delivered: each point has its default value, else 0."""
         image = cls(Blocks.of(profile))
         for point in profile.points:
             if point.default is not None:
@@ -69,10 +69,10 @@ class RegisterImage:
         self._cells[table][width * address : width * (address + len(values))] = data
 
     def put(self, point: Point, address: int, values: Sequence[int]) -> None:
-        """Write the registers or the bit of a point at `address`, one of its addresses.
+        """Write the registers or the bit of a point, from `address`, one of its addresses, on.
 
-        They go into the point's block, if it has one, else into the table. Raises ValueError, as
-        `set` does, also beyond the end of the block.
+        Writes into the point's block, if it has one, else into the table. Raises ValueError as
+        `set` does, and if the values extend beyond the end of the block.
         """
         if point.block is None:
             self.set(point.table, address, values)
@@ -82,7 +82,7 @@ class RegisterImage:
     def share(self, table: Table, with_table: Table) -> None:
         """Make `table` and `with_table` the same table.
 
-        Where both held a value, that of `with_table` counts, unless it was 0.
+        Each address keeps the value that it had in `with_table`, or, if that was 0, in `table`.
         """
         ours, theirs = self._cells[table], self._cells[with_table]
         if ours is theirs:
@@ -97,16 +97,19 @@ class RegisterImage:
     def cells(self, table: Table, span: range) -> tuple[bytearray, slice]:
         """Return the bytes that hold a table, and the slice of them that holds a range.
 
-        A register has two bytes, a bit has one. These are the bytes themselves, no copy: a caller
-        that keeps both results can read the range's present values again and again.
+        A register has two bytes, a bit has one. The bytes are not a copy: a caller that keeps both
+        results can read the present values of the range at any later time.
         """
         width = _width(table)
         return self._cells[table], slice(width * span.start, width * span.stop)
 
 
 def packed_bits(cells: bytearray) -> bytes:
-    """Return bits as a response has them: eight to a byte, the first one lowest (V1.1b3, 6.1)."""
-    digits = cells.translate(_DIGITS)[::-1]  # The highest digit comes first.
+    """Pack bits for a response: eight to a byte, the first is bit 0 (V1.1b3, 6.1).
+
+    `cells` has one byte, 0 or 1, for each bit.
+    """
+    digits = cells.translate(_DIGITS)[::-1]  # int() reads the highest digit first.
     return int(digits, 2).to_bytes((len(cells) + 7) // 8, "little")
 
 

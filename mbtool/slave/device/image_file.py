@@ -1,7 +1,7 @@
 """Reads a TOML file with the values that a slave starts with and those that change over time."""
 
-# A key names a register, a bit or a point (value_targets.py). Its value is a number, a list of
-# numbers for it and the addresses behind it, or a table that says how it changes (signals.py):
+# A key names a register, a bit or a point (value_targets.py). The value is a number, a list of
+# numbers for consecutive addresses, or a TOML table for a value that changes (signals.py):
 #
 #     HR400001 = 4660
 #     HR400010 = [1, 2, -3]      # negative numbers are 16-bit two's complement
@@ -15,7 +15,7 @@
 # Lines are applied in their order: where ranges overlap, the later line counts. A changing value
 # overrides all constant ones. Access rights are ignored, so inputs can have values.
 #
-# Limits: a file of at most 4 MiB. There is room for every address of all tables.
+# Limits: a file of at most 4 MiB, enough for a value for every address of all four tables.
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ _FORMS = {
     "walk": ("step", "seconds", "seed"),
     "from": ("what", "unit", "link", "speed", "loop"),
 }
-"""The kinds of change, each with the further keys that it takes."""
+"""The kinds of changing value, each with the optional keys of its TOML table."""
 _GREATEST = 1e300
-"""The greatest number in the file: twice the difference of two numbers is then still finite."""
+"""The greatest number allowed. Twice the difference of two such numbers is still a finite float."""
 _STEPS = 20
-"""The default step of a walk is the difference of its two ends, divided by this."""
+"""The default step of a walk: the difference of the lowest and highest value, divided by this."""
 
 Course = Callable[[int], list[int]]
 """Takes a moment, in ns since the first request; returns the registers or the bit at that time."""
@@ -66,14 +66,14 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class FromCapture:
-    """Which recorded value a register, bit or point repeats, and how fast."""
+    """A request to repeat a recorded value: which value, from which capture, and how fast."""
 
     path: Path
     table: Table
     address: int
     words: int
     unit: int | None
-    """The unit whose value it is; None for the only unit in the capture."""
+    """The unit that the value belongs to; None for the only unit in the capture."""
     link: str | None
     """The link that the unit is on; None if the unit is on only one link in the capture."""
     speed: float
@@ -81,7 +81,7 @@ class FromCapture:
 
 
 Recall = Callable[[FromCapture], Course]
-"""Reads the course of a value from a capture.
+"""Reads from a capture how a value changed over time.
 
 Raises UsageError if the capture does not have the value, InputError if it cannot be read.
 """
@@ -97,10 +97,11 @@ def load_image(
 ) -> list[Driven]:
     """Write the constant values of a file into an image, and return the values that change.
 
-    `only` is given for a file of a device's saved state: it has values for these addresses only,
-    each the content of a register, and none that changes. `recall` reads values of captures; if it
-    is None, the file may not have any. Raises InputError for a file that is no TOML, UsageError for
-    a wrong key or value; the image then holds the values of the lines before that one.
+    `only` is given when the file is a device's saved state: the file may then set only these
+    addresses, each to the content of a register, and no value may change. `recall` reads values
+    from captures; if it is None, the file may not use captures. Raises InputError for a file that
+    is no TOML, UsageError for a wrong key or value; the image then holds the values of the lines
+    before the wrong one.
     """
     hint = "write lines such as HR400001 = 4660"
     targets = ValueTargets(profile)
@@ -159,7 +160,7 @@ def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -
 
 
 class _Movement:
-    """A table in braces in the file, which says how a value changes."""
+    """A TOML table in the file that says how a value changes, such as `{ ramp = [0, 9] }`."""
 
     def __init__(
         self,

@@ -10,16 +10,17 @@
 #                   may be written if the function writes                      exceptions.address
 #     4  execution  the behaviour refuses it (Behaviour.refusal)               the behaviour's code
 #
-# The profile says which exception code each check gives: FT1A Touch, for one, has only 01 and 02.
-# Nothing is written before every check has passed. A range may run from one area into the next if
-# there is no hole between them.
+# The profile says which exception code each check gives; FT1A Touch, for example, has only 01 and
+# 02. Nothing is written before every check has passed. A range may run from one area into the next
+# if there is no hole between them.
 #
 # Functions answered: 01-06, 0F, 10, 16, 17, and the device's own (Behaviour.own). Any other gets
 # exceptions.function, even if the profile lists it.
 #
-# Masters poll the same few ranges. A read that has passed its checks passes them again, as profiles
-# do not change, so the responder remembers the ranges of at most MAX_KNOWN request PDUs, then
-# forgets all. Reads whose values may differ from the image (Behaviour.is_live) are not remembered.
+# Masters poll the same few ranges. A read that has passed its checks once always passes them, as
+# profiles do not change. So the responder remembers where the values of such a read are, for at
+# most MAX_KNOWN request PDUs; then it forgets all of them. A read whose values may differ from the
+# image (Behaviour.is_live) is not remembered.
 #
 # A responder is one device; units.py decides which unit numbers it answers to.
 
@@ -46,11 +47,15 @@ if TYPE_CHECKING:
 MAX_KNOWN = 4096
 
 _PLAIN_READS = READS - {0x17}
-"""The functions whose response has a byte count and the values read, and which write nothing."""
+"""Functions that only read; their response is a byte count and the values."""
 
 
 _Known = tuple[bytes, bytearray, slice, bool]
-"""Of a read: its function code and byte count, the table's bytes, their slice, True for bits."""
+"""How to answer a known read.
+
+The function code and byte count of the response; the bytes of the table; the slice of them that
+holds the values; True if they are bits.
+"""
 
 
 class DeviceResponder:
@@ -61,7 +66,7 @@ class DeviceResponder:
         self.behaviour = behaviour
         self.image = behaviour.image
         self._known: dict[bytes, _Known] = {}
-        """By request PDU, the reads that have passed all checks: how to make their responses."""
+        """How to answer the reads that have passed all checks, by request PDU."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         """Return the response to a request PDU, or None if there is none. `unit` is ignored."""
@@ -138,7 +143,7 @@ class DeviceResponder:
 
 
 class _RefusedError(Exception):
-    """The request gets an exception response with this code."""
+    """A check has failed: the request gets an exception response with this code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -153,8 +158,9 @@ def _response(known: _Known) -> bytes:
 def _is_beyond(rule: FunctionRule, access: RegisterAccess) -> bool:
     """True if a request reads or writes more values than the profile's limits permit.
 
-    `rule.limit` is for the values read, or written if none are read; a doubtful one does not count.
-    `rule.write_limit` is for the values written by a request that also reads.
+    `rule.limit` limits the values read, or, if the request only writes, the values written. It is
+    ignored if the profile marks it as doubtful. `rule.write_limit` limits the values written by a
+    request that also reads (17H).
     """
     limit = None if rule.doubtful else rule.limit
     if limit is not None and len(access.reads or access.writes) > limit:

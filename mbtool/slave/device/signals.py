@@ -10,7 +10,7 @@
 #
 # Ramp, sine and steps depend on the time alone. A walk is made step by step from its seed, so the
 # same seed gives the same walk. If more than MAX_STEPS steps are due since the last request, only
-# MAX_STEPS of them are made: that bounds the time one request can take to about 50 ms.
+# MAX_STEPS of them are computed, so that the answer to a request is delayed by at most about 50 ms.
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Passes a request to the slave that it is for: several slaves on one line or endpoint."""
+"""Passes each request to the right slave, where several slaves share a serial line or endpoint."""
 
-# A responder is one device and answers under any unit number. Units stands before it and applies
-# the rules of the link:
+# A responder is one device and answers requests for any unit. Units passes it only the requests
+# that are for it, by the rules of the link:
 #
 #     serial line   unit 0 is a broadcast: every slave executes it and none answers (Serial Line
 #                   V1.02, 2.1). A unit that no slave here has belongs to another slave: silence.
@@ -26,7 +26,7 @@ BROADCAST_UNIT = 0
 
 
 class Units:
-    """A responder that passes each request to the slave that it is for."""
+    """A responder that passes each request to the slave with the request's unit number."""
 
     def __init__(
         self,
@@ -61,8 +61,8 @@ def units_on(
 ) -> Units:
     """Put a device on a link under the number `unit`, with other slaves beside it.
 
-    The rules are those of the link, as the comment above says. A device that answers any unit gets
-    the requests for units that no other slave has.
+    Requests are passed on by the rules of the link (see the top of this file). A device that
+    answers any unit gets the requests for units that no other slave has.
     """
     serial = is_line(link)
     any_unit = device if profile.any_unit and not serial else None

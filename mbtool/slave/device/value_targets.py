@@ -1,13 +1,13 @@
-"""What a key of a values file names: a register, a bit or a point of a device."""
+"""Finds the register, bit or point that a key of a values file names."""
 
 # A key may be, in upper or lower case:
 #
 #     the name of a point    "CH1 digital operation value", "T5 preset value". Its value is in the
 #                            point's unit and type.
-#     a reference            HR400001, X1F, T5. Its value is the register's content. A number with
-#                            a fraction, a text, and any number for a point of several registers
-#                            are in the unit of the point there.
-#     a table and address    "holding 9005". Its value is read as that of a reference.
+#     a reference            HR400001, X1F, T5. A whole number is the register's content. A number
+#                            with a fraction, a text, and any number for a point of several
+#                            registers are values in the unit of the point at this address.
+#     a table and address    "holding 9005". The value is read in the same way as for a reference.
 #
 # A reference may stand for several points: T5 of FT1A SmartAXIS is a contact, a current value and a
 # preset value. Such a reference does not say which point is meant, so it is refused, and the error
@@ -56,7 +56,7 @@ class ValueTarget:
     is_named: bool = False
     """True if the key was the point's name."""
     is_reference: bool = False
-    """True if the point's name is its reference, too: X0 of an FA3 module."""
+    """True if the point's name is also its reference, as for X0 of an FA3 module."""
 
     @property
     def words(self) -> int:
@@ -64,10 +64,10 @@ class ValueTarget:
         return self.point.words if self.point is not None else 1
 
     def registers(self, value: object, *, stored: bool = False) -> list[int]:
-        """Return the registers, or the bit, that hold a value of the file.
+        """Convert a value of the file to the contents of the registers, or of the bit.
 
-        If `stored`, a whole number is a register's content, even if a point begins there. Raises
-        UsageError for a value that the registers or the bit cannot hold.
+        If `stored`, a whole number is a register's content, even if a point begins at the address.
+        Raises UsageError for a value that the registers or the bit cannot hold.
         """
         if isinstance(value, bool):
             if not self.table.is_bits:
@@ -80,9 +80,9 @@ class ValueTarget:
         return registers_of(self.point, value)
 
     def nearest(self, value: float) -> list[int]:
-        """Return the registers that come nearest to a value in the point's unit.
+        """Convert a value in the point's unit to registers, rounded to what they can hold.
 
-        Raises UsageError for a value beyond what they can hold.
+        Raises UsageError for a value above or below what they can hold.
         """
         if self.point is None:
             return [self._stored(round(value))]
@@ -99,7 +99,7 @@ class ValueTarget:
 
     @property
     def _is_measured(self) -> bool:
-        """True if a whole number is a value in the point's unit, and no register's content."""
+        """True if a whole number in the file is in the point's unit, not a register's content."""
         return self.point is not None and (
             self.is_named or (self.point.words > 1 and self.point.type is not PointType.STRING)
         )
@@ -177,7 +177,7 @@ class ValueTargets:
         return table, address
 
     def _meanings(self, key: str) -> Iterator[str]:
-        """Give the names of the points that a reference may mean, in different areas."""
+        """Yield the names of the points that a reference may mean, each in another area."""
         for area in self._profile.areas:
             try:
                 place = parse_reference(replace(self._profile, areas=[area]), key)

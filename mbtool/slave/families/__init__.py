@@ -1,4 +1,4 @@
-"""What families of devices do beyond their registers. No I/O."""
+"""Device families that do more than read and write registers. No I/O."""
 
 from mbtool.slave.families.behaviours import make_device
 

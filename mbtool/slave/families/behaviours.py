@@ -1,7 +1,8 @@
 """Makes a device with the behaviour that its profile names."""
 
-# A new family needs its name in BehaviourName (devices/model.py) and its class in BEHAVIOURS under
-# that name. If models of the family differ, the key is the name, a slash and the model code.
+# To add a family: put a name for it into BehaviourName (devices/model.py), and a class into
+# BEHAVIOURS under this name. If one model of the family differs from the others, its class has the
+# key "NAME/MODEL CODE", with the code as four hex digits.
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
     "lt830": Lt830,
     "wago": Wago,
 }
-"""The class for each `behaviour` of a profile, or for one of its models ("fa3/0014")."""
+"""The class for each `behaviour` that a profile can name, or for one of its models ("fa3/0014")."""
 
 
 def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:

@@ -1,18 +1,18 @@
 """Averaging and scaling of an analog input over time."""
 
-# An input keeps its value until it is set again. A module converts it every CONVERSION_NS and puts
-# out, depending on its processing:
+# An input keeps its value until it is set again. A module converts the input every CONVERSION_NS.
+# The setting of the channel says what the module makes of the converted values:
 #
 #     sampling   each value as it is
-#     period     the mean of one period after another (a time, or a number of conversions)
-#     moving     the mean of the last so many conversions
+#     period     the mean of each period; a period is a time or a number of conversions
+#     moving     the mean of the last N conversions, N from the setting
 #
-# The mean is taken over time, which equals the mean of many conversions. There is no result before
-# the first period, or the first window, is complete. Fractions are cut off, as in the manual's
-# example of scaling, where 37.5 becomes 37.
+# Here a mean is weighted by time, which gives the same result as averaging the conversions. There
+# is no result before the first period, or the first N conversions, are complete. Fractions are cut
+# off, as in the manual's example of scaling, where 37.5 becomes 37.
 #
-# Memory: a moving mean keeps at most MAX_STEPS changes of the input. It forgets the oldest, and
-# then takes the oldest value it still has for the time before.
+# Memory: a moving mean keeps at most MAX_STEPS changes of the input. For the time before the oldest
+# change that it still has, it uses the value of that change.
 
 from __future__ import annotations
 
@@ -28,17 +28,20 @@ _LOWEST, _HIGHEST = -0x8000, 0x7FFF
 
 
 class Processing(Protocol):
-    """Makes an output value from an input. No call may have an earlier time than the last one."""
+    """Computes the value that masters read from the values of an input.
+
+    No call may have an earlier time than the call before it.
+    """
 
     def feed(self, value: int, now_ns: int) -> None:
-        """Learn that the input has this value from `now_ns` on."""
+        """Set the input to this value from `now_ns` on."""
 
     def result(self, now_ns: int) -> int | None:
-        """Return the output at `now_ns`, or None while the first one is not complete."""
+        """Return the computed value at `now_ns`, or None before the first mean is complete."""
 
 
 class Sampling:
-    """Puts out each value as it is."""
+    """Gives the input's present value, without a mean."""
 
     def __init__(self) -> None:
         self._value: int | None = None
@@ -51,14 +54,14 @@ class Sampling:
 
 
 class PeriodMean:
-    """Puts out the mean of the last complete period."""
+    """Gives the mean of the last complete period."""
 
     def __init__(self, period_ns: int, value: int, now_ns: int) -> None:
         self._period_ns = period_ns
         self._value = value
         self._begun_ns = self._known_ns = now_ns
         self._sum = 0
-        """The sum of value times duration in ns, from the begin of the period to `_known_ns`."""
+        """The sum of value times duration in ns, from the period's begin to `_known_ns`."""
         self._mean: int | None = None
 
     def feed(self, value: int, now_ns: int) -> None:
@@ -83,13 +86,13 @@ class PeriodMean:
 
 
 class MovingMean:
-    """Puts out the mean of the last `window_ns`."""
+    """Gives the mean of the last `window_ns`."""
 
     def __init__(self, window_ns: int, value: int, now_ns: int) -> None:
         self._window_ns = window_ns
         self._begun_ns = now_ns
         self._steps: deque[tuple[int, int]] = deque([(now_ns, value)], maxlen=MAX_STEPS)
-        """Pairs of a time and the value from that time on."""
+        """The changes of the input: the time in ns, and the value from that time on."""
 
     def feed(self, value: int, now_ns: int) -> None:
         if value != self._steps[-1][1]:
@@ -105,15 +108,15 @@ class MovingMean:
         for since_ns, value in reversed(self._steps):
             total += value * (until_ns - max(since_ns, first_ns))
             until_ns = since_ns
-        if until_ns > first_ns:  # The oldest steps were forgotten.
+        if until_ns > first_ns:  # The steps from first_ns to here were forgotten.
             total += self._steps[0][1] * (until_ns - first_ns)
         return cut(total, self._window_ns)
 
 
 def scaled(value: int, lower: int, upper: int) -> int:
-    """Return a digital value on a scale: `lower` stands for 0 and `upper` for FULL_SCALE.
+    """Scale a digital value: 0 becomes `lower`, FULL_SCALE becomes `upper`.
 
-    If the two are equal, the value is returned as it is.
+    If `lower` and `upper` are equal, the value is returned unchanged.
     """
     if lower == upper:
         return value
@@ -121,7 +124,7 @@ def scaled(value: int, lower: int, upper: int) -> int:
 
 
 def cut(dividend: int, divisor: int) -> int:
-    """The quotient without its fraction, rounded towards 0."""
+    """Divide, and round the quotient towards 0."""
     quotient = abs(dividend) // divisor
     return quotient if dividend >= 0 else -quotient
 

@@ -3,17 +3,20 @@
 # Sources: the modules' manual, chapters 10.3 and 10.4. Assumed, as the manual leaves it open:
 #
 #     41H to 44H  have one byte of data, 00; any other gets the exception for a wrong value
-#     41H         resets coils and holding registers to their first values, except the non-volatile
-#                 ones, and clears the alarm. Inputs stay, as they come from outside
+#     41H         resets coils and holding registers, except the non-volatile ones, to the values
+#                 they had at the start, and clears the alarm. Inputs stay, as they come from
+#                 outside
 #     43H         clears RWr1, the latest alarm
 #     44H         clears the history of alarms, which no register shows
-#     TH models   clear their outputs without a connection; the manual names no setting for HOLD
+#     TH models   clear their outputs when no master is connected; for these models, the manual
+#                 names no setting to hold the outputs
 #
-# The registers 00F0H to 00F5H are non-volatile. A new IP address in 00F0H would count after a
-# restart; the embedded slave's address is that of its link, so the value is kept without effect.
+# The registers 00F0H to 00F5H are non-volatile. A real module uses a new IP address in 00F0H after
+# a restart. The embedded slave always uses the address of its link: the value is stored without
+# effect.
 #
-# Outputs follow the coils and registers while a master is connected. Without one they are held or
-# cleared. At the start no master is connected.
+# Outputs follow the coils and registers while a master is connected. While none is, as at the
+# start, they are held or cleared.
 #
 # Memory: the last MAX_HISTORY alarms.
 

@@ -1,9 +1,10 @@
 """The FA3 modules FA3-AT1M8X and FA3-AT1M8Y: settings, conversion and outputs of eight channels."""
 
-# Source: the modules' manual, chapter 10.5. Settings take effect with the initial data setting: the
-# master sets Y9, the module reads the settings and sets X9, the master clears Y9, and the module
-# clears X9. Conversion starts with the first one: before it, and after a remote reset, the values
-# and flags that a master reads are 0 (assumed), and every output is 0 (assumed).
+# Source: the modules' manual, chapter 10.5. Settings take effect with the "initial data setting":
+# the master sets Y9, the module reads the settings and sets X9, the master clears Y9, and the
+# module clears X9. Conversion starts with the first initial data setting. Before it, and after a
+# remote reset, the values and flags that a master reads are 0 (assumed), and so is every output
+# (assumed).
 #
 # FA3-AT1M8X. RWr2 to RWr9 of the image hold the inputs as digital values from 0 to 16000. A master
 # reads them averaged and scaled. X10 to X17 are set once a channel's first value is complete; until
@@ -12,10 +13,11 @@
 # or count of 0 means sampling.
 #
 # FA3-AT1M8Y. A channel puts out its digital value if D/A conversion (0102H) and its output (Y10 to
-# Y17) are enabled, else 0. Without a connection HOLD keeps the last output and CLEAR gives 0.
-# 0 to 16000 is 1 to 5 V (chapter 10.5: 3600 is 1.9 V). The manual does not say what the module does
-# with a value beyond the warning limits: here the output follows the value, and the text shown to
-# people says that it is beyond them.
+# Y17) are enabled, else 0. While no master is connected, a channel set to HOLD keeps its last
+# output and one set to CLEAR gives 0. The digital values 0 to 16000 stand for 1 to 5 V (chapter
+# 10.5: 3600 is 1.9 V). The manual does not say what the module does with a value outside the
+# warning limits: here the output follows the value, and the text shown to people says that it is
+# outside them.
 
 from __future__ import annotations
 
@@ -47,13 +49,13 @@ _INITIAL_SETTING = 0x09  # Y9, X9
 _FLAGS = range(0x10, 0x18)  # X10 to X17, Y10 to Y17
 _VALUES = range(0x02, 0x0A)  # RWr2 to RWr9, RWw2 to RWw9
 
-_CONVERSION = 0x0102  # bit 0 enables
-_BY_CHANNEL = range(0x0105, 0x0107)  # a nibble for each: averaging process, or HOLD/CLEAR
+_CONVERSION = 0x0102  # a bit for each channel; 0 enables conversion
+_BY_CHANNEL = range(0x0105, 0x0107)  # four bits a channel: averaging process, or HOLD/CLEAR
 _AVERAGING = range(0x0107, 0x010F)
-_SCALING = 0x0133  # bit 0 enables
-_SCALING_LIMITS = range(0x0134, 0x0144)  # lower, upper
-_WARNING = 0x0107  # bit 0 enables
-_WARNING_LIMITS = range(0x0108, 0x0118)  # upper, lower
+_SCALING = 0x0133  # a bit for each channel; 0 enables scaling
+_SCALING_LIMITS = range(0x0134, 0x0144)  # two registers a channel: lower and upper limit
+_WARNING = 0x0107  # a bit for each channel; 0 enables the warning
+_WARNING_LIMITS = range(0x0108, 0x0118)  # two registers a channel: upper and lower limit
 
 _HOLD = 1
 _MS = 1_000_000
@@ -89,7 +91,7 @@ class _Fa3Analog(Fa3):
         return [_signed(word) for word in self._words(span)]
 
     def _enabled(self, address: int) -> list[bool]:
-        """Return for each channel if its bit in the register at `address` is 0: enabled."""
+        """Return True for each channel whose bit in the register at `address` is 0 (enabled)."""
         (word,) = self.image.get(Table.HOLDING_REGISTERS, address)
         return [not word >> channel & 1 for channel in CHANNELS]
 
@@ -104,9 +106,9 @@ class _InputSetting:
 
     process: int
     average: int
-    """A time in ms, or a number of conversions; 0 for sampling."""
+    """Length of the average: a time in ms, or a number of conversions; 0 for no average."""
     limits: tuple[int, int]
-    """Lower and upper end of the scale; equal numbers mean no scaling."""
+    """The numbers that 0 and FULL_SCALE are scaled to; two equal numbers mean no scaling."""
 
 
 @dataclass(slots=True)
@@ -128,7 +130,7 @@ class Fa3AnalogInput(_Fa3Analog):
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
         self._channels: Sequence[_InputChannel | None] = _NOT_STARTED
-        """The channels, with None for one that is not converted."""
+        """The eight channels; None for one that is disabled or not started."""
 
     def restarted(self) -> None:
         super().restarted()
@@ -154,7 +156,7 @@ class Fa3AnalogInput(_Fa3Analog):
     def convert(self, now_ns: int) -> Sequence[_InputChannel | None]:
         """Convert the inputs that the image holds, and return the channels with their new values.
 
-        For a mean, an input that has changed has its new value from this call on.
+        In an average, an input that has changed counts with its new value from this call on.
         """
         for one, value in zip(self._channels, self._inputs(), strict=True):
             if one is not None:
@@ -191,7 +193,7 @@ class Fa3AnalogInput(_Fa3Analog):
     ) -> list[_InputChannel | None]:
         """Start conversion with the settings in the holding registers.
 
-        Each channel keeps its value of `before`, or 0, until the first new one is complete.
+        Each channel keeps its value from `before`, or 0, until its first new value is complete.
         """
         channels: list[_InputChannel | None] = []
         for setting, value, last in zip(self._read_settings(), self._inputs(), before, strict=True):
@@ -209,7 +211,7 @@ class Fa3AnalogOutput(_Fa3Analog):
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
         self._standing = [0] * len(CHANNELS)
-        """What the channels put out while no master is connected, as digital values."""
+        """The outputs of the channels while no master is connected, as digital values."""
         self._forget_settings()
 
     def restarted(self) -> None:
@@ -253,7 +255,7 @@ class Fa3AnalogOutput(_Fa3Analog):
 
     def _text(self, channel: int, value: int) -> str:
         lower, upper = self._warning_limits[channel]
-        # Until a master sets the limits, both are equal, and nearly every value is beyond them.
+        # Until a master sets the limits, both are equal: nearly every value would give a warning.
         warns = self._warns[channel] and lower < upper and not lower <= value <= upper
         volts = f"{1 + 4 * value / FULL_SCALE:.3f} V"
         return f"{volts}, beyond its warning limits {lower}..{upper}" if warns else volts

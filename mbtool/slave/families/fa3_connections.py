@@ -1,18 +1,20 @@
 """The connection rules of an FA3 module (manual, chapters 10.2 and 10.3)."""
 
-# Connections: two. A third one is accepted, and the one that was silent longest is closed.
+# Connections: two. When a third master connects, the master that was silent longest is
+# disconnected.
 #
 # Alive check: TCP keep-alive, with its timers in holding registers 00F2H to 00F4H. A value outside
 # its range acts as the nearest limit and reads back as written (assumed). A master that does not
-# answer is disconnected with alarm 0E30H. The manual allows the module up to ten seconds for that,
-# in which it rejects connections from this master's IP address; here it is always ten seconds.
+# answer the probes is disconnected with alarm 0E30H. After that, the module rejects connections
+# from this master's IP address for up to ten seconds, says the manual; here it is always ten
+# seconds.
 #
 # Split reception: 00F5H is the longest time from the first part of a request to its last. A slower
 # master is disconnected with alarm 0E40H.
 #
 # Remote reset (41H) closes all connections; for two seconds none is accepted.
 #
-# Memory: two peers, and an IP address for each alive check error of the last ten seconds.
+# Memory: two peers, and an IP address for each failed alive check of the last ten seconds.
 
 from __future__ import annotations
 
@@ -76,7 +78,7 @@ class Fa3Connections(ConnectionPolicy):
         }
         self._closed_until_ns: int | None = None
         self._rejected: dict[str, int] = {}
-        """By IP address, until when connections from it are rejected, in ns."""
+        """The IP addresses that may not connect, each with the time in ns when it may again."""
 
     @property
     def keep_alive(self) -> KeepAlive:
@@ -126,7 +128,7 @@ class Fa3Connections(ConnectionPolicy):
             self._linked(False)
 
     def set_timers(self) -> None:
-        """Learn that a master may have written to one of the registers of the timers."""
+        """Apply the keep-alive and split times in the registers; a master may have changed them."""
         self.changed = True
 
     def reset(self, now_ns: int) -> None:

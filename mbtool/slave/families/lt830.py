@@ -1,19 +1,19 @@
-"""What CHINO's LT830 does beyond its profile: which requests it refuses, and its diagnosis."""
+"""CHINO's LT830: which requests the device refuses, and its answer to the diagnosis function."""
 
-# Source: INST. No. INE-350, 6.3.1, 6.4 and 6.5.7, and the error codes of a sister model, as
-# mbtool/devices/profiles/chino-lt830.toml quotes them.
+# Source: the manual INST. No. INE-350, 6.3.1, 6.4 and 6.5.7, and the error codes of a similar
+# model, as mbtool/devices/profiles/chino-lt830.toml quotes them.
 #
 #     reads     only the first address must exist; a missing one behind it reads as 0
 #     writes    every address must exist, and one wrong value discards all values
 #     08        diagnosis code 0000H returns its two bytes of data
 #     11H       the exception for a value outside the range of its point in the profile
 #     12H       the exception for a write to a read-only point in a writable area (assumed: the
-#               sister model gives it while programming is disabled)
+#               similar model gives it while programming is disabled)
 #
 # The built-in profile has no ranges and no read-only points, as the manual's table of references
-# was not available; a user's own profile that extends it can have them. Another diagnosis code gets
-# 01, as in the standard (V1.1b3, 6.8), and more or less than two bytes of data get 03; both are
-# assumed.
+# was not available; a user's own profile that extends the built-in one can have them. Another
+# diagnosis code than 0000H gets exception 01, as in the standard (V1.1b3, 6.8), and more or fewer
+# than two bytes of data get 03; both are assumed.
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Lt830(Behaviour):
     def _after(
         self, place: PointInstance, table: Table, writes: range, values: Sequence[int]
     ) -> PointValue:
-        """Return the value of a point after a write, which may cover only some of its registers."""
+        """Return a point's value as it would be after a write to some or all of its registers."""
         raw = self.image.get(table, place.address, place.words)
         for at in range(place.words):
             if place.address + at in writes:

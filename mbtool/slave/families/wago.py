@@ -1,21 +1,21 @@
-"""What a WAGO 750 coupler does beyond its profile: process image, counters, commands."""
+"""A WAGO 750 coupler: its counters and commands, and what ties in process image and watchdog."""
 
-# Sources: the two manuals that mbtool/devices/profiles/wago-750.toml joins. The process image is in
-# wago_image.py, the watchdog in wago_watchdog.py.
+# Sources: the two manuals that mbtool/devices/profiles/wago-750.toml was made from. The process
+# image is in wago_image.py, the watchdog in wago_watchdog.py.
 #
 #     07         returns the first eight inputs
 #     0B         returns status 0000 and the number of successful requests except 0B (V1.1b3, 6.9)
 #     1029H      a block of nine counters (Counter); writing 55AAH or AA55H clears them
 #     102AH      the number of open connections
-#     1030H      a connection is closed after so many milliseconds without a request; 0 is never
+#     1030H      a connection is closed after so many ms without a request; 0 means never
 #     100BH      writing 1 saves time and mask of the watchdog, which then survive a restart
 #     2040H      writing 55AAH or AA55H restarts: outputs 0, settings as at the start or as saved,
 #                counters 0, watchdog off
 #
-# Assumed: a restart by 2040H is acknowledged, and connections stay open. The time of 1030H holds
-# for later connections. The second counter is for requests with a wrong protocol id: here they get
-# no response and are not counted. Writes of 2041H to 2043H and 1028H are acknowledged without
-# effect.
+# Assumed: a restart by 2040H is acknowledged, and connections stay open. A new time in 1030H
+# applies to later connections only. The second counter is meant for requests with a wrong protocol
+# id; here such requests get no response and are not counted. Writes of 2041H to 2043H and 1028H are
+# acknowledged without effect.
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ class Wago(Behaviour):
         self._counters = self._first_counters()
         self._went_well = 0
         self._at_first: list[int] | None = None
-        """The settings that a restart brings back: those at the first request, or saved since.
+        """The settings (register contents) that a restart brings back.
 
-        None before the first request.
+        They were read at the first request, or saved later; None before the first request.
         """
         self._set_idle_time()
 
@@ -151,7 +151,7 @@ class Wago(Behaviour):
             self._went_well = self._went_well + 1 & 0xFFFF
 
     def _alone(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
-        """Wrap a function whose request has no data: if it has any, an exception is returned."""
+        """Wrap a function whose requests have no data: a request with data gets an exception."""
 
         def own(pdu: bytes, now_ns: int) -> bytes:
             if len(pdu) > 1:
@@ -171,7 +171,7 @@ class Wago(Behaviour):
         return address in span and self.image.get(HOLDING, address)[0] in values
 
     def _first_counters(self) -> list[int]:
-        """Return the counters at the start: those in the image's block for them, else zeros."""
+        """Return the initial values of the counters: 0, or those in the user's values file."""
         span = range(COUNTERS, COUNTERS + len(Counter))
         begun = self.image.blocks.get(HOLDING, span) or []
         return [*begun, *[0] * len(Counter)][: len(Counter)]
@@ -210,7 +210,8 @@ class Wago(Behaviour):
     def _is_value_wrong(self, pdu: bytes) -> bool:
         """True if a refused request is wrong in its form, quantity or value.
 
-        False if only its addresses can be the reason: functions 01 and 02 give 02 for both.
+        The exception code alone does not tell: functions 01 and 02 give code 02 for a wrong
+        quantity and for a wrong address.
         """
         if self.profile.value_exception(pdu[0]) != self.profile.exceptions.address:
             return True

@@ -1,15 +1,17 @@
-"""The process image of a WAGO 750 coupler: inputs, outputs, and digital data in registers."""
+"""The process image of a WAGO 750 coupler: where its inputs and outputs are read and written."""
 
-# Sources: as wago.py. Functions 03 and 04 read the same registers, 01 and 02 the same bits. Reads
-# from 0000 on give inputs; writes there set outputs, which are read back 0200H higher. The second
-# part works likewise: registers from 6000H are read back at 7000H, bits from 3000H at 4000H.
+# Sources: as in wago.py. Functions 03 and 04 read the same registers, 01 and 02 the same bits.
+# Reads from 0000 on return inputs; writes from 0000 on set outputs, which are read back 0200H
+# higher. A second range works in the same way: registers written from 6000H on are read back at
+# 7000H, bits written from 3000H on at 4000H.
 #
-# Digital data also stand in registers, behind all analog data. Registers 1022H to 1025H give the
-# sizes of analog and digital outputs and inputs in bits. They are 0 unless the user's values file
-# sets them, to describe a coupler with modules; they are read once, at the start. If they are set,
-# the registers of digital data are made from the bits, and a write to such a register sets the
-# bits. Assumed: the lowest bit of a register is the first one, and digital data begin with a
-# register of their own. Only the first part, 256 registers and 512 bits, has digital data in both.
+# The digital inputs and outputs can also be read and written in registers, behind all analog data.
+# Registers 1022H to 1025H give the sizes of the analog and digital outputs and inputs in bits. They
+# are read once, at the start, and are 0 unless the user's values file sets them, to describe a
+# coupler with modules. If they are set, a read of a register of digital data returns the bits, and
+# a write to it sets the bits. Assumed: bit 0 of a register is the first of its 16 digital inputs or
+# outputs, and digital data begin in a new register. Only the first range (256 registers, 512 bits)
+# has digital data in registers.
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ _OUTPUTS = (
     (COILS, range(0x0200), range(0x0200, 0x0400)),
     (COILS, range(0x3000, 0x35F8), range(0x4000, 0x45F8)),
 )
-"""For each range of outputs: its table, where masters write it, and where it is read back."""
+"""Ranges of outputs: table, addresses where masters write, addresses where they read back."""
 _SIZES = range(0x1022, 0x1026)
 """Registers with the sizes, in bits, of analog outputs and inputs, digital outputs and inputs."""
 _OUTPUT_BASE = 0x0200
@@ -39,7 +41,7 @@ _WORD_BITS = 16
 
 
 class ProcessImage:
-    """The inputs and outputs in a register image."""
+    """Reads and writes the inputs and outputs of a coupler in its register image."""
 
     def __init__(self, image: RegisterImage) -> None:
         image.share(Table.INPUT_REGISTERS, HOLDING)
@@ -54,7 +56,10 @@ class ProcessImage:
         )
 
     def read(self, span: range, values: list[int]) -> list[int]:
-        """Put digital data into `values`, the image's registers of a range, and return them."""
+        """Put digital data into `values` and return them.
+
+        `values` are the contents of the registers `span` in the image.
+        """
         for base, words, bits in self._parts:
             for at in range(max(words.start, span.start), min(words.stop, span.stop)):
                 first = base + (at - words.start) * _WORD_BITS
@@ -63,15 +68,15 @@ class ProcessImage:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the values that a write to a range would replace."""
+        """Return the present values of a range that is to be written."""
         span = stored_range(table, span)
         values = self._image.get(table, span.start, len(span))
         return values if table.is_bits else self.read(span, values)
 
     def write(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Write a range: outputs where they are read back, other registers and bits as they are.
+        """Write values to a range; values for outputs go where masters read them back.
 
-        Written registers of digital data also set the bits.
+        A value for a register of digital data also sets the bits.
         """
         span = stored_range(table, span)
         self._image.set(table, span.start, values)
@@ -90,10 +95,10 @@ class ProcessImage:
 
 
 def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
-    """Return, for outputs and for inputs, where digital data stand in registers and as bits.
+    """Return where the digital outputs, and the digital inputs, are in registers and as bits.
 
-    Each has the address of the first bit, the addresses of the registers, and those of the bits.
-    Outputs or inputs without digital data are left out.
+    Each item has the address of the first bit, the addresses of the registers, and the addresses of
+    the bits. There is no item for outputs, or inputs, without digital data.
     """
     parts = []
     for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):

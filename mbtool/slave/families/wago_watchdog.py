@@ -4,25 +4,26 @@
 #
 #     starts     when a value other than 0 and other than the last one is written to 1003H, and
 #                1000H holds a time
-#     restarts   with each further such value, and with each request whose function is in the mask
-#                of 1001H and 1002H
-#     expires    when neither comes in time: 1006H is 2, 1004H is 0, every request gets exception 04
-#     stops      with AAAAH and then 5555H in 1005H, or with 55AAH or AA55H in 1008H; 1 in 1007H
-#                starts it again
+#     restarts   when a master writes another such value to 1003H, and with each request whose
+#                function is in the mask of 1001H and 1002H
+#     expires    when the time in 1000H (unit 100 ms) passes without a restart: then 1006H is 2,
+#                1004H is 0, and every request gets exception 04
+#     stops      when a master writes AAAAH and then 5555H to 1005H, or 55AAH or AA55H to 1008H;
+#                writing 1 to 1007H starts it again
 #
 # The alternative watchdog (100AH = 1) restarts with every request. When it expires, all outputs
 # become 0, and requests are still answered.
 #
 # Assumed:
 #
-#     after it has expired, single writes of 1005H, 1007H and 1008H are accepted
+#     after the watchdog has expired, single writes of 1005H, 1007H and 1008H are accepted
 #     a write of the mask while the watchdog runs gets exception 04
 #     1004H is the shortest time that was left at a restart
-#     1 in 1007H does not start a watchdog that is off
+#     writing 1 to 1007H does not start a watchdog that is off
 #     outputs stay as they are when the ordinary watchdog expires
-#     1009H (close sockets when it expires) is stored without effect
+#     1009H (close sockets when the watchdog expires) is stored without effect
 #
-# There is no timer: each request checks if the time is over.
+# There is no timer: at each request, the watchdog checks if its time has passed.
 
 from __future__ import annotations
 
@@ -63,7 +64,7 @@ class Status(IntEnum):
 
 
 class Watchdog:
-    """The watchdog of a coupler; its settings and its state are registers of `image`."""
+    """The watchdog of a coupler; `image` holds the registers of its settings and state."""
 
     def __init__(self, image: RegisterImage) -> None:
         self._image = image
@@ -72,7 +73,7 @@ class Watchdog:
         self._time_ns = 0
         self._last_trigger = 0
         self._stop_place = 0
-        """How many values of the stop sequence (AAAAH, 5555H) have been written to 1005H."""
+        """Number of values of the stop sequence (AAAAH, 5555H) written to 1005H so far: 0 or 1."""
 
     @property
     def is_active(self) -> bool:
@@ -83,9 +84,10 @@ class Watchdog:
         return self._status is Status.EXPIRED
 
     def heard(self, function: int, now_ns: int) -> bool:
-        """Called with each request: lets the watchdog expire if its time is over, or restarts it.
+        """Called with each request: let the watchdog expire if its time has passed.
 
-        Returns True if all outputs must become 0.
+        Otherwise restart it; the ordinary watchdog only if the function is in the mask. Returns
+        True if the alternative watchdog expired, so that all outputs must become 0.
         """
         is_alternative = bool(self._register(ALTERNATIVE))
         is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
@@ -102,11 +104,11 @@ class Watchdog:
 
     @staticmethod
     def takes(writes: range) -> bool:
-        """True if a write is accepted after the watchdog has expired."""
+        """True if a write to these addresses is accepted after the watchdog has expired."""
         return len(writes) == 1 and writes.start in _ENDING
 
     def written(self, span: range, now_ns: int) -> None:
-        """Called after a write: acts on each written register of the watchdog, in their order."""
+        """Called after a write to the registers `span`: start, restart or stop as they say."""
         for address in span:
             value = self._register(address)
             if address == TRIGGER:

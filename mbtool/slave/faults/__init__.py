@@ -1,1 +1,1 @@
-"""Faults that a slave shows on purpose. No I/O."""
+"""Faults that a slave simulates, to test masters. No I/O."""

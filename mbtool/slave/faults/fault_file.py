@@ -7,8 +7,8 @@
 #     [[faults]]
 #     kind = "exception"                     # a FaultKind; _TAKES lists the keys of each kind
 #     code = 6
-#     functions = [3, 0x10]                  # the keys from here on say which requests it is for;
-#                                            # a request must fit all of them
+#     functions = [3, 0x10]                  # the keys from here on say which requests the fault is
+#                                            # for; a request must fit all of them
 #     units = [1]
 #     registers = "HR400001..400010"         # or 'holding 0..9'
 #     seconds = [10, 20]                     # from and until, counted from the first request
@@ -53,7 +53,7 @@ _TAKES = {
     FaultKind.OFFSET: ("by",),
 }
 _ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
-"""The least and the greatest `by`: all numbers between them give another unit or id."""
+"""The range of the key `by`: adding any of these numbers gives another unit or transaction id."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -63,7 +63,7 @@ class FaultFile:
     """The faults and the seed of one file."""
 
     def __init__(self, path: Path, profiles: Iterable[Profile] = ()) -> None:
-        """Read a file; `profiles` say what the references in it mean.
+        """Read a file. The profiles say which addresses the references in the file stand for.
 
         Raises InputError for a file that cannot be read or is no TOML, UsageError for a wrong key
         or value.
@@ -124,7 +124,7 @@ def _match(table: _Table, profiles: list[Profile]) -> FaultCondition:
 
 
 class _Table:
-    """Reads the keys of one table of the file; its errors say in which table they are."""
+    """Reads the keys of one TOML table of the file; an error message names the table."""
 
     def __init__(self, where: str, keys: object) -> None:
         if not isinstance(keys, dict):

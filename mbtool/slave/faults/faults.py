@@ -1,16 +1,17 @@
-"""Faults that a slave shows on purpose, chosen by what is requested and how often."""
+"""Faults that a slave simulates; conditions say for which requests."""
 
-# FaultySlave stands before any responder, a device or a recording, and changes its responses. A
-# fault's `FaultCondition` says which requests it is for, and `Fault` what happens to their
-# responses. All faults that fit apply in their order, each to the result of the one before.
+# FaultySlave passes requests to another responder, a device or a recording, and changes the
+# responses. `FaultCondition` says which requests a fault is for, and `Fault` what happens to the
+# responses. If several faults are for a request, they change its response one after the other.
 #
 # The faults are repeatable: the same requests at the same times meet the same faults. For this,
 # each fault has a random generator of its own, seeded with the file's seed and the fault's position
-# in the file. It draws one number for each request that fits all conditions but the probability.
+# in the file. For each request that fits all other conditions, the fault draws one number and
+# compares it with the probability.
 #
-# A request is executed even if its response becomes an exception or is left out. A stuck address
-# keeps the first value that the slave gave after the fault began. Each fault has at most MAX_STUCK
-# stuck addresses; the values of further ones pass unchanged.
+# A request is executed even if its response becomes an exception or is left out. With the kind
+# STUCK, masters always read the first value that the slave gave after the fault began. A fault can
+# do this for at most MAX_STUCK addresses; further addresses are read as usual.
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ class FaultKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultCondition:
-    """Which requests a fault is for. A field that is None fits any request."""
+    """The conditions a request must meet for a fault to act. A field that is None fits any."""
 
     units: frozenset[int] | None = None
     functions: frozenset[int] | None = None
@@ -67,9 +68,9 @@ class FaultCondition:
     until_ns: int | None = None
     """The fault acts from `from_ns` until `until_ns`, both in ns since the first request."""
     nth: int = 1
-    """Of the requests that fit the fields above, the fault begins with the nth; 1 is the first."""
+    """The fault begins with the nth request that fits the fields above; 1 is the first."""
     every: int = 1
-    """From the nth request on, the fault is for one in so many: 1 is all, 5 every fifth."""
+    """From the nth request on, the fault acts on every request (1), on every fifth (5), ..."""
     times: int | None = None
     """The fault acts on at most so many requests; None for no limit."""
     probability: float = 1.0
@@ -77,7 +78,7 @@ class FaultCondition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """What happens to the responses of some requests."""
+    """What a fault does to a response, and the requests that it is for."""
 
     kind: FaultKind
     match: FaultCondition = field(default_factory=FaultCondition)
@@ -122,7 +123,7 @@ class FaultySlave:
 
 
 class _Active:
-    """One fault, and the counts of requests that fitted it and that it acted on."""
+    """One fault, with a count of the requests that fitted it and of those that it acted on."""
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault
@@ -133,7 +134,7 @@ class _Active:
 
     @property
     def ends_connections(self) -> bool:
-        """True if the fault ends the connection, which it does even if there is no response."""
+        """True if the fault ends the connection, even if the request gets no response."""
         return self._fault.kind in (FaultKind.CLOSE, FaultKind.RESET)
 
     def is_due(self, unit: int, request: Pdu, access: RegisterAccess | None, at_ns: int) -> bool:

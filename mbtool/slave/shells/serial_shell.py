@@ -5,19 +5,18 @@
 # least t3.5 after its request's last byte (Serial Line V1.02, 2.5.1.1), or later if the slave takes
 # longer. Responses leave in the order of their requests.
 #
-# No response goes to: requests for other slaves, and their responses; frames whose check is wrong;
-# noise. No other slave answers for the units played here, so a frame for one of them is a request,
-# also if it equals the response before it (functions 05 and 06).
+# These get no response: requests for other slaves, and those slaves' responses; frames with a wrong
+# CRC or LRC; noise. No other slave answers for the units played here, so a frame for one of them is
+# a request, even if it equals the response before it (functions 05 and 06).
 #
-# With strict timing (strict_timing.py), a request on an RTU line whose silences are not kept gets
-# no response, and any other is carried out only when t3.5 has passed after it.
+# With strict timing (strict_timing.py), an RTU request without the silences that the standard
+# demands gets no response, and any other request is executed only when t3.5 has passed after it.
 #
-# Adapters that give back what is written to them cannot be used: their echo would look like a
-# request.
+# Adapters that echo the bytes written to them cannot be used: their echo would look like a request.
 #
-# Limits: MAX_PENDING responses wait, or pieces of one that is sent in pieces
-# (modbus/distortion.py); with so many, requests get no response. A write that the port does not
-# take in WRITE_TIMEOUT_S is given up.
+# Limits: at most MAX_PENDING responses, or pieces of responses (modbus/distortion.py), wait to be
+# sent; while so many wait, requests get no response. If the port does not take a response within
+# WRITE_TIMEOUT_S, the rest of it is dropped.
 
 from __future__ import annotations
 
@@ -44,9 +43,9 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Responder
 
 MAX_PENDING = 16
-"""How many responses, or pieces of them, may wait to be sent."""
+"""At most so many responses, or pieces of responses, wait to be sent."""
 _NEVER = 32.0
-"""The extra cost, in bits, of reading a frame as what it cannot be here: more than any other."""
+"""Extra cost, in bits, of reading a possible request as a response; higher than any other cost."""
 
 
 class SerialSlave(Shell):
@@ -60,7 +59,7 @@ class SerialSlave(Shell):
         on_exchange: OnExchange | None = None,
         strict_timing: bool = False,
     ) -> None:
-        """Raises UsageError if the timing is to be strict on an ASCII line."""
+        """Prepare a slave. Raises UsageError for strict timing on an ASCII line."""
         if strict_timing and link.ascii:
             raise UsageError(f"link {link}: strict timing is for RTU lines")
         super().__init__()
@@ -70,9 +69,9 @@ class SerialSlave(Shell):
         self._clock = steady_clock()
         self._stopping = threading.Event()
         splitter = AsciiSplitter if link.ascii else RtuSplitter
-        self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _NobodysTurn())
+        self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _RequestsOnlyModel())
         self._pending: deque[tuple[int, bytes]] = deque()
-        """Responses, or pieces of them, each with the time in ns when it is to be sent."""
+        """Responses, or pieces of responses, each with the time in ns when it is to be sent."""
         self._strict = StrictTiming(link.format) if strict_timing else None
 
     @property
@@ -119,7 +118,10 @@ class SerialSlave(Shell):
             self._on_exchange(request, answer)
 
     def _send_due(self) -> None:
-        """Send the responses that are due within t3.5, the length of a read; wait for each."""
+        """Send each response that is due within t3.5, when its time comes.
+
+        A response due later waits for a later call: the next read takes t3.5.
+        """
         while self._pending:
             due_ns, data = self._pending[0]
             rest_ns = due_ns - self._clock()
@@ -132,10 +134,11 @@ class SerialSlave(Shell):
                 self._port.reset_output_buffer()
 
 
-class _NobodysTurn(BusModel):
-    """Reads each frame that can be a request as a request, and only others as responses.
+class _RequestsOnlyModel(BusModel):
+    """Reads each frame that can be a request as a request, whatever frames came before it.
 
-    This holds for a slave, as no other slave answers for its units.
+    A frame for a unit played here is always a request, as no other slave responds for this unit. A
+    frame for another unit gets no response here, so it does not matter how it is read.
     """
 
     def classify(

@@ -1,7 +1,7 @@
 """What all shells of slaves share: a thread that answers on a link until it is stopped."""
 
 # A shell owns the link and the clock; the responder decides what to answer. Only the shell's thread
-# calls the responder, so each shell has a responder of its own.
+# may call the responder, so two shells never share one.
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Response
 
 OnExchange = Callable[["Adu", "Response | None"], None]
-"""Called in the shell's thread with each request and its response, or None if it gets none."""
+"""Called in the shell's thread with each request and its response; None for no response."""
 
 STOP_TIMEOUT_S = 5.0
 
@@ -28,14 +28,14 @@ class Shell(ABC):
 
     def __init__(self) -> None:
         self.turned_away = 0
-        """How many connections were closed because `places` others were open."""
+        """Number of connections refused because `places` others were open."""
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None
 
     @property
     @abstractmethod
     def place(self) -> str:
-        """The link as text. If TCP port 0 was asked for, it has the port that the system chose."""
+        """The link as text; instead of TCP port 0, it has the port that the system chose."""
 
     @property
     def places(self) -> int:
@@ -43,7 +43,7 @@ class Shell(ABC):
         return 1
 
     def notes(self) -> list[str]:
-        """What has happened to connections since the last call, in sentences for the user."""
+        """Messages for the user on what has happened to connections since the last call."""
         return []
 
     def start(self) -> None:
@@ -95,7 +95,7 @@ class Shell(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Open the link, in the thread that calls `start`. Raises what `start` says."""
+        """Open the link, in the thread that calls `start`. Raises the errors that `start` names."""
 
     @abstractmethod
     def _run(self) -> None:
@@ -106,4 +106,4 @@ class Shell(ABC):
 
     @abstractmethod
     def _interrupt(self) -> None:
-        """Make `_run` return soon; it is called from another thread than `_run`."""
+        """Make `_run` return soon. Called from another thread than `_run`."""

@@ -1,10 +1,10 @@
 """Keeps a device's non-volatile registers in a file, from one run to the next."""
 
-# The file is TOML in the device's notation, like a file of start values (image_file.py). It is
-# written when one of its registers has changed, before the master gets the response. The content
-# goes into a second file, which is synced to the disk and then renamed. So after a crash or a power
-# cut the file holds the old state or the new one. The second file may remain; it always has the
-# same name, so the next write replaces it.
+# The file is TOML with the device's references as keys, like a file of start values
+# (image_file.py). It is written when a non-volatile register has changed, before the master gets
+# the response. The content goes into a second file, which is synced to the disk and then renamed.
+# So after a crash or a power cut the file holds the old state or the new one. The second file may
+# remain; it always has the same name, so the next write replaces it.
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def keep_state(
 ) -> None:
     """Load a device's state from a file, if the file exists, and save the state there from now on.
 
-    Raises UsageError for a device that keeps nothing over a restart and for a file with other keys,
-    InputError for a file that cannot be read, OutputError for one that cannot be written. If a
-    later write fails, the device goes on, and `on_trouble` gets a line for the user.
+    Raises UsageError for a device without non-volatile registers and for a file with keys for other
+    registers, InputError for a file that cannot be read, OutputError for one that cannot be
+    written. If a later write fails, the device goes on, and `on_trouble` gets a line for the user.
     """
     kept = device.behaviour.kept
     if not kept:

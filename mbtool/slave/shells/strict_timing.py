@@ -1,7 +1,7 @@
-"""Chooses the requests of an RTU line that a slave with strict timing answers."""
+"""Decides which RTU requests a slave answers that insists on the standard's silences."""
 
 # Serial Line V1.02, 2.5.1.1, and the manual of FT1A Touch, 4.1: at least 3.5 characters of silence
-# come before each message and after it, and no such silence is inside. A real slave takes what is
+# come before each message and after it, and no such silence is inside. A real slave takes all bytes
 # between two silences as one message. So a request gets no answer if
 #
 #     a silence of t3.5 or longer is inside it                 it is two messages, both incomplete
@@ -9,7 +9,7 @@
 #
 # A silence between t1.5 and t3.5 inside a request is tolerated: a late read would look the same.
 #
-# Holds one request, until the line has been silent for t3.5.
+# Memory: one request, held until the line has been silent for t3.5.
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class StrictTiming:
-    """Holds back a request until it is certain that its silences are kept."""
+    """Holds back a request until the silences before, inside and after it are known to be right."""
 
     def __init__(self, line: SerialFormat) -> None:
         self._t3_5_ns = line.t3_5_ns
@@ -31,14 +31,17 @@ class StrictTiming:
         self._held: Adu | None = None
 
     def hear(self, size: int, now_ns: int) -> None:
-        """Take the number of bytes of one read, and when the last of them ended."""
+        """Called after each read of the port, with the number of bytes and the time of the last.
+
+        Drops the held request if these bytes came too soon after it.
+        """
         if self._held is not None:
             silence_ns = now_ns - size * self._character_ns - self._held.end_ns
             if silence_ns < self._t3_5_ns:
                 self._held = None
 
     def hold(self, request: Adu) -> None:
-        """Take a request that is complete."""
+        """Hold a complete request, unless the silence before or inside it is wrong."""
         before_ns, inside_ns = request.silence_before_ns, request.longest_silence_ns
         is_apart = before_ns is None or before_ns >= self._t3_5_ns
         is_apart &= Verdict.GLUED not in request.verdicts

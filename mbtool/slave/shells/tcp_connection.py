@@ -4,17 +4,17 @@
 # goes through the splitter: requests in pieces, bytes that are no request, RTU frames, and all
 # requests while someone watches the exchanges.
 #
-# Responses are sent in the order of their requests; a delayed one delays those behind it. A
-# distorted one is sent as modbus/distortion.py says, and may end the connection.
+# Responses are sent in the order of their requests; a delayed response delays the ones behind it. A
+# response with a simulated fault is sent as modbus/distortion.py says, and may end the connection.
 #
-# The rules of the device (connection_policy.py) set two timers: a connection without a whole
-# request for idle_s is closed; if the last part of a request does not come within split_s of its
-# first, the request is given up and the connection closed.
+# The rules of the device (connection_policy.py) set two timers. A connection without a complete
+# request for idle_s is closed. If the last part of a request does not come within split_s of its
+# first part, the request is dropped and the connection closed.
 #
 # Memory: the splitter's incomplete ADU, and the responses to Bounds.waiting requests. While so many
 # responses are pending, or the master reads none, the connection is not read. The last read before
-# that may add READ_BYTES / 8 responses, with RTU frames READ_BYTES / 4 (the shortest ADU has 8
-# bytes, or 4).
+# that may still add responses: READ_BYTES / 8 on Modbus/TCP, whose shortest ADU has 8 bytes, and
+# READ_BYTES / 4 with RTU frames, whose shortest has 4.
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ _HEADER = struct.Struct(">HHHB")
 _MODBUS = 0
 
 _GONE = frozenset({errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH})
-"""The errors of a connection whose master answers no keep-alive probe or acknowledges nothing.
+"""Errors of a connection whose master has stopped answering keep-alive probes or acknowledging.
 
-The last two come if a router reports that it cannot reach the master.
+EHOSTUNREACH and ENETUNREACH come if a router reports that it cannot reach the master.
 """
 
 # The options that set TCP keep-alive. If a system lacks one, its own setting stays. macOS calls
@@ -64,7 +64,7 @@ _KEEP_COUNT = getattr(socket, "TCP_KEEPCNT", None)
 
 
 class Host(Protocol):
-    """What a connection needs of the slave that it belongs to."""
+    """The slave that a connection belongs to: the methods that the connection calls."""
 
     responder: Responder
     rules: ConnectionPolicy
@@ -78,16 +78,16 @@ class Host(Protocol):
     def waiting(self) -> int: ...
 
     def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
-        """Learn of a new connection from the address `host`, and let the rules decide about it.
+        """Called with a new connection from the IP address `host`; the rules admit or refuse it.
 
-        Returns the peer that the rules know it by; None if the connection must be closed.
+        Returns the master's Peer in the rules, or None if the connection must be closed.
         """
 
     def left(self, connection: MasterConnection) -> None:
-        """Learn that a connection has ended."""
+        """Called when a connection has ended."""
 
     def follow_rules(self) -> None:
-        """Apply the keep-alive times and the closing of all connections, after rules changed."""
+        """Called after the rules changed: apply keep-alive times, or close all connections."""
 
 
 class MasterConnection(asyncio.BufferedProtocol):
@@ -108,9 +108,9 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._splitter = (RtuStreamSplitter if shell.is_rtu else MbapSplitter)(Direction.REQUEST)
         self._reads_in_place = not shell.is_rtu and shell.on_exchange is None
         self._is_in_pieces = False
-        """True if the splitter holds part of a request, or searches for the next one's begin."""
+        """True if the splitter holds part of a request, or is looking for the next request."""
         self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """Bytes to be sent, or how the connection is to end; each with the time due, in ns."""
+        """Bytes to be sent, or how to end the connection; each with the time when, in ns."""
         self._has_ended = False
         """True once the master has ended its direction of the connection with FIN."""
         self._peer_is_slow = False
@@ -139,7 +139,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if option is not None:
                     sock.setsockopt(socket.IPPROTO_TCP, option, value)
 
-    # asyncio calls the methods from here on.
+    # asyncio calls the following methods.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -167,7 +167,10 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._send_due()
 
     def eof_received(self) -> bool:
-        """Learn that the master sends no more; return True if it still gets pending responses."""
+        """Note that the master sends no more.
+
+        Returns True to keep the connection open for pending responses.
+        """
         self._has_ended = True
         return bool(self._pending)
 
@@ -189,12 +192,12 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._rules.lost(self.peer, loss, self._clock())
             self._shell.left(self)
 
-    # The methods above call the methods from here on.
+    # The following methods are called by the methods above.
 
     def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
-        """Answer the request in the buffer, if the bytes there are exactly one.
+        """Answer the request in the buffer, if the buffer holds exactly one request.
 
-        Otherwise, and if requests are not answered in place at all, do nothing and return False.
+        Otherwise, or if all requests must go through the splitter, do nothing and return False.
         """
         if self._is_in_pieces or not self._reads_in_place or not MBAP_BYTES < nbytes <= MAX_TCP_ADU:
             return False
@@ -229,7 +232,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._watch_parts(has_ended_one=bool(events))
 
     def _put(self, answer: Response, transaction_id: int | None, unit: int, now_ns: int) -> None:
-        """Queue a response; a distorted one may be in pieces, or be followed by a disconnection."""
+        """Queue a response. A simulated fault may split it, or end the connection after it."""
         due_ns = last_ns = now_ns + answer.delay_ns
         transport = Transport.RTU_TCP if transaction_id is None else Transport.TCP
         for after_ns, piece in wire_pieces(answer, transport, unit, transaction_id or 0):
@@ -239,9 +242,9 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._pending.append((last_ns, answer.distortion.ending))
 
     def _send_due(self) -> None:
-        """Send all that is due now, and set a timer for the rest.
+        """Send the responses that are due now, and set a timer for the later ones.
 
-        If there is no rest and the master sends no more, close the connection.
+        If nothing is left to send and the master sends no more, close the connection.
         """
         if self._send_timer is not None:
             self._send_timer.cancel()
@@ -284,7 +287,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 self._transport.resume_reading()
 
     def _watch_idle(self) -> None:
-        """Close the connection if no whole request came for idle_s, else check again in time."""
+        """Close the connection if no complete request came for idle_s; else set a timer again."""
         if math.isinf(self._rules.idle_s):
             return
         rest_s = self._rules.idle_s - (self._clock() - self._last_request_ns) / 1e9

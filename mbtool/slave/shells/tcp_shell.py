@@ -4,13 +4,14 @@
 # decides which machines may connect. The rules of the played device (connection_policy.py), or
 # Bounds if the device has none, decide how many masters stay connected, and how long.
 #
-# No response goes to: a request whose protocol id is not 0, bytes that are no request, and requests
-# for which the responder gives none. What one peer sends harms no other connection.
+# These get no response: a request whose protocol id is not 0, bytes that are no request, and
+# requests for which the responder gives none. Bytes from one master never affect the connections of
+# others.
 #
-# Bounds has the first three of these limits; a device's own rules replace the first two:
+# Bounds sets the first three of these limits; a device's own rules replace the first two:
 #
-#     connections   one more is closed as soon as it is made, and counted
-#     idle          a connection without a whole request for so long is closed
+#     connections   a connection beyond this number is closed at once, and counted
+#     idle          a connection without a complete request for so long is closed
 #     waiting       a connection with so many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
 #
@@ -37,17 +38,17 @@ if TYPE_CHECKING:
     from mbtool.slave.device.connection_policy import Peer
 
 MAX_REFUSED_HOSTS = 64
-"""How many machines that may not connect are reported; further ones are refused silently."""
+"""At most so many refused machines are reported to the user; further ones are refused silently."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """The limits of one endpoint, which the comment above describes."""
+    """The limits of one endpoint; the top of this file describes them."""
 
     connections: int = 32
     idle_s: float = 600.0
     waiting: int = 16
-    """Pending responses of a connection; as many as the TCP guide names (V1.0b, 4.3.2)."""
+    """Most pending responses of a connection; 16 is the number in the TCP guide (V1.0b, 4.3.2)."""
 
 
 class TcpSlave(Shell):
@@ -79,12 +80,15 @@ class TcpSlave(Shell):
         self._listener = TcpListener(link, link.endpoint, allowed)
         self._refused_hosts: set[str] = set()
         self._woken = asyncio.Event()
-        """Set when the slave shall stop, and when the rules let nobody connect for a while."""
+        """Set when the slave must stop, or when the rules close all connections for a while."""
         self._is_stopping = False
 
     @property
     def endpoint(self) -> Endpoint:
-        """The endpoint it listens at. Once it is open, port 0 is replaced by the chosen port."""
+        """The endpoint that the slave listens at.
+
+        If the port is 0, it is replaced by the port that the system chose when the slave opened.
+        """
         return self._listener.endpoint
 
     @property
@@ -98,7 +102,7 @@ class TcpSlave(Shell):
     def notes(self) -> list[str]:
         return [self.rules.notes.popleft() for _ in range(len(self.rules.notes))]
 
-    # Its connections call the members from here on.
+    # The connections (MasterConnection) use the following members.
 
     @property
     def is_rtu(self) -> bool:
@@ -141,7 +145,7 @@ class TcpSlave(Shell):
             self._refused_hosts.add(host)
             self.rules.notes.append(f"a master was turned away: {refusal}")
 
-    # The methods from here on open the endpoint, serve it and close it.
+    # The following methods open the endpoint, accept connections and close it.
 
     def _open(self) -> None:
         self._listener.open()
@@ -151,7 +155,7 @@ class TcpSlave(Shell):
         try:
             with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
                 runner.run(self._serve())
-        finally:  # Also where it was stopped before it began to serve.
+        finally:  # Also if the slave was stopped before it began to serve.
             self._listener.close()
 
     def _interrupt(self) -> None:
@@ -178,9 +182,8 @@ class TcpSlave(Shell):
     async def _finish_accepting(self) -> None:
         """Wait until asyncio has made a MasterConnection for each connection that it accepted.
 
-        Closing the server before that would drop those connections. asyncio runs a task for each.
-        No other connection is accepted meanwhile, except by the event loop of Windows, which cannot
-        be told to stop.
+        asyncio runs a task for each of them; closing the server earlier would drop them. Meanwhile
+        no other connection is accepted, except on Windows, whose event loop cannot stop accepting.
         """
         with suppress(NotImplementedError):
             asyncio.get_running_loop().remove_reader(self._listener.sock)
@@ -191,7 +194,7 @@ class TcpSlave(Shell):
         while self.connections:
             for connection in list(self.connections):
                 connection.abort()
-            await asyncio.sleep(0)  # An aborted connection is lost in the loop's next round.
+            await asyncio.sleep(0)  # asyncio ends an aborted connection in the loop's next round.
 
     async def _stay_closed(self) -> None:
         self._woken.clear()
@@ -199,6 +202,6 @@ class TcpSlave(Shell):
             await asyncio.wait_for(self._woken.wait(), self._closed_s())
 
     def _closed_s(self) -> float:
-        """Return for how many seconds from now the rules let nobody connect."""
+        """Return the number of seconds, from now, for which the rules let no master connect."""
         until_ns = self.rules.closed_until_ns
         return 0.0 if until_ns is None else max(until_ns - self.clock(), 0) / 1e9

@@ -1,1 +1,1 @@
-"""Parts of the workflows that several commands use."""
+"""Code that several workflows share."""

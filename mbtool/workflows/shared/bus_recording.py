@@ -1,15 +1,15 @@
-"""Reads a recording as pieces of bytes to be sent to a serial line: every byte of both sides."""
+"""Splits a recording into the pieces to be sent to a serial line: all bytes of both sides."""
 
-# Recorded on a serial line: the bytes are sent as they were captured, with the silences between
-# reads. The time of a read is that of its last byte, so the piece begins as many character times
-# earlier as it has bytes. A silence of t3.5 between two pieces is kept at any speed.
+# If it was recorded on a serial line, the bytes are sent as they were captured, with the silences
+# between reads. A read has the time of its last byte, so its first byte began as many character
+# times earlier as the read has bytes. A silence of t3.5 between two pieces is kept at any speed.
 #
-# Recorded on a network: each PDU is framed for the line, the response of a transaction right after
-# its request. The next request comes after the response, also if the master did not wait for it,
-# because a serial line carries one transaction at a time.
+# If it was recorded on a network, each PDU is framed for the serial line. The response is sent
+# right after its request. The next request is sent after the response, even if the recorded master
+# did not wait for the response, because a serial line carries one transaction at a time.
 #
-# Only one line can be played; --where 'link == ...' chooses it. Other conditions of --where leave
-# out transactions of a network only: the bytes of a serial line are always all sent.
+# Only one line can be played; --where 'link == ...' chooses it. Other conditions of --where apply
+# only to transactions recorded on a network: the bytes of a serial line are always all sent.
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
-"""Bytes in a piece at most, so that a port takes it at once: the longest RTU ADU."""
+"""The most bytes in a piece, so that a port takes it at once: the length of the longest RTU ADU."""
 
 
 class Begun(NamedTuple):
-    """Bytes, when the first of them began (ns), and whether a silence of t3.5 comes before them."""
+    """Bytes, when the first of them began (ns), and True if a silence of t3.5 precedes them."""
 
     begin_ns: int
     data: bytes
@@ -65,7 +65,7 @@ def read_pieces(
     on_remark: Callable[[str], None],
     watch: Watch = unwatched,
 ) -> list[ByteRun]:
-    """The pieces to send to a link, in order of time, counted from the beginning of the window.
+    """Return the pieces to send, in order of time; time counts from the begin of the part played.
 
     Raises InputError if the file cannot be read or has no piece to send, UsageError if it has
     several lines, or a line of another mode (RTU or ASCII) than the link.
@@ -140,11 +140,11 @@ def _of_line(
             untimed = untimed or chunk.stamp is Stamp.UNKNOWN
             pieces += _cut(chunk, line.format)
     except (CutError, DamageError):
-        pass  # The user was told when the transactions were read.
+        pass  # The user already knows from the reading of the transactions.
     if untimed:
         on_remark(f"{path}: has no times of its bytes: they are sent without a silence")
-    # Sorted by their ends: if the assumed baud rate is too low, a long piece seems to begin before
-    # the piece ahead of it.
+    # Sort by end: if the assumed baud rate is too low, a long piece would seem to begin before the
+    # piece that precedes it.
     pieces.sort(key=lambda one: one.end_ns)
     begun: list[Begun] = []
     end_ns: int | None = None
@@ -157,7 +157,7 @@ def _of_line(
 
 
 class _Heard(NamedTuple):
-    """Bytes, their first and last moment, and the shortest silence between frames (t3.5)."""
+    """Bytes, the time of the first and of the last one, and the silence between frames (t3.5)."""
 
     begin_ns: int
     end_ns: int
@@ -185,7 +185,7 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
             log = LogReader(capture.stream, capture.name)
             lines: dict[str, LineSettings | None] = {}
             for item in log.evidence():
-                if item.link not in lines:  # Looked up late: a log may name a link after its items.
+                if item.link not in lines:  # Only now, as a log may describe a link late.
                     lines[item.link] = _settings(log.links.get(item.link, {}).get(SPEC))
                 line = lines[item.link]
                 if isinstance(item, Chunk) and line is not None:

@@ -1,16 +1,18 @@
-"""Tells whether a file continues the file before it: parts of one capture."""
+"""Decides whether a file continues the file before it, as a further part of one capture."""
 
-# tcpdump -G and -C, dumpcap -b and sniff --rotate go on in a next file while connections are open,
-# so a transaction may begin in one file and end in the next. A file is the next part
+# tcpdump -G and -C, dumpcap -b and sniff --rotate split a capture into several files while
+# connections are open, so a transaction may begin in one file and end in the next. A file is the
+# next part of the capture
 #
-#     of packets    if its first packet is not earlier than the last one of the file before it, and
-#                   has a link type that was in that file
+#     of packets    if its first packet is not earlier (by more than BACK_NS) than the last packet
+#                   of the file before it, is later than the first packet of that file, and has a
+#                   link type that the file before has, too
 #     of a log      if it has the same run, links, devices and profiles, and the next part number;
 #                   and it does not begin earlier
 #
-# Any other file is a capture of its own, and its connections are not joined to those before it. Two
-# unrelated files of packets in order of time are taken for parts, which does no harm: sequence
-# numbers and the time between them keep their connections apart (packets/reassembler.py).
+# Any other file is a new capture, whose connections are not joined to earlier ones. Two unrelated
+# files of packets in order of time are taken as parts of one capture. This does no harm: sequence
+# numbers and the time between the files keep their connections apart (packets/reassembler.py).
 
 from __future__ import annotations
 
@@ -24,22 +26,22 @@ if TYPE_CHECKING:
     from mbtool.logs import LogReader
 
 BACK_NS = 1_000_000_000
-"""So many ns before the last item, an item still continues the capture: packets of several
-interfaces, and bytes of several ports, are written slightly out of order."""
+"""A first item up to so many ns earlier than the last item still continues the capture: packets of
+several interfaces, and bytes of several ports, are written slightly out of order."""
 
 _PART = "part"
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Which part of which capture a file is, as a log tells it. Files of packets tell neither."""
+    """The capture that a log belongs to, and which part of it. Files of packets do not say that."""
 
     number: int | None = None
     run: tuple[object, ...] = ()
 
     @classmethod
     def of_log(cls, log: LogReader) -> Part:
-        """Read the number and the run from the head of a log, before its items."""
+        """Read run and part number from the head of a log, before its items."""
         number = log.capture.get(_PART, "")
         capture = {key: value for key, value in log.capture.items() if key != _PART}
         run = (capture, dict(log.links), dict(log.devices), dict(log.profiles))
@@ -54,7 +56,7 @@ class Part:
 
 
 class Seam:
-    """How far a capture has been read: the times of its first and last item, its link types."""
+    """The state of a capture read so far: times of its first and last item, and its link types."""
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
@@ -70,16 +72,18 @@ class Seam:
 
     def is_continued_by(self, item: Evidence) -> bool:
         """True if a file that begins with this item can be the next part."""
-        if self._last_ns is None:
+        if self._last_ns is None or self._first_ns is None:
             return True
+        if item.ts_ns <= self._first_ns < self._last_ns:
+            return False
         if isinstance(item, Packet) and self._types and item.link_type not in self._types:
             return False
         return item.ts_ns >= self._last_ns - BACK_NS
 
     def is_overtaken_by(self, item: Evidence) -> bool:
-        """True if this first packet of a file is from the time between packets already read.
+        """True if this first packet of a file is older than packets of earlier files.
 
-        Then the parts of the capture are named in the wrong order.
+        Then the user has named the files of the capture in the wrong order.
         """
         if self._first_ns is None or self._last_ns is None or not isinstance(item, Packet):
             return False

@@ -1,11 +1,12 @@
-"""Finds out which serial lines have an exact time for every byte."""
+"""Decides for which serial lines the times of bytes are exact."""
 
 # A file of byte times comes from a logic analyser, whose times are exact, or from a program that
-# noted when it read each byte. On a wire a byte ends no sooner than one character time after the
-# byte before it. A program reads several bytes at once now and then, so that they are nearer. So
-# the times of a line are exact if nearly no byte is nearer than MIN_CHARACTERS.
+# noted when it read each byte. On a wire a byte ends at least one character time after the byte
+# before it. A program now and then reads several bytes at once, and so notes nearly the same time
+# for them. So the times of a line are taken as exact if at most MAX_NEAR_SHARE of its bytes come
+# less than MIN_CHARACTERS after the byte before.
 #
-# Holds three numbers for each line.
+# Memory: three numbers for each line.
 
 from __future__ import annotations
 
@@ -18,10 +19,10 @@ if TYPE_CHECKING:
     from mbtool.core import Chunk, SerialFormat
 
 MIN_CHARACTERS = 0.9
-"""The least time from the end of one byte to the end of the next, in character times: senders and
-analysers are a few percent fast or slow."""
+"""The shortest plausible time from one byte to the next, in character times. It is below 1, as the
+clocks of senders and analysers are a few percent fast or slow."""
 MAX_NEAR_SHARE = 0.01
-"""The largest share of bytes, 0 to 1, that may be nearer: a disturbance may look like a byte."""
+"""The share of bytes, 0 to 1, that may come sooner, as a disturbance may look like a byte."""
 
 
 @dataclass(slots=True)
@@ -31,13 +32,13 @@ class _LineBytes:
 
 
 class ExactTimes:
-    """The serial lines heard, and which of them have an exact time for every byte."""
+    """Finds the serial lines with exact times: counts the bytes that come too soon on each line."""
 
     def __init__(self) -> None:
         self._lines: dict[str, _LineBytes] = {}
 
     def noted(self, pieces: Iterator[Chunk], line: SerialFormat) -> Iterator[Chunk]:
-        """Give the bytes of a line, each of which is a piece, and note how near they are."""
+        """Pass on the bytes of a line, one in each chunk, and count those that come too soon."""
         least_ns = MIN_CHARACTERS * line.character_ns
         last_ns = -(1 << 63)
         for piece in pieces:
@@ -48,6 +49,6 @@ class ExactTimes:
             yield piece
 
     def is_exact(self, link: str) -> bool:
-        """True if the times of a line are exact, as far as it was heard."""
+        """True if the times of a line's bytes so far are exact; False if there are no times."""
         noted = self._lines.get(link)
         return noted is not None and noted.near <= MAX_NEAR_SHARE * noted.heard

@@ -1,4 +1,4 @@
-"""Adds the faults of a file to a slave."""
+"""Adds the simulated faults in a file to a slave."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def faulty(
 ) -> FaultySlave:
     """Return the responder with the faults of a file.
 
-    The file may name registers by the references of `profiles`. Raises InputError if it cannot be
-    read or is no TOML, UsageError if it has a fault that is not understood or that the link cannot
-    have.
+    The file may name registers by the references in `profiles`. Raises InputError if it cannot be
+    read or is no TOML, UsageError if it has a fault that is not understood or not possible on the
+    link.
     """
     file = FaultFile(path, profiles)
     for number, fault in enumerate(file.faults, start=1):
@@ -37,7 +37,7 @@ def faulty(
 
 
 def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
-    """Why a link cannot have a fault, and which fault it can have; None if it can."""
+    """A text on why a fault is impossible on a link, and which fault to use; None if possible."""
     if kind is FaultKind.BAD_CRC and not isinstance(link, SerialLink) and not link.rtu:
         return "Modbus/TCP has no checksum; use truncated or extra-bytes"
     if kind is FaultKind.WRONG_ID and (isinstance(link, SerialLink) or link.rtu):

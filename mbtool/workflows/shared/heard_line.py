@@ -1,13 +1,14 @@
-"""Checks whether the assumed baud rate can be that of the serial line in a file."""
+"""Checks whether the assumed baud rate of the serial line in a file is too low."""
 
-# Packets of serial link types and the text of a monitor do not tell the baud rate. The time of a
-# piece is that of its last byte, so it began as many character times earlier as it has bytes. If
-# the assumed rate is too low, a piece seems to begin before the piece ahead of it ends: they
-# overlap, and the latency between them comes out as 0. An overlap of one character is allowed, for
-# the clock of the recorder. Measured with recordings of sigrok: at the true rate (one at 19200
-# baud, three at 9600) no pieces overlap, at half the true rate half of them do.
+# Packets of serial link types, and the text of a port monitor, do not tell the baud rate. Such a
+# file has the bytes in pieces. A piece has the time of its last byte, so it began as many character
+# times earlier as it has bytes. If the assumed rate is too low, a piece seems to begin before the
+# piece before it ended: the pieces overlap, and a latency between them would be 0. An overlap of
+# one character is allowed, as the recorder's clock is not exact. Measured with recordings of
+# sigrok: at the true rate (one at 19200 baud, three at 9600) no pieces overlap, at half the true
+# rate half of them do.
 #
-# Only neighbours of one link are compared, so one piece is held.
+# Memory: one piece, as only consecutive pieces of one link are compared.
 
 from __future__ import annotations
 
@@ -24,12 +25,12 @@ if TYPE_CHECKING:
 
 
 def serial_types(line: LineSettings | None) -> AbstractSet[int]:
-    """The link types of packets with serial bytes; if the user names the line, USER0 to 15 too."""
+    """The link types of packets with serial bytes; if `line` is given, also USER0 to USER15."""
     return SERIAL_LINK_TYPES if line is None else SERIAL_LINK_TYPES | USER_LINK_TYPES
 
 
 class HeardLine:
-    """The pieces of one file, and how many of them overlap at an assumed baud rate."""
+    """Counts the pieces of one file, and those that overlap at an assumed baud rate."""
 
     def __init__(self, name: str, format_: SerialFormat) -> None:
         self.name = name
@@ -39,7 +40,7 @@ class HeardLine:
         self._overlaps = 0
 
     def note(self, piece: object) -> None:
-        """Take the next item of the file; items that are not bytes of the line are ignored."""
+        """Count the next item of the file; items that are not bytes of the line are ignored."""
         if not isinstance(piece, Chunk):
             return
         self._pieces += 1
@@ -66,8 +67,9 @@ class HeardLine:
 
 
 def heard_remarks(heard: Sequence[HeardLine], *, is_named: bool) -> list[str]:
-    """Lines for the user: which files were read with the usual settings, unless the user named
-    others, and at which the rate seems wrong.
+    """Lines for the user: the files read with default settings, and those whose rate seems wrong.
+
+    `is_named` is True if the user gave the settings; then there is no line about defaults.
     """
     remarks = []
     names = [one.name for one in heard if one.has_bytes]

@@ -1,4 +1,4 @@
-"""The records of a log as they were decoded when it was made, named by today's profiles."""
+"""The records of a log, decoded when the log was made, with names from today's profiles."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def log_records(
 
 
 def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> Iterator[Record]:
-    """Give the records of a log that is being written, as they come.
+    """Yield the records of a log that is still being written, as they are added.
 
-    `wait` is called at the end of what is written; it returns True to look again, False to end.
+    `wait` is called at the end of the file; it returns True to read on, False to end.
     Raises UsageError if the path is standard input or not a plain log, InputError if it cannot be
     read.
     """

@@ -1,4 +1,4 @@
-"""Counts packets that a capture cut, and requests that the decoder dropped."""
+"""Counts packets that were captured incompletely, and requests that the decoder dropped."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _Item = TypeVar("_Item")
 
 
 class MissingParts:
-    """Collects what the user must know to understand transactions that are not captured."""
+    """Counts cut packets and dropped requests, which explain why transactions are incomplete."""
 
     def __init__(self) -> None:
         self._cut = 0
         self._shortest = self._longest = 0
-        """The lengths in bytes of the shortest and the longest packet that is cut."""
+        """The lengths in bytes of the shortest and the longest cut packet."""
         self._dropped = 0
 
     def note_item(self, item: object) -> None:
-        """Take the next item of a source; only packets count."""
+        """Look at the next item of a source; only packets are counted."""
         if not isinstance(item, Packet) or item.original_length <= len(item.data):
             return
         length = len(item.data)
@@ -34,21 +34,21 @@ class MissingParts:
         self._cut += 1
 
     def noted(self, items: Iterator[_Item]) -> Iterator[_Item]:
-        """Pass items on, and take each."""
+        """Pass items on, and call `note_item` for each."""
         for item in items:
             self.note_item(item)
             yield item
 
     def note_record(self, record: object) -> None:
-        """Take the next decoded record; only requests that a limit dropped count."""
+        """Look at the next decoded record; only requests dropped by a limit are counted."""
         if isinstance(record, Transaction) and Verdict.OVER_LIMIT in record.verdicts:
             self._dropped += record.request_raw is not None
 
     @property
     def remarks(self) -> list[str]:
-        """One line for cut packets, and one for dropped requests; none where there are none.
+        """Lines for the user: one if packets were cut, and one if requests were dropped.
 
-        All packets that a snapshot length cuts have that length.
+        If all cut packets have the same length, it is the snapshot length of the capture.
         """
         remarks = []
         if self._cut:

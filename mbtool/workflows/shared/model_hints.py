@@ -1,11 +1,11 @@
-"""Notices slaves that tell their model, if the user gave no profile for them or another one."""
+"""Tells the user if a slave's responses name a model for which it does not have the profile."""
 
-# The response to function 42H of an FA3 module holds its model code. The model does not choose the
-# profile, since the meaning of a register would then depend on where in a capture one begins to
-# read. It is told to the user: as a hint, or as a warning if another model's profile is in use,
-# whose registers have the same addresses and other meanings.
+# The response to function 42H of an FA3 module holds its model code. mbtool does not choose the
+# profile by this code, since the meaning of a register would then change within a capture. It tells
+# the user instead: by a hint, or by a warning if the profile of another model is in use, whose
+# registers have the same addresses but other meanings.
 #
-# Holds one hint for each slave, at most MAX_HINTS. Built-in profiles are loaded when the first
+# Memory: one hint for each slave, at most MAX_HINTS. Built-in profiles are loaded when the first
 # response to a vendor's own function is seen.
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ModelHints:
         self._hints: dict[tuple[str, int], str] = {}
 
     def note(self, record: Record) -> str | None:
-        """Take the next record; return its hint if it is the first one about its slave."""
+        """Look at the next record; return a hint if it gives the first one about its slave."""
         if isinstance(record, WireEvent) or record.function in FUNCTIONS:
             return None
         word = answer_word(record)
@@ -53,7 +53,7 @@ class ModelHints:
 
     @property
     def remarks(self) -> list[str]:
-        """One line for each slave whose profile is not that of the model it tells."""
+        """One line for each slave whose profile is not the one of its model."""
         return list(self._hints.values())
 
     def _model(self, function: int, word: int) -> Profile | None:

@@ -1,7 +1,7 @@
 """Collects the slaves in a recording, with the requests and responses of each."""
 
-# Holds an ObservedSlave (devices/observed_slave.py) for each of at most MAX_SLAVES slaves; the
-# transactions of further slaves are only counted. Register values are kept if `with_values`.
+# Memory: an ObservedSlave (devices/observed_slave.py) for each of at most MAX_SLAVES slaves; the
+# transactions of further slaves are only counted. Register values are kept only with `with_values`.
 
 from __future__ import annotations
 
@@ -19,23 +19,22 @@ if TYPE_CHECKING:
 
 MAX_SLAVES = 2048
 _SHOWN = 12
-"""How many slaves an error names at most."""
+"""The most slaves that an error message names."""
 
 
 class ObservedSlaves:
     """The slaves of a recording, in the order in which they first appear."""
 
     def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
-        """Collect all slaves or, with `who`, only those that it describes.
+        """Collect all slaves or, with `who`, only the slaves that `who` describes.
 
-        `with_values` keeps the values of their registers, too.
+        With `with_values`, the values of registers are kept, too.
         """
         self._who = who
         self._with_values = with_values
         self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
         self.forgotten = 0
-        """How many transactions were not kept, as they are of slaves beyond the first
-        MAX_SLAVES."""
+        """Number of transactions not kept, as they are of slaves beyond the first MAX_SLAVES."""
 
     def add(self, records: Iterable[Record]) -> None:
         for record in records:
@@ -46,7 +45,7 @@ class ObservedSlaves:
         destination, unit = transaction.destination, transaction.unit
         if self._who is not None and not self._who.fits_slave(destination, unit):
             return
-        # A slave on a network has an address, so the interface that heard it does not matter.
+        # A slave on a network is known by its address, whichever interface captured it.
         key = (transaction.link if destination is None else "", destination, unit)
         seen = self._slaves.get(key)
         if seen is None:
@@ -61,9 +60,10 @@ class ObservedSlaves:
         return list(self._slaves.values())
 
     def only(self, option: str) -> ObservedSlave:
-        """The only slave, or the only one that answers. Raises UsageError if there is no such one.
+        """Return the only slave, or the only one that answers.
 
-        `option` is the option with which the user chooses a slave; the error names it.
+        Raises UsageError if there is none or there are several; the message names `option`, the
+        option with which the user can choose a slave.
         """
         slaves = self.slaves
         if len(slaves) == 1:

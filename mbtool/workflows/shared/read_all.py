@@ -1,4 +1,4 @@
-"""Reads files to their end, also where one is cut or damaged."""
+"""Reads all records of files, and tells the user if a file is cut or damaged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
 
 Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
-"""Passes records on, and may show how much of the files has been read."""
+"""A function that passes records on; it may show how much of the files has been read."""
 
 
 def unwatched(_: Reading, records: Iterator[Record]) -> Iterator[Record]:
@@ -25,11 +25,11 @@ def read_all(
     told_as: str = "{error}",
     watch: Watch = unwatched,
 ) -> Iterator[Record]:
-    """Give all records; those of a file that is cut or damaged as far as they can be read.
+    """Yield all records; if a file is cut or damaged, those that can be read.
 
-    `on_remark` gets a line if a file is cut or damaged: `told_as`, with its error put in. In any
-    case it then gets a line for each thing that a user should know of the files. Raises InputError
-    for a file that cannot be read at all, UsageError if the options do not fit the file.
+    `on_remark` then gets the text `told_as`, with the error in place of `{error}`. At the end
+    `on_remark` gets further lines for the user about the files. Raises InputError for a file that
+    cannot be read at all, UsageError if the options do not fit the file.
     """
     try:
         yield from watch(reading, reading.records())

@@ -1,15 +1,16 @@
 """Reads captures and logs of any kind into named transactions and events."""
 
-# A packet capture is decoded. A file with the bytes of a serial line is decoded as one line. A log
-# gives the transactions and events that it holds; with `raw` its packets and bytes are decoded
-# again, with the line settings and profiles of the log, unless the user gives others.
+# A packet capture is decoded. A file with the bytes of a serial line is decoded as one line. From a
+# log, the stored transactions and events are read; with `raw` its packets and bytes are decoded
+# again, with the line settings and profiles in the log, unless the user gives others.
 #
 # Files that are parts of one capture (capture_parts.py), named in their order, are decoded as one,
-# since a connection may begin in one part and end in the next. If a part is cut or damaged, the
-# next parts are read behind a gap.
+# since a connection may begin in one part and end in the next. If a part is cut or damaged, a GAP
+# event stands between it and the next part.
 #
-# Raises InputError for a file that cannot be read. If a file is cut (CutError) or damaged
-# (DamageError), the first such error is raised after everything else has been given.
+# Raises InputError for a file that cannot be read; if demand_files() has already found that a file
+# cannot be read, after the records of the other files. If a file is cut (CutError) or damaged
+# (DamageError), the first such error is raised after all other records.
 
 from __future__ import annotations
 
@@ -48,6 +49,7 @@ from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
 from mbtool.workflows.shared.exact_times import ExactTimes
+from mbtool.workflows.shared.file_result import FileResult, file_table
 from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
 from mbtool.workflows.shared.missing_parts import MissingParts
@@ -68,92 +70,105 @@ DEFAULT_PORT = 502
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """How files are read: where Modbus is looked for, with which profiles and silences."""
+    """Options for reading files: ports with Modbus, profiles, line settings and silences."""
 
     assignments: Assignments = field(default_factory=Assignments)
     ports: Sequence[int] = ()
-    """TCP ports of slaves. If empty, those that a log names, else 502."""
+    """TCP ports of slaves. If empty, the ports stored in the log, or 502 if there is no log."""
     rtu_ports: Sequence[int] = ()
     """TCP ports of slaves with RTU over TCP."""
     any_port: bool = False
     """True to look for Modbus on all other TCP ports, too."""
     line: LineSettings | None = None
-    """The serial line that the bytes of a file were heard on."""
+    """The settings of the serial line in the files; None if the user gave none."""
     t1_5: Silence | None = None
-    """The longest silence inside a frame (t1.5), in place of that of the line's settings."""
+    """The longest silence inside a frame (t1.5), in place of the one from the line's settings."""
     t3_5: Silence | None = None
     response_timeout: Silence | None = None
-    """How long the master of a serial line waits before it repeats a request; None: learned."""
+    """How long the master of a serial line waits before it repeats a request; None to learn it."""
     raw: bool = False
     """True to decode the packets and bytes of a log again."""
 
 
+def _shown(path: str) -> str:
+    """The name of a file in messages."""
+    return "standard input" if path == STANDARD_INPUT else path
+
+
 class Reading:
-    """One pass over some files, which gives their transactions and events."""
+    """Reads files once, and yields their transactions and events."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         self._paths = paths
         self._options = options
         self._current: CaptureFile | None = None
         self._decoder: Decoder | None = None
-        """Decodes the capture that is being read; holds what is unfinished between its parts."""
+        """The decoder of the current capture; keeps open transactions from file to file."""
         self._part: Part | None = None
         self._seam = Seam()
         self._files_read = 0
         self._items = 0
-        """How many packets, reads of a serial line and events of the source the decoder was
-        given."""
+        """Number of items given to the decoder: packets, serial reads, events of the source."""
         self._serial_packets = 0
-        """How many packets with bytes of a serial line are among these items."""
+        """Number of items that are packets with bytes of a serial line."""
         self._has_found = False
-        """True if there was a transaction or an event."""
+        """True if at least one transaction or event was found."""
         self._has_decoded = False
-        """True if there was a transaction, or an event that is not about data that cannot be
-        decoded."""
+        """True if a transaction was found, or an event other than undecodable data."""
         self._first_undecodable: str | None = None
         """The message of the first event about data that cannot be decoded."""
         self._heard: list[HeardLine] = []
-        """The bytes of each file that does not tell the baud rate at which they were heard."""
+        """For each file that does not tell the baud rate, a check of the assumed baud rate."""
         self._missing = MissingParts()
         self._unclosed_logs: list[str] = []
         self._broken: list[InputError] = []
         """The errors of files that are cut or damaged."""
+        self._refused: dict[str, InputError] = {}
+        """Why files cannot be read at all, by path; others are read in spite of them."""
+        self._results: dict[str, FileResult] = {}
+        """What each file gave that has been opened, by name."""
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
-        """The time of the last record."""
+        """The time of the last record, in ns."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
             options.ports or (DEFAULT_PORT,),
             options.rtu_ports,
         )
         self._any_port = options.any_port
         self.assignments = options.assignments
-        """The profiles in use: those of the user, and those of the log that is being read."""
+        """The profiles in use: those given by the user, and those in the log that is being read."""
         self.exact_times = ExactTimes()
-        """Which serial links have an exact time for every byte; complete at the end of a file."""
+        """Knows which serial lines have exact byte times; complete at the end of a file."""
         self.captures = 0
-        """How many captures ended before the last record; all parts of a capture count as one."""
+        """Number of captures completed before the last record; a rotated capture counts as one."""
         self.file = ""
-        """The file of the last record."""
+        """The file that the last record came from."""
         self.is_log = False
-        """True if the last record was taken from a log without being decoded again."""
+        """True if the last record was read from a log and not decoded again."""
         self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
-        """Settings of a serial link, by its name; None if the times of its bytes are unknown."""
+        """Returns a serial link's settings, by link name; None if its bytes have no times."""
         self.line_of: LineOf = lambda _: None
-        """A serial link, by its name; None if it is not known."""
+        """Returns a serial link, by name; None if the name is unknown."""
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
 
     @property
     def fraction(self) -> float | None:
-        """How much of the files has been read, 0 to 1; None if that is unknown, as for a pipe."""
+        """The share of the files that has been read, 0 to 1; None if unknown, as for a pipe."""
         part = self._current.fraction() if self._current is not None else 0.0
         return None if part is None else (self._files_read + part) / len(self._paths)
 
     @property
+    def progress_text(self) -> str:
+        """Which file is being read, for a progress bar: `file 3 of 60`."""
+        number = min(self._files_read + 1, len(self._paths))
+        return f"file {number} of {len(self._paths)}"
+
+    @property
     def why_empty(self) -> str | None:
-        """Why a whole pass gave neither a transaction nor an event, in one line for the user."""
+        """One line for the user that says why the files gave no transaction and no event."""
         if self._has_found or not self._is_complete:
             return None
         names = self._names
@@ -170,10 +185,14 @@ class Reading:
         )
 
     def demand_readable(self) -> None:
-        """Raise InputError if a whole pass gave only events about data that cannot be decoded."""
+        """Raise InputError if the files gave only events about data that cannot be decoded."""
         why = self._first_undecodable
         if why is not None and not self._has_decoded and self._is_complete:
             raise InputError(f"{self._names}: nothing in it could be read: {why}")
+
+    @property
+    def _current_name(self) -> str:
+        return self._current.name if self._current is not None else ""
 
     @property
     def _is_complete(self) -> bool:
@@ -181,12 +200,11 @@ class Reading:
 
     @property
     def _names(self) -> str:
-        names = ("standard input" if one == STANDARD_INPUT else one for one in self._paths)
-        return ", ".join(names)
+        return ", ".join(map(_shown, self._paths))
 
     @property
     def remarks(self) -> list[str]:
-        """What a user should know of the files beside their records, a line each."""
+        """Lines for the user about the files, beside the records."""
         remarks = heard_remarks(self._heard, is_named=self._options.line is not None)
         remarks += self._missing.remarks
         kinds = self._kinds
@@ -196,25 +214,45 @@ class Reading:
             remarks.append("--link has no effect: these are packets of a network")
         if self._has_found and self._is_complete:
             remarks += self._options.assignments.remarks
-        broken = [str(error) for error in self._broken[1:]]  # The first is raised.
-        return remarks + self._misordered + self._unclosed_logs + broken
+        return remarks + self._misordered + self._unclosed_logs + file_table(self._file_results)
 
     def demand_files(self) -> None:
         """Check that each file exists, is named once, and is of a kind that can be read.
 
-        A pipe is not opened, as it can be read only once. Raises InputError for a file that is
-        absent or of another kind, UsageError for one that is named twice or does not go with the
+        A pipe is not opened, as it can be read only once. Raises InputError if every file is
+        missing or of another kind, UsageError for one that is named twice or does not fit the
         options.
         """
         known: set[object] = set()
         for path in self._paths:
-            place, is_pipe = place_of(path)
-            if not is_pipe:
-                with open_capture(path, self._options.line) as capture:
-                    self._demand_line_is_open(capture)
-            if place in known:
-                raise UsageError(f"{path}: named twice; what is in it would count twice")
-            known.add(place)
+            try:
+                self._demand_file(path, known)
+            except InputError as error:
+                self._refused[path] = error
+        if len(self._refused) == len(self._paths):
+            raise self._refused[self._paths[0]]
+
+    def _demand_file(self, path: str, known: set[object]) -> None:
+        """Check one file; `known` has the files checked so far."""
+        place, is_pipe = place_of(path)
+        if not is_pipe:
+            with open_capture(path, self._options.line) as capture:
+                self._demand_line_is_open(capture)
+        if place in known:
+            raise UsageError(f"{path}: named twice; what is in it would count twice")
+        known.add(place)
+
+    @property
+    def _file_results(self) -> list[FileResult]:
+        """What each file gave, and why one was not read, in the order of the names."""
+        results = []
+        opened = iter(self._results.values())
+        for path in self._paths:
+            error = self._refused.get(path)
+            result = next(opened, None) if error is None else FileResult(path, error=error)
+            if result is not None:
+                results.append(result)
+        return results
 
     def profiles_of_logs(self) -> list[Profile]:
         """The profiles in the logs among the files; pipes are not opened.
@@ -234,11 +272,14 @@ class Reading:
         return profiles
 
     def records(self) -> Iterator[Record]:
-        """Give all transactions and events, file by file."""
+        """Yield all transactions and events, file by file."""
         for record in self._records():
             self._has_found = True
             self._missing.note_record(record)
             self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+            result = self._results.get(self.file)
+            if result is not None:
+                result.note(record)
             if isinstance(record, WireEvent) and record.kind in _UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
             else:
@@ -248,10 +289,14 @@ class Reading:
     def _records(self) -> Iterator[Record]:
         try:
             for number, path in enumerate(self._paths, 1):
+                if path in self._refused:
+                    self._files_read += 1
+                    continue
                 try:
                     yield from self._file_records(path)
                 except (CutError, DamageError) as error:
                     self._broken.append(error)
+                    self._results[_shown(path)].error = error
                     if number < len(self._paths):
                         yield from self._break_off(error)
                 self._files_read += 1
@@ -259,10 +304,12 @@ class Reading:
             yield from self._end_capture()
             raise
         yield from self._end_capture()
-        if self._broken:
-            raise self._broken[0]
+        for why in (*self._broken, *self._refused.values()):
+            raise why
 
     def _file_records(self, path: str) -> Iterator[Record]:
+        name = _shown(path)
+        self._results[name] = FileResult(name)
         with open_capture(path, self._options.line) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
@@ -274,7 +321,7 @@ class Reading:
                 yield from self._serial_records(capture)
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
-        """Give a GAP event: this file ends early, and the next part may go on behind the gap."""
+        """Yield a GAP event: this file ends early, and the next part may continue after the gap."""
         is_of_packets = self._part is not None and self._part.number is None
         gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
         if self._decoder is None:
@@ -316,7 +363,7 @@ class Reading:
         yield from self._end_capture()
 
     def _heard_packets(self, capture: CaptureFile) -> Iterator[Packet]:
-        """The packets of a capture; those of a serial line are counted and checked for overlap."""
+        """Yield the packets of a capture; count those of a serial line, and check the baud rate."""
         types = serial_types(self._options.line)
         heard: HeardLine | None = None
         for packet in capture.packets():
@@ -343,7 +390,7 @@ class Reading:
     def _decoded(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
-        """Decode a file; if it is the next part, with the decoder of the file before it."""
+        """Decode a file. If it continues the capture of the file before, keep the same decoder."""
         if not part.follows(self._part):
             yield from self._end_capture()
         self._part = part
@@ -366,16 +413,16 @@ class Reading:
             yield from self._decoder.feed(item)
 
     def _note_order(self, item: Evidence) -> None:
-        """Remember the first file that begins before the file named ahead of it ends."""
+        """Remember the first file that begins before the end of the previous file."""
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
-                f"{self._current.name if self._current is not None else ''}: begins before "
+                f"{self._current_name}: begins before "
                 f"{self.file} ends, so it is read as another capture; "
                 "name the parts of one capture in the order of their times"
             )
 
     def _end_capture(self) -> Iterator[Record]:
-        """End the capture: give what its decoder still holds."""
+        """End the capture: yield the records that its decoder still holds."""
         decoder, self._decoder = self._decoder, None
         self._part, self._seam = None, Seam()
         if decoder is not None:
@@ -385,7 +432,7 @@ class Reading:
 
     def _enter(self, *, is_log: bool = False) -> None:
         """Set `file` and `is_log`: the next records come from the file that is open now."""
-        self.file = self._current.name if self._current is not None else ""
+        self.file = self._current_name
         self.is_log = is_log
 
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
@@ -405,8 +452,8 @@ class Reading:
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            # The transactions of the log have names and times already. So an error in the profiles
-            # or link specs of the log does not stop the reading.
+            # The transactions in the log already have names and times. So errors in the log's
+            # profiles or links are ignored.
             with suppress(UsageError):
                 self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlayOptions:
-    """What is played of a recording, and how fast: the same for each side."""
+    """Which part of a recording is played, and how fast: options for slave, master and bus."""
 
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
     rate: Fraction | None = Fraction(1)
-    """Recorded seconds for each real second; None plays as fast as the link allows."""
+    """Recorded time divided by real time: 2 plays twice as fast; None as fast as possible."""
     window: TimeRange = field(default_factory=TimeRange)
 
 
@@ -38,7 +38,7 @@ class Recorded(NamedTuple):
     transactions: list[NamedTransaction]
     assignments: Assignments
     damage: list[WireEvent]
-    """Events about damaged frames."""
+    """The events about damaged frames."""
 
 
 def read_recorded(
@@ -47,11 +47,11 @@ def read_recorded(
     on_remark: Callable[[str], None] = lambda _: None,
     watch: Watch = unwatched,
 ) -> Recorded:
-    """The transactions of a capture or a log, in the order in which they ended.
+    """Read the transactions of a capture or a log, in the order in which they ended.
 
-    `on_remark` gets a line where the file is cut or damaged; what could be read is played. Raises
-    InputError if the file cannot be read at all, and UsageError for a unit that is on several
-    links.
+    If the file is cut or damaged, `on_remark` gets a line, and the readable part is returned.
+    Raises InputError if the file cannot be read at all, and UsageError for a unit that is on
+    several links.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
@@ -67,16 +67,16 @@ def read_recorded(
 
 
 def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
-    """The 99th percentile of how late requests or pieces were sent, in ns.
+    """The 99th percentile, in ns, of the delays in `sample`.
 
-    None if the sample is empty, or if recorded times were not to be kept.
+    None if the sample is empty, or if the user did not want recorded times.
     """
     late = sorted(sample.values)
     return late[len(late) * 99 // 100] if late and options.rate else None
 
 
 def within(transactions: list[NamedTransaction], window: TimeRange) -> list[NamedTransaction]:
-    """The transactions that begin in a window, whose time counts from the first request."""
+    """The transactions that begin in a window of time, counted from the first request."""
     first_ns = min(
         (one.request_ns for one in transactions if one.request_ns is not None), default=0
     )
@@ -84,7 +84,7 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """The end of a message that there is nothing to play: where, and what the user can do."""
+    """The end of the message "nothing to play": in which part, and what the user can do."""
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"

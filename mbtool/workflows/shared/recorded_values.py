@@ -1,8 +1,8 @@
 """Finds register values in a capture, for a slave that repeats them."""
 
-# At each moment a register has the value that was last read from it or written to it in the
-# capture; before that, the first value that was seen. Time counts from the capture's first request.
-# Each capture is read once.
+# At each moment a register has the value that was last read or written in the capture; before the
+# first read or write, it has the first known value. Time counts from the capture's first request.
+# Each capture is read only once.
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ if TYPE_CHECKING:
 def recorded_values(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
     """Return a function that finds the values of a register in a capture.
 
-    `profile` gives the register's name in errors. `on_remark` gets a line for each thing a user
-    should know of a capture, such as that it is cut. The function raises InputError for a file that
-    cannot be read, UsageError for a file without the value, or with several units or links to
-    choose from.
+    `profile` gives the register's name in errors. `on_remark` gets lines for the user about a
+    capture, such as that it is cut. The returned function raises InputError for a file that cannot
+    be read, UsageError for a file without the value, or if several units or links have it.
     """
     captures: dict[Path, list[NamedTransaction]] = {}
     recordings: dict[tuple[Path, str | None], Recording] = {}

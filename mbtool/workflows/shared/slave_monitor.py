@@ -1,12 +1,12 @@
-"""Shows the requests, responses and outputs of a running slave to another thread."""
+"""Passes the requests, responses and outputs of a running slave to the thread that shows them."""
 
-# The slave's thread calls `take` with each request and its response and goes on. The other thread
-# gets them as transactions, named by the device's profile, and gets the outputs that changed. A
-# transaction whose response was distorted by a fault has the intended values and the bytes that
-# were really sent; the event after it says what was done to the response.
+# The slave's thread calls `take` with each request and its response and does not wait. The other
+# thread gets them as transactions, named by the device's profile, and gets the outputs that
+# changed. If a simulated fault distorted a response, the transaction has the intended values and
+# the bytes that were really sent; the event after it says how the response was distorted.
 #
-# Holds at most MAX_PENDING requests that nobody has taken. Further ones are counted and dropped, so
-# that a slow screen does not slow the slave.
+# Memory: at most MAX_PENDING requests that the other thread has not yet fetched. Further requests
+# are counted and dropped, so that a slow screen does not delay the slave.
 #
 # The time of a response is when it is due: the end of its request plus the slave's own delay.
 
@@ -51,7 +51,7 @@ class SlaveMonitor:
         self._ends = Ends(link.name)
         self._pending: deque[tuple[Adu, Response | None]] = deque()
         self._missed = 0
-        """How many requests were dropped since the start; counted by the slave's thread."""
+        """Number of requests dropped since the start; the slave's thread counts them."""
         self._missed_told = 0
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[DeviceOutput] = []
@@ -59,10 +59,10 @@ class SlaveMonitor:
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
 
-    # The methods up to the next comment are called by the slave's thread.
+    # The slave's thread calls the following methods, up to the next comment.
 
     def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
-        """Take the behaviour of each device, by unit; the devices' outputs are read from it."""
+        """Set the behaviour of each device, by unit, from which the device's outputs are read."""
         self._behaviours = behaviours
         self._outputs = self._all_outputs()
 
@@ -72,7 +72,7 @@ class SlaveMonitor:
         else:
             self._missed += 1
 
-    # The methods from here on are called by the thread that shows what happens.
+    # The thread that shows the requests calls the following methods.
 
     def records(self) -> list[Record]:
         """The transactions and events since the last call."""
@@ -83,7 +83,7 @@ class SlaveMonitor:
         ]
 
     def missed(self) -> int:
-        """How many requests were dropped since the last call."""
+        """Number of requests dropped since the last call."""
         told, self._missed_told = self._missed_told, self._missed
         return self._missed_told - told
 
@@ -93,7 +93,7 @@ class SlaveMonitor:
         return [now for was, now in zip(before, self._outputs, strict=True) if now != was]
 
     def _all_outputs(self) -> list[DeviceOutput]:
-        """The outputs of all devices; with several devices, their names begin with the unit."""
+        """The outputs of all devices; with several devices, each name begins with the unit."""
         return [
             one if len(self._behaviours) == 1 else replace(one, name=f"unit {unit} {one.name}")
             for unit, behaviour in self._behaviours.items()
@@ -136,7 +136,7 @@ class SlaveMonitor:
 
 
 def _how_spoilt(spoiling: Distortion) -> str:
-    """What a fault does to a response, in the order in which it is done."""
+    """A text that lists what a fault did to a response, in order."""
     ending = "" if spoiling.ending is None else _ENDINGS[spoiling.ending]
     if spoiling.silent:
         return ", ".join(filter(None, ("not sent", ending)))

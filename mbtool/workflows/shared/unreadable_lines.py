@@ -1,16 +1,16 @@
-"""Notices serial lines of which little or nothing can be read: their settings are wrong."""
+"""Tells the user which serial lines cannot be read because their settings are wrong."""
 
-# At a wrong baud rate, and at most wrong parities, a receiver delivers bytes that nobody has sent.
-# Nothing can be known from them, so the remedy is to listen anew with LINK@auto. Bytes of the wrong
-# mode (RTU for ASCII), or of 7 data bits heard as 8, are still there: then the remedy is the
-# setting in which the bytes that could not be read are frames with a correct CRC or LRC
-# (settings_fit.py).
+# With a wrong baud rate, and with most wrong parities, a receiver delivers bytes that were never
+# sent. They tell nothing, so the user is advised to listen again with LINK@auto. With the wrong
+# mode (RTU for ASCII), or with 8 data bits instead of 7, the sent bytes can still be recovered.
+# Then the user is advised to use the settings with which the unreadable bytes are frames with a
+# correct CRC or LRC (settings_fit.py).
 #
 # A line is unreadable if at least MIN_BYTES of its bytes are in no frame, and less than
-# MAX_READ_SHARE of all are. It is told while it is heard, once SOON_BYTES bytes or SOON_NS have
-# gone by, or at the end.
+# MAX_READ_SHARE of all bytes are in frames. In a live capture the user is told after SOON_BYTES
+# unreadable bytes, or SOON_NS after the first of them; otherwise at the end.
 #
-# Holds, for each serial line, some numbers and at most SAMPLE_BYTES bytes and one event more.
+# Memory: for each serial line, some numbers, and events with about SAMPLE_BYTES bytes.
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _RTU_DATA_BITS = 8
 _UNREAD = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 LineOf = Callable[[str], SerialLink | None]
-"""Returns the serial line of a link's name; None if it is none, or is not known."""
+"""Returns the serial line with a link name; None if the link is unknown or not serial."""
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class _HeardLine:
     first: WireEvent | None = None
     """The first event with bytes that could not be read."""
     sample: list[WireEvent] = field(default_factory=list)
-    """The first events with such bytes."""
+    """The first events with bytes that could not be read."""
     is_told: bool = False
 
     @property
@@ -71,15 +71,15 @@ class UnreadableLines:
     """Counts the bytes of serial lines that could be read and those that could not."""
 
     def __init__(self, line_of: LineOf, *, is_live: bool = False) -> None:
-        """`is_live` is True if the lines are heard now, so that their ports can be named."""
+        """`is_live` is True in a live capture; the messages then name the ports."""
         self._line_of = line_of
         self._is_live = is_live
         self._lines: dict[str, _HeardLine] = {}
 
     def note(self, record: Record) -> str | None:
-        """Take the next record; return a line for the user if its line is unreadable so far.
+        """Look at the next record; return a message if its serial line is unreadable so far.
 
-        That is told once for each line.
+        There is only one message for each serial line.
         """
         if not isinstance(record, WireEvent):
             if record.transport.is_serial:
@@ -96,13 +96,13 @@ class UnreadableLines:
         return self._tell(record.link, heard)
 
     def untold(self) -> Iterator[str]:
-        """A line for the user for each unreadable line that has not been told; at the end."""
+        """At the end: a message for each unreadable serial line that `note` has not reported."""
         for link, heard in self._lines.items():
             if heard.is_unreadable and not heard.is_told:
                 yield self._tell(link, heard)
 
     def unreadable(self) -> Iterator[tuple[WireEvent, str]]:
-        """The first unreadable bytes of each unreadable line, and what is wrong, with a remedy."""
+        """For each unreadable line, its first unreadable bytes, and a text with the remedy."""
         for link, heard in self._lines.items():
             if heard.first is not None and heard.is_unreadable:
                 yield heard.first, self._text(link, heard)
@@ -136,7 +136,7 @@ class UnreadableLines:
 
 
 def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
-    """The settings that explain the bytes that could not be read; None if none do."""
+    """The settings with which the unreadable bytes would be frames; None if there are none."""
     trial = SettingsTrial(line.format)
     for event in heard.sample:
         trial.feed(event.raw, (), event.ts_ns + (len(event.raw) - 1) * line.format.character_ns)
@@ -145,7 +145,7 @@ def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
     present = LineSettings(line.format, line.ascii)
     if not best.is_likely or best.settings == present:
         return None
-    # With 7 data bits, some RTU frames can be read: those that have no byte above 7FH.
+    # With 7 data bits, RTU frames without a byte above 7FH seem to fit, but RTU needs 8.
     is_possible = best.settings.ascii or best.settings.format.data_bits == _RTU_DATA_BITS
     return best if is_possible else None
 

@@ -276,6 +276,37 @@ def test_the_parts_after_an_absent_file_are_not_read(tmp_path: Path) -> None:
     assert len(_transactions(records)) == 1
 
 
+def test_files_that_cannot_be_read_stop_no_other_and_are_told_at_the_end(tmp_path: Path) -> None:
+    good, text, cut, foreign = (tmp_path / name for name in ("good", "text", "cut", "foreign"))
+    good.write_bytes(capture_file(3))
+    text.write_bytes(b"hello\n")
+    cut.write_bytes(capture_file(2)[:-3])
+    foreign.write_bytes(capture_file(1))
+    paths = [str(one) for one in (text, good, tmp_path / "absent", cut, foreign)]
+    reading = Reading(paths, ReadingOptions())
+    reading.demand_files()
+    records: list[Record] = []
+    with pytest.raises(CutError):
+        records.extend(reading.records())
+    assert len(_transactions(records)) == 6
+    heading, *rows = reading.remarks[-6:]
+    assert heading.split() == ["file", "transactions", "events"]
+    told = [row.removeprefix(str(tmp_path)).split(maxsplit=3) for row in rows]
+    assert [[one[0][1:], one[1], " ".join(one[3:])[:12]] for one in told] == [
+        ["text", "0", "not read: a "],
+        ["good", "3", ""],
+        ["absent", "0", "not read: th"],
+        ["cut", "2", "read in part"],
+        ["foreign", "1", ""],
+    ]
+
+
+def test_if_no_file_can_be_read_the_first_error_is_raised_at_once(tmp_path: Path) -> None:
+    paths = [str(tmp_path / "absent"), str(tmp_path / "too")]
+    with pytest.raises(InputError, match="absent: there is no such file"):
+        Reading(paths, ReadingOptions()).demand_files()
+
+
 def test_says_how_far_it_is(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(3))
@@ -552,8 +583,10 @@ def test_as_what_line_is_said_once_for_all_files(tmp_path: Path) -> None:
         path.write_bytes(_packed(1))
     reading = Reading([str(path) for path in paths], ReadingOptions())
     list(reading.records())
-    (remark,) = reading.remarks
-    assert remark.startswith(f"{paths[0]} and 2 more: taken as 19200-8E1; ")
+    taken = [remark for remark in reading.remarks if "taken as" in remark]
+    assert [one.partition(";")[0] for one in taken] == [
+        f"{paths[0]} and 2 more: taken as 19200-8E1"
+    ]
 
 
 def test_options_without_effect_are_told(tmp_path: Path) -> None:

@@ -1,0 +1,181 @@
+"""mbtool inventory: who is in captures, and what is new."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, TextIO
+
+import typer
+
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import (
+    DeviceOption,
+    RawOption,
+    SilenceOptions,
+    SourceOptions,
+    WhereOption,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.overview.baseline import InventoryChange
+    from mbtool.overview.inventory_rows import InventoryDocument
+
+
+class InventoryFormat(StrEnum):
+    """How an inventory is printed."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+    DOT = "dot"
+    CYCLONEDX = "cyclonedx"
+
+
+_SUFFIXES = {
+    ".txt": InventoryFormat.TABLE,
+    ".json": InventoryFormat.JSON,
+    ".csv": InventoryFormat.CSV,
+    ".dot": InventoryFormat.DOT,
+    ".gv": InventoryFormat.DOT,
+}
+_WITHOUT_CHANGES = (InventoryFormat.DOT, InventoryFormat.CYCLONEDX)
+
+
+@takes_groups
+def inventory(
+    files: Annotated[
+        list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
+    ],
+    *,
+    device: DeviceOption = None,
+    where: WhereOption = None,
+    baseline: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--baseline",
+            metavar="OLD",
+            help="Print what is new since OLD: an inventory of --format json, or a capture or log. "
+            "Repeatable for several captures. Exit code 1 means that there is something.",
+        ),
+    ] = None,
+    format_: Annotated[
+        InventoryFormat | None,
+        typer.Option(
+            "--format",
+            help="How to print: dot is for Graphviz, cyclonedx a bill of materials in JSON. "
+            "[default: table, or what the name of --output says]",
+        ),
+    ] = None,
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Write to a file: .txt, .json, .csv or .dot."
+        ),
+    ] = None,
+    each: Annotated[
+        bool,
+        typer.Option(
+            "--all", help="In a table, a row for units that never answered, and all ranges."
+        ),
+    ] = False,
+    raw: RawOption = False,
+    source: SourceOptions,
+    silences: SilenceOptions,
+) -> None:
+    """List hosts and units of captures, and who asks them what.
+
+    A profile is named only where enough was seen to be sure. docs/inventory.md explains the
+    columns.
+    """
+    from mbtool import __version__
+    from mbtool.cli import exit_codes
+    from mbtool.cli.options import condition
+    from mbtool.cli.output import (
+        demand_other_file,
+        format_by_name,
+        named_file,
+        opened,
+        say_if_empty,
+        told_as_lost,
+    )
+    from mbtool.cli.progress import with_progress
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
+
+    options = InventoryOptions(
+        reading=source.read(device, raw=raw, silences=silences), wanted=condition(where)
+    )
+    demand_other_file([*files, *(baseline or ())], output)
+    path = named_file(output)
+    chosen = format_ or format_by_name(path, _SUFFIXES, InventoryFormat.TABLE)
+    if baseline and chosen in _WITHOUT_CHANGES:
+        raise UsageError("--baseline goes with --format table, json and csv")
+    run = InventoryRun(files, options)
+    # The output is opened when all is read, so that an error leaves an older one as it is.
+    run.reading.demand_files()
+    document = run.take(say, with_progress)
+    new = changes_since(baseline, document, options, say) if baseline else None
+    with opened(path, lambda: None) as (file, name), told_as_lost(name):
+        _write(file, chosen, document, new, __version__, everything=each)
+        file.flush()
+    say_if_empty(run.reading)
+    say(_sentence(document, new) + ("" if path is None else f" -> {path}"))
+    for what, count in document.left_out.items():
+        say(f"mbtool: {count:,} {what}: there are more than are kept at once")
+    if run.error is not None:
+        raise run.error
+    if new:
+        raise typer.Exit(exit_codes.NO)
+
+
+def _write(
+    file: TextIO,
+    format_: InventoryFormat,
+    document: InventoryDocument,
+    new: Sequence[InventoryChange] | None,
+    version: str,
+    *,
+    everything: bool,
+) -> None:
+    """Write the inventory or, in a table or CSV against a baseline, what is new."""
+    from mbtool.cli.console import PipeConsole
+    from mbtool.views.inventory_changes import print_changes
+    from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
+    from mbtool.views.inventory_documents import changes_csv, inventory_csv, inventory_json
+    from mbtool.views.inventory_graph import inventory_dot
+    from mbtool.views.inventory_table import print_inventory
+
+    match format_:
+        case InventoryFormat.TABLE if new is not None:
+            print_changes(PipeConsole(file=file), new)
+        case InventoryFormat.TABLE:
+            print_inventory(PipeConsole(file=file), document, everything=everything)
+        case InventoryFormat.JSON:
+            file.write(inventory_json(document, version, new))
+        case InventoryFormat.CSV:
+            file.write(inventory_csv(document) if new is None else changes_csv(new))
+        case InventoryFormat.DOT:
+            file.write(inventory_dot(document))
+        case InventoryFormat.CYCLONEDX:
+            file.write(inventory_cyclonedx(document, version))
+
+
+def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None) -> str:
+    """Sum up: `2 hosts with 5 units, 1 master in 812 transactions`."""
+    from mbtool.core.wording import counted
+    from mbtool.overview.inventory_rows import Role
+
+    quiet = sum(row.role in (Role.SILENT, Role.UNHEARD) for row in document.slaves)
+    rows = [row for row in document.slaves if row.role not in (Role.SILENT, Role.UNHEARD)]
+    hosts = len({row.place for row in rows})
+    text = f"{counted(hosts, 'host', ',')} with {counted(len(rows), 'unit', ',')}"
+    text += f", {counted(len(document.masters), 'master', ',')}"
+    if quiet:
+        text += f", {counted(quiet, 'unit', ',')} that never answered"
+    text += f" in {counted(document.transactions, 'transaction', ',')}"
+    if new is not None:
+        text = f"{counted(len(new), 'change', ',')} since the baseline; {text}"
+    return text

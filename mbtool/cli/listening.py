@@ -1,0 +1,71 @@
+"""Makes the sniffer for the commands that listen on links."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mbtool.cli.options import PortOptions, TcpPorts
+    from mbtool.core import LinkSpec
+    from mbtool.decode.line_timing import LineTiming
+    from mbtool.logs import LogWriter, RotatingLog
+    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.workflows.sniff import Sniffer
+
+
+def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
+    """The TCP ports of --port and --rtu-port; 502 if --port names none.
+
+    Raises UsageError for a text that is no port, and for a port that both options name.
+    """
+    from mbtool.cli.talk import say
+    from mbtool.core import InterfaceLink
+    from mbtool.workflows.shared.reading import DEFAULT_PORT
+
+    given = options.tcp_ports()
+    if (
+        options.port
+        and not given.any_port
+        and not any(isinstance(one, InterfaceLink) for one in links)
+    ):
+        say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
+    return given if given.ports else given._replace(ports=[DEFAULT_PORT])
+
+
+def allowed_networks(links: Sequence[LinkSpec], networks: Sequence[str] | None) -> AllowedPeers:
+    """The networks whose masters a tap accepts.
+
+    Raises UsageError for a text that is no network, and if there are networks but no tap.
+    """
+    from mbtool.core import TapLink, UsageError
+    from mbtool.ports.allowed_peers import AllowedPeers
+
+    if networks and not any(isinstance(one, TapLink) for one in links):
+        raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")
+    return AllowedPeers.parse(networks or ())
+
+
+def sniffer_of(
+    links: Sequence[LinkSpec],
+    timing: LineTiming,
+    ports: TcpPorts,
+    allowed: AllowedPeers,
+    begin: Callable[[], LogWriter | RotatingLog] | None = None,
+) -> Sniffer:
+    """Make a sniffer that prints a message to the user when something goes wrong."""
+    from mbtool.cli.talk import say
+    from mbtool.decode.decoder import Decoder
+    from mbtool.devices import Namer
+    from mbtool.workflows.sniff import Sniffer, serial_lines
+
+    namer, lines = Namer(timing.assignments), serial_lines(links)
+    return Sniffer(
+        links,
+        Decoder(namer, lines=lines, timing=timing, **ports._asdict()),
+        begin_log=begin,
+        ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
+        allowed=allowed,
+        on_remark=lambda text: say(f"mbtool: {text}"),
+    )

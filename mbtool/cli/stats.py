@@ -1,0 +1,258 @@
+"""mbtool stats: what is polled, how fast, what fails, and what the time of a line goes into."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import (
+    AllowOption,
+    DeviceOption,
+    RawOption,
+    SilenceOptions,
+    SourceOptions,
+    WhereOption,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from rich.console import Console
+    from rich.text import Text
+
+    from mbtool.cli.talk import Interrupt
+    from mbtool.core import SerialFormat
+    from mbtool.overview.statistics import Statistics
+    from mbtool.workflows.shared.reading import ReadingOptions
+    from mbtool.workflows.stats import LiveStatistics
+
+_LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:")
+REFRESH_NS = 1_000_000_000
+"""Time between two refreshes of the view of a live link, in ns."""
+
+
+@takes_groups
+def stats(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE|LINK",
+            help="Captures and logs, as for decode; or links to listen on, as for sniff.",
+        ),
+    ],
+    *,
+    device: DeviceOption = None,
+    where: WhereOption = None,
+    top: Annotated[
+        int | None,
+        typer.Option(
+            "--top",
+            metavar="N",
+            min=1,
+            help="List at most so many rows of each kind. [default: as many as fit the terminal, "
+            "3 to 10; else 10]",
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document (docs/stats.md) at the end.")
+    ] = False,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", min=0, help="Listen for so many seconds."),
+    ] = None,
+    raw: RawOption = False,
+    source: SourceOptions,
+    silences: SilenceOptions,
+    allow: AllowOption = None,
+) -> None:
+    """Show what is polled, how fast and what fails; of links live.
+
+    It also shows what a serial line's time goes into, and the master's poll cycle. Of a link, the
+    figures come anew each second until Ctrl-C; nothing is logged, as sniff -w does that.
+    docs/stats.md explains each figure.
+    """
+    from mbtool.core import UsageError
+
+    live = [_is_link(one) for one in sources]
+    if any(live) and not all(live):
+        raise UsageError("name files or links, not both")
+    if any(live) and (raw or source.link is not None):
+        raise UsageError("--raw and --link go with files")
+    if not any(live) and (duration is not None or allow):
+        raise UsageError("--duration and --allow go with a link")
+    shown = _Shown(sources, where, as_json, top)
+    if any(live):
+        _listen(shown, device, source, silences, allow, duration)
+    else:
+        _read(shown, source.read(device, raw=raw, silences=silences))
+
+
+def _is_link(text: str) -> bool:
+    return text.startswith(_LINK_KINDS) and not os.path.exists(text)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """The sources, and the options that say what is shown of them."""
+
+    sources: Sequence[str]
+    where: str | None
+    as_json: bool
+    top: int | None
+
+    def print(self, statistics: Statistics) -> None:
+        """Print the result to standard output; raises OutputError if it cannot be written."""
+        from mbtool.cli.console import PipeConsole
+        from mbtool.cli.output import told_as_lost
+        from mbtool.overview.statistics_report import report
+        from mbtool.views.statistics_document import statistics_document
+
+        links = report(statistics)
+        with told_as_lost("standard output"):
+            if self.as_json:
+                text = statistics_document(
+                    statistics, links, sources=self.sources, where=self.where
+                )
+                sys.stdout.write(text)
+            elif statistics.transactions or any(link.connections for link in links):
+                console = PipeConsole(file=sys.stdout)
+                for line in self.lines(statistics, console):
+                    console.print(line, soft_wrap=True)
+            sys.stdout.flush()
+
+    def lines(self, statistics: Statistics, console: Console) -> list[Text]:
+        """The lines for a console."""
+        from rich.text import Text
+
+        from mbtool.overview.statistics_report import report
+        from mbtool.views.statistics_table import statistics_lines
+
+        is_terminal = console.is_terminal
+        lines = statistics_lines(
+            report(statistics),
+            width=console.width if is_terminal else None,
+            height=console.height if is_terminal else None,
+            top=self.top,
+        )
+        return [Text(line.text, line.style) for line in lines]
+
+
+def _read(shown: _Shown, options: ReadingOptions) -> None:
+    """Compute the statistics of files, and print them."""
+    from mbtool.cli.options import condition
+    from mbtool.cli.output import say_if_empty
+    from mbtool.cli.progress import with_progress
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.core import InputError
+    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.stats import FileStatistics
+
+    reading = Reading(shown.sources, options)
+    run = FileStatistics(reading, condition(shown.where))
+    reading.demand_files()
+    broken: InputError | None = None
+    with interruptible() as interrupt:
+        try:
+            for _ in with_progress(reading, interrupt.breakable(run.run())):
+                pass
+        except InputError as error:
+            broken = error
+        shown.print(run.statistics)
+    for remark in run.remarks:
+        say(remark)
+    if broken is not None:
+        raise broken
+    say_if_empty(reading)
+
+
+def _listen(
+    shown: _Shown,
+    device: list[str] | None,
+    ports: SourceOptions,
+    silences: SilenceOptions,
+    allow: list[str] | None,
+    duration_s: float | None,
+) -> None:
+    """Compute the statistics of links; show them each second on a terminal, and at the end."""
+    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.options import assignments, condition
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.core import parse_link
+    from mbtool.core.link_spec import HEARD
+    from mbtool.decode.line_timing import LineTiming
+    from mbtool.workflows.sniff import serial_lines, with_settings
+    from mbtool.workflows.stats import LiveStatistics
+
+    wanted = condition(shown.where)
+    specs = [parse_link(link, HEARD) for link in shown.sources]
+    allowed, tcp_ports = allowed_networks(specs, allow), heard_ports(specs, ports)
+    timing = LineTiming(assignments(device), *silences.read())
+    serial_lines(specs)
+    specs = timing.given(with_settings(specs, say))
+    lines = serial_lines(specs)
+
+    def format_of(link: str) -> SerialFormat | None:
+        return timing.format_of(lines[link]) if link in lines else None
+
+    live = LiveStatistics(format_of, wanted)
+    with interruptible() as interrupt, sniffer_of(specs, timing, tcp_ports, allowed) as sniffer:
+        say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
+        with _view(shown, live.statistics) as refresh:
+            ends = _end(interrupt, duration_s, live, refresh)
+            for record in sniffer.records(ends):
+                live.add(record)
+    live.statistics.settle()
+    shown.print(live.statistics)
+    if interrupt.asked:
+        raise KeyboardInterrupt
+
+
+def _end(
+    interrupt: Interrupt,
+    duration_s: float | None,
+    live: LiveStatistics,
+    refresh: Callable[[], None],
+) -> Callable[[int], bool]:
+    """Return a function that takes the time in ns, refreshes the view, and is True at the end."""
+    from mbtool.ports.clock import now_ns
+
+    end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
+    shown_ns = 0
+
+    def ends(at_ns: int) -> bool:
+        nonlocal shown_ns
+        if not 0 <= at_ns - shown_ns < REFRESH_NS:
+            shown_ns = at_ns
+            live.advance(at_ns)
+            refresh()
+        return interrupt.asked or at_ns >= end_ns
+
+    return ends
+
+
+@contextmanager
+def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]:
+    """Yield a function that refreshes the figures; without a terminal it does nothing."""
+    from mbtool.cli.console import PipeConsole
+
+    console = PipeConsole(file=sys.stdout)
+    if shown.as_json or not console.is_terminal:
+        yield lambda: None
+        return
+    from rich.live import Live
+    from rich.text import Text
+
+    with Live(console=console, auto_refresh=False, transient=True) as view:
+
+        def refresh() -> None:
+            lines = shown.lines(statistics, console)[: console.height - 1]
+            view.update(Text("\n").join(lines), refresh=True)
+
+        yield refresh

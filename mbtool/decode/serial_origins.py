@@ -1,0 +1,62 @@
+"""Finds where the frames of a serial line stand in the file that holds its bytes."""
+
+# The raw bytes of a splitter's events, in order, are the bytes that it was fed. So counting the
+# bytes of both gives the place of every frame: in a file of bytes the offset of its first byte, in
+# a file of packets the packet that brought its last byte.
+#
+# Holds one mark for each read of which bytes are still in the splitter.
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from mbtool.modbus.adu import Adu
+
+if TYPE_CHECKING:
+    from mbtool.core import Origin, StreamPlace
+    from mbtool.modbus.adu import Skipped
+
+
+class SerialOrigins:
+    """Counts what a splitter takes and gives, and notes the origin of each ADU."""
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[int, int, StreamPlace | None]] = deque()
+        """For each read of which bytes are in the splitter: how many bytes were fed before it and
+        with it, and its place."""
+        self._fed = 0
+        self._given = 0
+
+    def note(self, size: int, place: StreamPlace | None) -> None:
+        """Note that `size` bytes are fed, which come from a place."""
+        if size:
+            self._marks.append((self._fed, self._fed + size, place))
+            self._fed += size
+
+    def added_to(self, events: list[Adu | Skipped]) -> list[Adu | Skipped]:
+        """The events that the splitter gives next, with the origins of the ADUs."""
+        found: list[Adu | Skipped] = []
+        for event in events:
+            start, self._given = self._given, self._given + len(event.raw)
+            if isinstance(event, Adu):
+                found.append(replace(event, origin=self._origin(start, self._given - 1)))
+            else:
+                found.append(event)
+            while self._marks and self._marks[0][1] <= self._given:
+                self._marks.popleft()
+        return found
+
+    def _origin(self, first: int, last: int) -> Origin | None:
+        """The origin of an ADU whose first and last byte have these numbers."""
+        for begin, end, place in self._marks:
+            origin = None if place is None else place.origin
+            if origin is None or place is None:
+                continue
+            if not origin.packet and begin <= first < end:
+                return origin._replace(offset=place.position + first - begin)
+            if origin.packet and begin <= last < end:
+                return origin
+        return None

@@ -1,0 +1,289 @@
+"""Compares an inventory with an older one, and names what is new."""
+
+# Each change is told once, by what says most:
+#
+# - of a host that is new, nothing else is told; of a unit that is new, only that;
+# - a master that asks a unit for the first time is one change, with the functions and addresses
+#   that it alone uses; it is a new writer if it writes and did not write to the unit before;
+# - a function that is new tells its addresses; only of functions that are known, wider ranges are
+#   told;
+# - a text counts as changed only if the older inventory has another one of the same name. Run
+#   indicators change as a machine is started and stopped, and are no identity;
+# - units that never answered are told together for each master that asked: a scan is one change.
+#
+# A master that is no longer heard is no change: it may ask less often than the capture is long.
+#
+# The name of a serial line is that of a port or of a file, so it may differ from one capture to the
+# next. If both inventories have just one line, it is taken for the same.
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.identification import RUN_INDICATOR
+from mbtool.overview.inventory_ranges import joined, listed, ranges_text, without
+from mbtool.overview.inventory_rows import Role, shown_host
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from mbtool.overview.inventory_rows import FunctionUse, InventoryDocument, MasterRow, SlaveRow
+
+_UNANSWERED = (Role.SILENT, Role.UNHEARD)
+
+
+class ChangeKind(StrEnum):
+    """What is new."""
+
+    HOST = "new host"
+    UNIT = "new unit"
+    WRITER = "new writer"
+    MASTER = "new master"
+    FUNCTION = "new function"
+    RANGE = "wider range"
+    IDENTITY = "changed identity"
+    MAC = "changed MAC"
+    SILENT = "gone silent"
+
+
+class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One thing that is otherwise than in the older inventory."""
+
+    kind: ChangeKind
+    host: str
+    port: int | None = None
+    unit: int | None = None
+    text: str
+    first_ns: int | None = None
+    """When the unit was first seen, in UTC ns; None for what was not seen."""
+
+    @property
+    def where(self) -> str:
+        place = shown_host(self.host, self.port)
+        return place if self.unit is None else f"{place} unit {self.unit}"
+
+
+def changes(old: InventoryDocument, new: InventoryDocument) -> list[InventoryChange]:
+    """What is new in `new`, in the order of ChangeKind, then of hosts and units."""
+    old = _with_line_of(old, new)
+    known = {_key(row): row for row in old.slaves}
+    old_hosts = {row.place for row in old.slaves}
+    old_masters = {row.host for row in old.masters}
+    found = list(_new_places(new, known, old_hosts))
+    for row in new.slaves:
+        before = known.get(_key(row))
+        if before is not None:
+            found += _of_unit(before, row, old_masters)
+    found += _macs(old, new)
+    found += _absent(old, new)
+    order = list(ChangeKind)
+    return sorted(found, key=lambda one: order.index(one.kind))
+
+
+def _key(row: SlaveRow) -> tuple[str, int | None, int]:
+    return row.host, row.port, row.unit
+
+
+def _with_line_of(old: InventoryDocument, new: InventoryDocument) -> InventoryDocument:
+    """The older inventory, its only serial line named as the only one of the newer."""
+    old_lines = {row.host for row in old.slaves if row.port is None}
+    new_lines = {row.host for row in new.slaves if row.port is None}
+    if len(old_lines) != 1 or len(new_lines) != 1 or old_lines == new_lines:
+        return old
+    (name,) = new_lines
+    rows = [
+        msgspec.structs.replace(row, host=name) if row.port is None else row for row in old.slaves
+    ]
+    return msgspec.structs.replace(old, slaves=rows)
+
+
+def _new_places(
+    new: InventoryDocument,
+    known: dict[tuple[str, int | None, int], SlaveRow],
+    old_hosts: set[tuple[str, int | None]],
+) -> Iterator[InventoryChange]:
+    """Hosts and units that the older inventory does not have."""
+    places: dict[tuple[str, int | None], list[SlaveRow]] = {}
+    scanned: dict[tuple[str | None, ChangeKind], list[SlaveRow]] = {}
+    for row in new.slaves:
+        if _key(row) in known:
+            continue
+        if row.role in _UNANSWERED:
+            kind = ChangeKind.UNIT if row.place in old_hosts else ChangeKind.HOST
+            asker = next(iter(row.masters()), None)
+            scanned.setdefault((asker, kind), []).append(row)
+        else:
+            places.setdefault(row.place, []).append(row)
+    for place, rows in places.items():
+        if place in old_hosts:
+            yield from (_place_change(ChangeKind.UNIT, [row]) for row in rows)
+        else:
+            yield _place_change(ChangeKind.HOST, rows)
+    for (_, kind), rows in scanned.items():
+        yield _place_change(kind, rows)
+
+
+def _place_change(kind: ChangeKind, rows: Sequence[SlaveRow]) -> InventoryChange:
+    first = rows[0]
+    silent = ", never answered" if first.role in _UNANSWERED else ""
+    asked = _asked_by(rows)
+    places = list(dict.fromkeys(row.where for row in rows))
+    if len(places) > 1:
+        return InventoryChange(
+            kind=kind,
+            host=first.host,
+            port=first.port,
+            text=f"{listed(places)}{asked}{silent}",
+            first_ns=min(row.first_ns for row in rows),
+        )
+    units = "" if len(rows) == 1 else f"units {listed([str(row.unit) for row in rows])}"
+    return InventoryChange(
+        kind=kind,
+        host=first.host,
+        port=first.port,
+        unit=first.unit if len(rows) == 1 else None,
+        text=f"{units}{asked}{silent}".strip(" ,") or "heard for the first time",
+        first_ns=min(row.first_ns for row in rows),
+    )
+
+
+def _asked_by(rows: Iterable[SlaveRow]) -> str:
+    masters = list(dict.fromkeys(master for row in rows for master in row.masters()))
+    return f" asked by {listed(masters)}" if masters else ""
+
+
+def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator[InventoryChange]:
+    """What is new at a unit that both inventories have."""
+
+    def change(kind: ChangeKind, text: str) -> InventoryChange:
+        return InventoryChange(
+            kind=kind,
+            host=row.host,
+            port=row.port,
+            unit=row.unit,
+            text=text,
+            first_ns=row.first_ns,
+        )
+
+    writers = _only_new(row.masters(writing=True), before.masters(writing=True))
+    readers = [one for one in _only_new(row.masters(), before.masters()) if one not in writers]
+    for kind, masters in ((ChangeKind.WRITER, writers), (ChangeKind.MASTER, readers)):
+        for master in masters:
+            known = "" if master in old_masters else " (a new host)"
+            yield change(kind, f"{master}{known}: {_what(row, master, kind)}")
+    told = {*writers, *readers}
+    uses = [use for use in row.uses if use.master not in told]
+    for function in dict.fromkeys(use.function for use in uses):
+        mine = [use for use in uses if use.function == function]
+        theirs = [use for use in before.uses if use.function == function]
+        if not theirs:
+            yield change(ChangeKind.FUNCTION, "; ".join(_use_text(use) for use in mine))
+            continue
+        yield from (change(ChangeKind.RANGE, text) for text in _wider(mine, theirs))
+    yield from (change(ChangeKind.IDENTITY, text) for text in _identity(before, row))
+    if before.answered and not row.answered and row.unanswered:
+        count = row.unanswered
+        yield change(ChangeKind.SILENT, f"asked {count:,} times, and never answered")
+
+
+def _what(row: SlaveRow, master: str, kind: ChangeKind) -> str:
+    """What a new master asks; of a new writer only what it writes."""
+    is_writer = kind is ChangeKind.WRITER
+    uses = [use for use in row.uses if use.master == master and (use.writes or not is_writer)]
+    return "; ".join(_use_text(use, with_master=False) for use in uses)
+
+
+def _wider(mine: Sequence[FunctionUse], theirs: Sequence[FunctionUse]) -> Iterator[str]:
+    for writes in (False, True):
+        uses = [use for use in mine if use.writes is writes]
+        old = joined(use.all_ranges for use in theirs if use.writes is writes)
+        more = without(joined(use.all_ranges for use in uses), old)
+        if more:
+            masters = [use.master for use in uses if use.master and without(use.all_ranges, old)]
+            by = f" by {listed(masters)}" if masters else ""
+            use = uses[0]
+            verb = "writes" if writes else "reads"
+            yield f"{use.function:02X} {use.name} {verb} {ranges_text(more)}{by}"
+
+
+def _identity(before: SlaveRow, row: SlaveRow) -> Iterator[str]:
+    functions = {use.function for use in before.uses}
+    old, new = _texts(before), _texts(row)
+    for (function, name), texts in new.items():
+        if name == RUN_INDICATOR or function not in functions:
+            continue
+        had = old.get((function, name), [])
+        more = [text for text in texts if text not in had]
+        if more:
+            was = f"{_quoted(had)} -> " if had else "not given before -> "
+            yield f"{name}: {was}{_quoted(more)}"
+
+
+def _macs(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
+    """Hosts whose MAC address is another, slaves and masters, each once."""
+    before: dict[str, list[str]] = {}
+    old_rows: list[SlaveRow | MasterRow] = [*old.slaves, *old.masters]
+    new_rows: list[SlaveRow | MasterRow] = [*new.slaves, *new.masters]
+    for row in old_rows:
+        before.setdefault(row.host, []).extend(row.macs)
+    told = set()
+    for row in new_rows:
+        had = before.get(row.host)
+        more = [mac for mac in row.macs if had and mac not in had]
+        if more and row.host not in told:
+            told.add(row.host)
+            makers = f" ({', '.join(row.makers)})" if row.makers else ""
+            yield InventoryChange(
+                kind=ChangeKind.MAC,
+                host=row.host,
+                text=f"{', '.join(dict.fromkeys(had or ()))} -> {', '.join(more)}{makers}",
+                first_ns=row.first_ns,
+            )
+
+
+def _absent(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
+    """Units that answered, and that the newer inventory does not have at all; by host."""
+    present = {_key(row) for row in new.slaves}
+    gone: dict[tuple[str, int | None], list[SlaveRow]] = {}
+    for row in old.slaves:
+        if row.answered and _key(row) not in present:
+            gone.setdefault(row.place, []).append(row)
+    for (host, port), rows in gone.items():
+        units = listed([str(row.unit) for row in rows])
+        yield InventoryChange(
+            kind=ChangeKind.SILENT,
+            host=host,
+            port=port,
+            unit=rows[0].unit if len(rows) == 1 else None,
+            text="neither asked nor heard"
+            if len(rows) == 1
+            else f"units {units}: neither asked nor heard",
+        )
+
+
+def _texts(row: SlaveRow) -> dict[tuple[int, str], list[str]]:
+    texts: dict[tuple[int, str], list[str]] = {}
+    for one in row.identity:
+        texts.setdefault((one.function, one.name), []).append(one.text)
+    return texts
+
+
+def _only_new(new: Sequence[str], old: Sequence[str]) -> list[str]:
+    return [one for one in new if one not in old]
+
+
+def _use_text(use: FunctionUse, *, with_master: bool = True) -> str:
+    ranges = ranges_text(use.all_ranges)
+    verb = f" {'writes' if use.writes else 'reads'} {ranges}" if ranges else ""
+    by = f" by {use.master}" if with_master and use.master is not None else ""
+    known = FUNCTIONS.get(use.function)
+    name = use.name if known is None else known.short
+    return f"{use.function:02X} {name}{verb}{by}"
+
+
+def _quoted(texts: Iterable[str]) -> str:
+    return ", ".join(f'"{text}"' for text in texts)

@@ -1,0 +1,154 @@
+"""Cuts a sequence of requests into cycles, where it repeats itself."""
+
+# See poll_cycle.py for what this is a part of. Memory: some lists of the requests that are given.
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from itertools import pairwise
+from statistics import median
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Mapping, Sequence
+
+P = TypeVar("P", bound="Hashable")
+
+MIN_CYCLES = 3
+"""So often a cycle must be seen to count as one: two equal pieces may be chance."""
+_TRANSITIONS = 64
+"""At most so many transitions are tried, the most frequent first. A list that is longer has all of
+its transitions equally often, so any of them will do."""
+_SAME_PACE = 0.25
+"""A master has one pace if its pauses differ by at most this share of the time for each step."""
+_TIED = 0.02
+"""Cuts whose shares differ by at most this are equally good."""
+
+
+class PollStart(NamedTuple, Generic[P]):
+    """A request with its repetitions."""
+
+    poll: P
+    begin_ns: int
+    end_ns: int
+    is_missing: bool
+    """True if at least one of the attempts got no answer. Where the last one got none, `end_ns` is
+    when the master gave it up."""
+
+
+class CutCycles(NamedTuple, Generic[P]):
+    """A sequence of requests, cut into cycles."""
+
+    starts: Sequence[PollStart[P]]
+    cuts: Sequence[int]
+    """Where cycles begin; the last one, where the sequence ends."""
+    usual: tuple[P, ...]
+    share: float
+    """The share of the requests that are in cycles of the usual form."""
+
+    def pieces(self) -> list[Sequence[PollStart[P]]]:
+        """The cycles of the usual form, in order."""
+        found = (self.starts[begin:end] for begin, end in pairwise(self.cuts))
+        return [one for one in found if tuple(start.poll for start in one) == self.usual]
+
+
+def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
+    """Cut the sequence at the transition whose cycle explains most; None if none recurs."""
+    places: defaultdict[tuple[P, P], list[int]] = defaultdict(list)
+    for at, (before, start) in enumerate(pairwise(starts), 1):
+        places[before.poll, start.poll].append(at)
+    recurring = [one for one in places.items() if len(one[1]) >= MIN_CYCLES - 1]
+    recurring.sort(key=lambda one: -len(one[1]))
+    tried = [
+        cycles
+        for (_, poll), at in recurring[:_TRANSITIONS]
+        if (cycles := _cut(starts, poll, at)) is not None
+    ]
+    if not tried:
+        return None
+    best = max(cycles.share for cycles in tried)
+    tied = [cycles for cycles in tried if cycles.share >= best - _TIED]
+    return _well_begun(min(tied, key=lambda one: (len(one.usual), -one.share)), places)
+
+
+def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
+    """Cut before each place; the sequence's head and tail count if they are whole cycles."""
+    cuts = [*places, len(starts)]
+    if starts[0].poll == first:
+        cuts.insert(0, 0)
+    polls = [start.poll for start in starts]
+    pieces = Counter(tuple(polls[begin:end]) for begin, end in pairwise(cuts))
+    usual, count = max(pieces.items(), key=lambda one: (one[1] * len(one[0]), one[1]))
+    if count < MIN_CYCLES:
+        return None
+    # What comes before the first cut and after the last one may be a part of a cycle.
+    head = cuts[0] if tuple(polls[: cuts[0]]) == usual[-cuts[0] :] else 0
+    last = tuple(polls[cuts[-2] :])
+    tail = len(last) if len(last) < len(usual) and last == usual[: len(last)] else 0
+    return CutCycles(starts, cuts, usual, (count * len(usual) + head + tail) / len(starts))
+
+
+def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -> CutCycles[P]:
+    """The same cycles, cut after the longest pause; if pauses are equal, before what came first."""
+    usual, pauses = cycles.usual, step_pauses(cycles)
+    first = pauses.index(max(pauses))
+    if _is_one_pace(pauses, cycles):
+        first = usual.index(cycles.starts[0].poll) if cycles.starts[0].poll in usual else 0
+    begun = _cut(cycles.starts, usual[first], places[usual[first - 1], usual[first]])
+    is_same = begun is not None and begun.usual == usual[first:] + usual[:first]
+    return begun if begun is not None and is_same else cycles
+
+
+def _step_ns(cycles: CutCycles[P]) -> float:
+    """The mean time of a step of the usual cycle."""
+    starts = cycles.starts
+    return (starts[-1].begin_ns - starts[0].begin_ns) / max(len(starts) - 1, 1)
+
+
+def step_pauses(cycles: CutCycles[P]) -> list[float]:
+    """The median pause before each step of the usual cycle, in ns."""
+    pauses: list[list[int]] = [[] for _ in cycles.usual]
+    for (begin, end), is_usual in _marked(cycles):
+        if is_usual:
+            for step, at in enumerate(range(begin, end)):
+                if at:
+                    pauses[step].append(cycles.starts[at].begin_ns - cycles.starts[at - 1].end_ns)
+    return [median(one) if one else 0.0 for one in pauses]
+
+
+def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
+    """Begin and end of each cycle, and True if it has the usual form."""
+    return [
+        (
+            (begin, end),
+            end - begin == len(cycles.usual)
+            and tuple(one.poll for one in cycles.starts[begin:end]) == cycles.usual,
+        )
+        for begin, end in pairwise(cycles.cuts)
+    ]
+
+
+def has_one_pace(cycles: CutCycles[P]) -> bool:
+    """True if all pauses in the usual cycle are about equal, as of a master without a timer."""
+    return _is_one_pace(step_pauses(cycles), cycles)
+
+
+def _is_one_pace(pauses: Sequence[float], cycles: CutCycles[P]) -> bool:
+    return max(pauses) - min(pauses) <= _SAME_PACE * _step_ns(cycles)
+
+
+def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
+    """The times of the usual cycles: of those without and with a missing answer."""
+    whole: list[int] = []
+    missing: list[int] = []
+    for (begin, end), is_usual in _marked(cycles):
+        if is_usual and end < len(cycles.starts):
+            time = cycles.starts[end].begin_ns - cycles.starts[begin].begin_ns
+            is_missing = any(one.is_missing for one in cycles.starts[begin:end])
+            (missing if is_missing else whole).append(time)
+    return whole, missing
+
+
+def number_of_other_cycles(cycles: CutCycles[P]) -> int:
+    """How many cycles have another form. The last one may be unfinished and does not count."""
+    return sum(not is_usual for _, is_usual in _marked(cycles)[:-1])

@@ -1,0 +1,155 @@
+"""Says which device profile fits a slave and how sure that is, or that none fits."""
+
+# The requests of a few polls fit many devices, because most devices answer a read of their first
+# registers. So a profile fits only where all of this holds:
+#
+# - no other profile explains the slave as well;
+# - something confirms it that other devices do not share: the model code, the model's name in the
+#   identity texts, or BOUNDARIES places where accepted addresses end as the profile says;
+# - MIN_EXPLAINED different requests ended as it says;
+# - its score is above FITS:
+#
+#       score = 100 * explained / (explained + 5 * contradicted + 2)
+#
+#   where the model code counts as MODEL_WEIGHT explained requests and the name as NAME_WEIGHT. A
+#   contradiction counts as much as five requests that ended as predicted. The 2 stand for
+#   what was not asked.
+#
+# If the profile does not fit, the score is at most UNCONFIRMED.
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from mbtool.core.wording import counted
+from mbtool.devices.block_reads import can_be_read
+from mbtool.devices.profile_match import match_profiles
+from mbtool.overview.inventory_rows import ProfileFit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.devices.model import Profile
+    from mbtool.devices.observed_slave import ObservedSlave
+    from mbtool.devices.profile_match import MatchResult, ProfileMatch
+
+FITS = 80
+UNCONFIRMED = 60
+MIN_EXPLAINED = 4
+MODEL_WEIGHT = 10
+NAME_WEIGHT = 5
+BOUNDARIES = 2
+_CONTRADICTION = 5
+_UNASKED = 2
+_MODEL_WORD = re.compile(r"(?=[a-z0-9]*\d)(?=[a-z0-9]*[a-z])[a-z0-9]{4,}")
+"""A word with letters and digits, such as lt830: it names a model, not a vendor."""
+_ADDRESS_REFUSALS = frozenset((0x02, 0x03))
+
+
+def identify(slave: ObservedSlave, profiles: Sequence[Profile]) -> ProfileFit:
+    """Compare what was observed of a slave with profiles."""
+    if len(slave.requests) < MIN_EXPLAINED:
+        return ProfileFit(why=_too_little(len(slave.requests)))
+    result = match_profiles(slave, profiles)
+    if not result.matches or not result.matches[0].explained:
+        return ProfileFit(why="nothing that it answers is like any profile")
+    best = result.matches[0]
+    profile = next(one for one in profiles if one.name == best.profile)
+    confirmation = _confirmation(slave, profile, best)
+    score = _score(slave, profile, best)
+    doubt = _doubt(result, confirmation, score)
+    if doubt:
+        score = min(score, UNCONFIRMED)
+    has_ties = len(_ties(result)) > 1
+    return ProfileFit(
+        profile=None if doubt else best.profile,
+        nearest=best.profile if doubt and not has_ties else None,
+        score=score,
+        why=doubt or confirmation,
+        evidence=list(best.reasons),
+        against=list(best.against),
+    )
+
+
+def _score(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> int:
+    if match.is_other_model:
+        return 0
+    explained = match.explained + MODEL_WEIGHT * match.is_model
+    explained += NAME_WEIGHT * _names_model(slave, profile)
+    return 100 * explained // (explained + _CONTRADICTION * match.contradicted + _UNASKED)
+
+
+def _doubt(result: MatchResult, confirmation: str, score: int) -> str:
+    """Why the best profile is no identification; empty if it is one."""
+    best = result.matches[0]
+    asked = _requests(best.explained + best.contradicted)
+    ties = _ties(result)
+    if best.is_other_model:
+        return "its model code is another's"
+    if best.contradicted and score <= FITS:
+        return f"{best.contradicted} of {asked} contradict it: {best.against[0]}"
+    if len(ties) > 1 and not best.is_model:
+        return f"{asked} fit {len(ties)} profiles alike"
+    if not confirmation:
+        return f"{asked} fit it, but nothing was seen that only this device does"
+    if best.explained < MIN_EXPLAINED or score <= FITS:
+        return _too_little(best.explained + best.contradicted)
+    return ""
+
+
+def _too_little(requests: int) -> str:
+    return f"{_requests(requests)} {'tells' if requests == 1 else 'tell'} too little"
+
+
+def _ties(result: MatchResult) -> list[str]:
+    """The profiles that explain the slave as well as the best one."""
+    return [one.profile for one in result.matches if one.rank == result.matches[0].rank]
+
+
+def _requests(count: int) -> str:
+    return counted(count, "request" if count == 1 else "different request")
+
+
+def _confirmation(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> str:
+    """What speaks for this device and for few others; empty if nothing does."""
+    if match.is_model:
+        return "its model code and its answers"
+    if _names_model(slave, profile):
+        return "its own name for itself and its answers"
+    ends = _boundaries(slave, profile)
+    if ends >= BOUNDARIES:
+        return f"its answers, and {ends} areas that end where its manual says"
+    return ""
+
+
+def _names_model(slave: ObservedSlave, profile: Profile) -> bool:
+    """True if an identity text of the slave holds the profile's model."""
+    known = set(_MODEL_WORD.findall(f"{profile.title} {profile.name}".lower()))
+    said = " ".join(slave.identity.values()).lower()
+    return bool(known & set(_MODEL_WORD.findall(said)))
+
+
+def _boundaries(slave: ObservedSlave, profile: Profile) -> int:
+    """Count the places where accepted addresses end as the profile says: a request behind them, or
+    over their end, was refused.
+
+    A device refuses addresses far from all others whatever it is.
+    """
+    accepted = slave.known_addresses()
+    ends = set()
+    for request, replies in slave.requests.items():
+        table, span = request.table, request.span
+        if table is None or request.address is None or replies.ok:
+            continue
+        if not _ADDRESS_REFUSALS.intersection(replies.exceptions):
+            continue
+        is_allowed = (
+            profile.allows(table, span, writing=True)
+            if request.writes
+            else can_be_read(profile, table, span)
+        )
+        end = accepted[table].rfind(1, max(span.start - 1, 0), span.stop + 1)
+        if not is_allowed and end >= 0:
+            ends.add((table, end))
+    return len(ends)

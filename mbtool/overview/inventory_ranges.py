@@ -1,0 +1,95 @@
+"""Sets of addresses, kept as ranges."""
+
+# A range is a pair: its first and its last address, both included. The ranges of a set are sorted,
+# and at least one address lies between two of them.
+#
+# A set holds at most MAX_RANGES ranges. A scan of every second register would need more; what then
+# touches no range of the set is only counted.
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+MAX_RANGES = 1024
+SHOWN = 8
+"""How many ranges or names a text lists, unless it is told otherwise."""
+_LAST_ADDRESS = 0xFFFF
+
+AddressRange = tuple[int, int]
+"""The first and the last address, both included."""
+
+
+class AddressRanges:
+    """A set of addresses that grows."""
+
+    __slots__ = ("_firsts", "_lasts", "left_out")
+
+    def __init__(self, ranges: Iterable[AddressRange] = ()) -> None:
+        self._firsts: list[int] = []
+        self._lasts: list[int] = []
+        self.left_out = 0
+        """How many ranges were not added, because the set has MAX_RANGES."""
+        for first, last in ranges:
+            self.add(first, last)
+
+    def add(self, first: int, last: int) -> None:
+        """Add the addresses from `first` to `last`; those behind FFFFH do not exist."""
+        last = min(last, _LAST_ADDRESS)
+        if last < first:
+            return
+        # Everything from `begin` up to `end` overlaps the new range or lies directly beside it.
+        begin = bisect_left(self._lasts, first - 1)
+        end = bisect_right(self._firsts, last + 1)
+        if begin < end:
+            first = min(first, self._firsts[begin])
+            last = max(last, self._lasts[end - 1])
+        elif len(self._firsts) >= MAX_RANGES:
+            self.left_out += 1
+            return
+        self._firsts[begin:end] = [first]
+        self._lasts[begin:end] = [last]
+
+    @property
+    def pairs(self) -> list[AddressRange]:
+        return list(zip(self._firsts, self._lasts, strict=True))
+
+
+def joined(several: Iterable[Sequence[AddressRange]]) -> list[AddressRange]:
+    """The addresses that are in at least one of several sets."""
+    return AddressRanges(pair for ranges in several for pair in ranges).pairs
+
+
+def without(ranges: Sequence[AddressRange], others: Sequence[AddressRange]) -> list[AddressRange]:
+    """The addresses of `ranges` that are in none of `others`; both are sorted."""
+    left = []
+    for first, last in ranges:
+        at = first
+        for other_first, other_last in others:
+            if other_last < at:
+                continue
+            if other_first > last:
+                break
+            if other_first > at:
+                left.append((at, other_first - 1))
+            at = other_last + 1
+        if at <= last:
+            left.append((at, last))
+    return left
+
+
+def ranges_text(ranges: Sequence[AddressRange], most: int = SHOWN) -> str:
+    """At most `most` ranges as one text: `0..99, 200 and 3 more`."""
+    return listed(
+        [str(first) if first == last else f"{first}..{last}" for first, last in ranges], most
+    )
+
+
+def listed(names: Sequence[str], most: int = SHOWN) -> str:
+    """At most `most` names, and the number of the others: `a, b and 3 more`."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most:,} more"

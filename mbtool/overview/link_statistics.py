@@ -1,0 +1,97 @@
+"""How long a link was watched, how its time was spent, and in which hours answers were missing."""
+
+# Memory: MAX_HOURS hours for each link, the oldest is given up first.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.core import SerialFormat
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.modbus import Transport
+
+MAX_HOURS = 24 * 31
+HOUR_NS = 3_600_000_000_000
+
+
+class HourCount(NamedTuple):
+    """The requests of one hour."""
+
+    begin_ns: int
+    requests: int
+    missing: int
+    """How many of them got no answer."""
+
+
+class Hours:
+    """Counts requests and missing answers by hour (UTC)."""
+
+    def __init__(self) -> None:
+        self._hours: dict[int, list[int]] = {}
+
+    def add(self, at_ns: int, *, is_missing: bool) -> None:
+        hour = at_ns // HOUR_NS
+        counts = self._hours.get(hour)
+        if counts is None:
+            if len(self._hours) >= MAX_HOURS:
+                del self._hours[min(self._hours)]
+            counts = self._hours[hour] = [0, 0]
+        counts[0] += 1
+        counts[1] += is_missing
+
+    def counts(self) -> list[HourCount]:
+        return [HourCount(hour * HOUR_NS, *counts) for hour, counts in sorted(self._hours.items())]
+
+
+class LinkStatistics:
+    """One bus, or one slave's address on a network."""
+
+    def __init__(self, format_of: Callable[[str], SerialFormat | None]) -> None:
+        self._format_of = format_of
+        self.transport: Transport | None = None
+        self.format: SerialFormat | None = None
+        """The settings of a serial line; None on a network, and where its bytes have no times."""
+        self.other_bytes = 0
+        """Bytes on the line that belong to no frame, and second copies of an adapter's echo."""
+        self.hours = Hours()
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+        self._earlier_ns = 0
+        self._span: tuple[int, int] | None = None
+
+    def note(self, one: NamedTransaction) -> None:
+        """Take the times of a transaction."""
+        if self.transport is None:
+            self.transport = one.transport
+            self.format = self._format_of(one.link) if one.transport.is_serial else None
+        begin_ns = one.start_ns
+        end_ns = max(one.response_ns or begin_ns, begin_ns)
+        if self._span is None:
+            self._span = begin_ns, end_ns
+        else:
+            self._span = min(self._span[0], begin_ns), max(self._span[1], end_ns)
+
+    def end_span(self) -> None:
+        """Begin anew: the time between two captures does not count."""
+        if self._span is not None:
+            self.first_ns, self.last_ns = self.whole_span()
+            self._earlier_ns, self._span = self.watched_ns, None
+
+    def whole_span(self) -> tuple[int, int]:
+        """The time of the first request and the end of the last response, in UTC ns."""
+        begin, end = self._span or (self.first_ns or 0, self.last_ns or 0)
+        begin = begin if self.first_ns is None else min(begin, self.first_ns)
+        return begin, end if self.last_ns is None else max(end, self.last_ns)
+
+    @property
+    def watched_ns(self) -> int:
+        """The time from the first request to the end of the last response, of each capture."""
+        begin, end = self._span or (0, 0)
+        return self._earlier_ns + end - begin
+
+    def wire_ns(self, count: int) -> int:
+        """How long so many bytes take on the line, in ns; 0 if its baud rate is unknown."""
+        return 0 if self.format is None else count * self.format.character_ns

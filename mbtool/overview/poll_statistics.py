@@ -1,0 +1,86 @@
+"""The statistics of one poll: equal requests of one master to one unit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.overview.distribution import Distribution
+from mbtool.overview.request_tally import RequestTally
+
+if TYPE_CHECKING:
+    from mbtool.devices.named_transaction import NamedTransaction
+
+_PERIOD_BUCKETS = 256
+
+
+class PollKey(NamedTuple):
+    """Requests that are equal in all of this are one poll."""
+
+    link: str
+    master: str
+    """The master's host; empty on a serial line."""
+    unit: int
+    function: int
+    sub_function: int | None
+    address: int | None
+    quantity: int | None
+    write_address: int | None
+    write_quantity: int | None
+
+
+def poll_key(transaction: NamedTransaction, master: str) -> PollKey:
+    return PollKey(
+        transaction.link,
+        master,
+        transaction.unit,
+        transaction.function,
+        transaction.sub_function,
+        transaction.address,
+        transaction.quantity,
+        transaction.write_address,
+        transaction.write_quantity,
+    )
+
+
+class PollStatistics:
+    """Counts the requests of a poll and measures their periods."""
+
+    __slots__ = (
+        "_last_ns",
+        "device",
+        "function_name",
+        "key",
+        "number",
+        "period",
+        "reference",
+        "tally",
+    )
+
+    def __init__(self, number: int, key: PollKey, first: NamedTransaction) -> None:
+        self.number = number
+        """The number of the poll in the order in which polls were first seen."""
+        self.key = key
+        self.function_name = first.function_name
+        self.reference = first.reference
+        self.device = first.device
+        self.tally = RequestTally()
+        self.period = Distribution(_PERIOD_BUCKETS)
+        """From one request to the next. Repetitions of a request without answer do not count."""
+        self._last_ns: int | None = None
+
+    def begin(self, at_ns: int) -> None:
+        """Note that the poll is asked, and that this is no repetition."""
+        if self._last_ns is not None:
+            self.period.add(at_ns - self._last_ns)
+        self._last_ns = at_ns
+
+    def cut(self) -> None:
+        """Begin anew: no period reaches from one capture into the next."""
+        self._last_ns = None
+
+    @property
+    def jitter_ns(self) -> int | None:
+        """Half of the distance between the 5th and the 95th percentile of the periods, in ns."""
+        if not self.period.count:
+            return None
+        return (self.period.percentile(95) - self.period.percentile(5)) // 2

@@ -1,0 +1,95 @@
+"""Counts requests: how they ended, and how long the answers took."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.modbus import Outcome
+from mbtool.overview.distribution import Distribution
+
+if TYPE_CHECKING:
+    from mbtool.devices.named_transaction import NamedTransaction
+
+MAX_EXCEPTIONS = 256
+"""All exception codes there are: a code is one byte."""
+
+
+class RequestTally:
+    """Outcomes and latencies of some requests.
+
+    What is not captured counts apart, as the device cannot be blamed for it.
+    """
+
+    __slots__ = (
+        "exception_names",
+        "exceptions",
+        "latency",
+        "outcomes",
+        "request_bytes",
+        "response_bytes",
+        "retries",
+    )
+
+    def __init__(self) -> None:
+        self.outcomes: dict[Outcome, int] = {}
+        self.exceptions: dict[int, int] = {}
+        self.exception_names: dict[int, str] = {}
+        self.retries = 0
+        """How many requests repeat an equal one that got no answer."""
+        self.latency = Distribution()
+        """From the end of the request to the start of the response."""
+        self.request_bytes = 0
+        """Bytes of the requests' ADUs as captured."""
+        self.response_bytes = 0
+
+    def add(self, transaction: NamedTransaction) -> None:
+        outcome = transaction.outcome
+        self.outcomes[outcome] = self.outcomes.get(outcome, 0) + 1
+        code = transaction.exception
+        if code is not None and (code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS):
+            self.exceptions[code] = self.exceptions.get(code, 0) + 1
+            self.exception_names.setdefault(code, transaction.exception_name or "")
+        self.retries += transaction.retries > 0
+        if transaction.latency_ns is not None:
+            self.latency.add(transaction.latency_ns)
+        if transaction.request_raw is not None:
+            self.request_bytes += len(transaction.request_raw)
+        if transaction.response_raw is not None:
+            self.response_bytes += len(transaction.response_raw)
+
+    def merge(self, other: RequestTally) -> None:
+        """Add all that another tally has counted."""
+        for outcome, count in other.outcomes.items():
+            self.outcomes[outcome] = self.outcomes.get(outcome, 0) + count
+        for code, count in other.exceptions.items():
+            self.exceptions[code] = self.exceptions.get(code, 0) + count
+            self.exception_names.setdefault(code, other.exception_names[code])
+        self.retries += other.retries
+        self.latency.merge(other.latency)
+        self.request_bytes += other.request_bytes
+        self.response_bytes += other.response_bytes
+
+    @property
+    def transactions(self) -> int:
+        return sum(self.outcomes.values())
+
+    @property
+    def wire_bytes(self) -> int:
+        """Bytes of all ADUs, of both directions."""
+        return self.request_bytes + self.response_bytes
+
+    def count(self, outcome: Outcome) -> int:
+        return self.outcomes.get(outcome, 0)
+
+    @property
+    def unanswered(self) -> int:
+        """How many requests the slave left without an answer."""
+        return self.count(Outcome.NO_ANSWER)
+
+
+def merged(tallies: list[RequestTally]) -> RequestTally:
+    """One tally with all that the others have counted."""
+    result = RequestTally()
+    for one in tallies:
+        result.merge(one)
+    return result

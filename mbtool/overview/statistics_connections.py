@@ -1,0 +1,75 @@
+"""Counts how the TCP connections of each master to each slave were opened, closed and kept."""
+
+# What closed a connection, and the keep-alive probes on it, are read from the message of its
+# CLOSED event, which logs hold too. Memory: one tally for each pair of hosts, the caller's bound.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from mbtool.core import CONNECTION_JOINED, EventKind, WireEvent
+
+_REASON = re.compile(r"connection closed: ([a-z-]+)")
+_PROBES = re.compile(r"(\d+) keep-alive probes")
+_UNANSWERED = re.compile(r"the last (\d+) unanswered")
+_OTHER = "other"
+_REASONS = frozenset((
+    "finished", "reset", "refused", "replaced", "idle", "discarded", "capture-end",
+))  # fmt: skip
+
+
+@dataclass(slots=True)
+class ConnectionTally:
+    """The connections of one master to one slave."""
+
+    opened: int = 0
+    """Connections whose beginning is in the capture."""
+    joined: int = 0
+    """Connections that were open before the capture."""
+    refused_by_tap: int = 0
+    """Connections that a tap could not pass on."""
+    closed: dict[str, int] = field(default_factory=dict)
+    """By reason: finished, reset, refused, replaced, idle, discarded, capture-end, other."""
+    keep_alives: int = 0
+    """Keep-alive probes of both ends."""
+    unanswered_keep_alives: int = 0
+    """Probes at the ends of connections that got no answer."""
+    most_at_once: int = 0
+    """The most connections that were open at the same time."""
+    _open: int = 0
+
+    def add(self, event: WireEvent) -> None:
+        """Take an event of kind OPENED, CLOSED or REFUSED."""
+        if event.kind is EventKind.REFUSED:
+            self.refused_by_tap += 1
+        elif event.kind is EventKind.OPENED:
+            is_joined = event.message.startswith(CONNECTION_JOINED)
+            self.joined += is_joined
+            self.opened += not is_joined
+            self._open += 1
+            self.most_at_once = max(self.most_at_once, self._open)
+        elif event.kind is EventKind.CLOSED:
+            self._open = max(self._open - 1, 0)
+            self._note_end(event.message)
+
+    def _note_end(self, message: str) -> None:
+        match = _REASON.match(message)
+        reason = match[1] if match is not None and match[1] in _REASONS else _OTHER
+        self.closed[reason] = self.closed.get(reason, 0) + 1
+        self.keep_alives += _number(_PROBES, message)
+        self.unanswered_keep_alives += _number(_UNANSWERED, message)
+
+    @property
+    def resets(self) -> int:
+        return self.closed.get("reset", 0)
+
+    @property
+    def refused(self) -> int:
+        """Connections that the slave or the tap refused."""
+        return self.closed.get("refused", 0) + self.refused_by_tap
+
+
+def _number(pattern: re.Pattern[str], message: str) -> int:
+    match = pattern.search(message)
+    return 0 if match is None else int(match[1])

@@ -1,0 +1,160 @@
+"""Puts what was counted together, link by link, for tables and documents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.modbus import function_name
+from mbtool.overview.bus_load import BusLoad, LineTime, bus_load, line_time
+from mbtool.overview.link_statistics import HourCount
+from mbtool.overview.poll_cycle import PollLists
+from mbtool.overview.poll_statistics import PollStatistics
+from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.overview.statistics_connections import ConnectionTally
+
+if TYPE_CHECKING:
+    from mbtool.overview.statistics import Statistics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FunctionReport:
+    """All requests to one unit with one function."""
+
+    unit: int
+    device: str | None
+    function: int
+    function_name: str
+    tally: RequestTally
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PollReport:
+    """One poll, and how long it kept the line."""
+
+    poll: PollStatistics
+    line_time: LineTime | None
+    """None on a network, and where the baud rate or the times are unknown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterReport:
+    """What one master asks of a link in cycles."""
+
+    master: str
+    """The master's host; empty on a serial line."""
+    requests: int
+    """The number of the last requests that were looked at."""
+    lists: PollLists[PollStatistics]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkReport:
+    """Everything about one bus or one slave's address."""
+
+    name: str
+    transport: str
+    settings: str | None
+    """Baud rate and character format of a serial line."""
+    begin_ns: int
+    end_ns: int
+    watched_ns: int
+    tally: RequestTally
+    load: BusLoad | None
+    functions: list[FunctionReport]
+    """Sorted by unit and function."""
+    polls: list[PollReport]
+    """In the order in which they were first asked."""
+    masters: list[MasterReport]
+    connections: list[tuple[str, ConnectionTally]]
+    """By the master's host."""
+    hours: list[HourCount]
+
+    def rate(self, count: int) -> float | None:
+        """So many requests as requests per second; None if no time passed."""
+        return count * 1e9 / self.watched_ns if self.watched_ns else None
+
+
+def report(statistics: Statistics) -> list[LinkReport]:
+    """The links in the order in which they were first heard."""
+    polls: dict[str, list[PollStatistics]] = {}
+    for poll in statistics.polls.values():
+        polls.setdefault(poll.key.link, []).append(poll)
+    groups: dict[str, list[tuple[int, int, RequestTally]]] = {}
+    for (name, unit, function), tally in statistics.groups.items():
+        groups.setdefault(name, []).append((unit, function, tally))
+    return [
+        _link_report(
+            statistics,
+            name,
+            sorted(polls.get(name, ()), key=lambda one: one.number),
+            groups.get(name, []),
+        )
+        for name in statistics.links
+    ]
+
+
+def _link_report(
+    statistics: Statistics,
+    name: str,
+    polls: list[PollStatistics],
+    groups: list[tuple[int, int, RequestTally]],
+) -> LinkReport:
+    link = statistics.links[name]
+    tapes = {master: tape for (of, master), tape in statistics.tapes.items() if of == name}
+    timeouts = {master: tape.timeout_ns() or 0 for master, tape in tapes.items()}
+    functions = _functions(statistics, name, polls, groups)
+    tally = merged([one.tally for one in functions])
+    load = bus_load(tally, link, max(timeouts.values(), default=0))
+    begin_ns, end_ns = link.whole_span()
+    return LinkReport(
+        name=name,
+        transport="" if link.transport is None else str(link.transport),
+        settings=None if link.format is None else str(link.format),
+        begin_ns=begin_ns,
+        end_ns=end_ns,
+        watched_ns=link.watched_ns,
+        tally=tally,
+        load=load,
+        functions=functions,
+        polls=[
+            PollReport(
+                poll=poll,
+                line_time=None
+                if load is None
+                else line_time(poll.tally, link, timeouts.get(poll.key.master, 0)),
+            )
+            for poll in polls
+        ],
+        masters=[
+            MasterReport(master=master, requests=len(tape), lists=tape.lists())
+            for master, tape in tapes.items()
+        ],
+        connections=[
+            (master, one) for (of, master), one in statistics.connections.items() if of == name
+        ],
+        hours=link.hours.counts(),
+    )
+
+
+def _functions(
+    statistics: Statistics,
+    name: str,
+    polls: list[PollStatistics],
+    groups: list[tuple[int, int, RequestTally]],
+) -> list[FunctionReport]:
+    tallies: dict[tuple[int, int], list[RequestTally]] = {}
+    for poll in polls:
+        tallies.setdefault((poll.key.unit, poll.key.function), []).append(poll.tally)
+    for unit, function, tally in groups:
+        tallies.setdefault((unit, function), []).append(tally)
+    return [
+        FunctionReport(
+            unit=unit,
+            device=statistics.devices.get((name, unit)),
+            function=function,
+            function_name=statistics.function_names.get(function) or function_name(function),
+            tally=merged(some),
+        )
+        for (unit, function), some in sorted(tallies.items(), key=lambda one: one[0])
+    ]

@@ -1,0 +1,50 @@
+"""Reads MAC addresses and VLAN in the header of the link layer."""
+
+# Ethernet begins with the receiver's and the sender's address. The cooked headers of Linux have the
+# sender's only: type 113 at byte 6, type 276 at byte 12, each 8 bytes long, of which a length in
+# front says how many count. VLAN tags follow as link_layer.py describes them; each begins behind
+# its EtherType with 4 bits of priority and 12 bits of id. The id 0 only carries a priority.
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from mbtool.core import LinkAddresses
+from mbtool.packets.link_layer import HSR, TAGGED, VLAN
+
+MAX_CACHED_HEADERS = 4096
+"""Headers whose addresses are kept; beyond that the one that was not used longest is dropped."""
+
+_MAC = 6
+_ETHERNET, _COOKED, _COOKED_V2 = 1, 113, 276
+
+
+@lru_cache(maxsize=MAX_CACHED_HEADERS)
+def link_addresses(link_type: int, header: bytes) -> LinkAddresses | None:
+    """The addresses in the bytes before a packet's IP header; None if they have none.
+
+    `link_type` is a LINKTYPE_ value. Cached, as a connection has the same two headers throughout.
+    """
+    if link_type == _ETHERNET and len(header) >= 14:
+        return LinkAddresses(_text(header, 6), _text(header, 0), _vlan(header, 12))
+    if link_type == _COOKED and len(header) >= 16 and header[4:6] == b"\0\6":
+        return LinkAddresses(_text(header, 6), None, _vlan(header, 14))
+    if link_type == _COOKED_V2 and len(header) >= 20 and header[11] == _MAC:
+        return LinkAddresses(_text(header, 12), None, _vlan(header[:2] + header[20:], 0))
+    return None
+
+
+def _text(header: bytes, at: int) -> str | None:
+    """The address at an offset; None for zeros, which the loopback interface has."""
+    address = header[at : at + _MAC]
+    return address.hex(":") if any(address) else None
+
+
+def _vlan(header: bytes, at: int) -> int | None:
+    """The id of the last VLAN tag; `at` is where the first EtherType stands."""
+    vlan = 0
+    while (kind := header[at : at + 2]) in TAGGED:
+        if kind in VLAN:
+            vlan = int.from_bytes(header[at + 2 : at + 4], "big") & 0x0FFF
+        at += 6 if kind == HSR else 4
+    return vlan or None

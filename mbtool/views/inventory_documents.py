@@ -1,0 +1,154 @@
+"""Writes an inventory as JSON or CSV."""
+
+# JSON is the InventoryDocument of overview/inventory_rows.py, the program's version and, against a
+# baseline, the changes. It can be read again as a baseline.
+#
+# A row of CSV is a unit, or a master, which has no unit. Several values in a cell are separated by
+# "; ". A spreadsheet would take a text that begins with = + - or @ for a formula, so such a
+# text gets a ' in front.
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from mbtool.overview.inventory_ranges import MAX_RANGES, ranges_text
+from mbtool.overview.inventory_rows import Role, iso_time
+from mbtool.views.inventory_table import function_label, identity_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from mbtool.overview.baseline import InventoryChange
+    from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, SlaveRow
+
+INVENTORY_COLUMNS = (
+    "host", "port", "unit", "role", "macs", "makers", "identity", "device", "profile", "score",
+    "why", "reads", "writes", "refused", "readers", "writers", "transactions", "answered",
+    "unanswered", "exceptions", "first", "last", "first_ns", "last_ns", "transports",
+)  # fmt: skip
+"""The columns in order. A column never changes its name or meaning; new columns come last."""
+CHANGE_COLUMNS = ("kind", "host", "port", "unit", "text", "first", "first_ns")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_ONE_LINE = str.maketrans("\r\n\t", "   ")
+
+
+def inventory_json(
+    document: InventoryDocument, version: str, changes: Sequence[InventoryChange] | None = None
+) -> str:
+    """The inventory as JSON, with a line end."""
+    fields: dict[str, Any] = {"mbtool": version, **msgspec.to_builtins(document)}
+    for row in (*fields.get("slaves", ()), *fields.get("masters", ())):
+        row["first"], row["last"] = (
+            iso_time(row.get("first_ns", 0)),
+            iso_time(row.get("last_ns", 0)),
+        )
+    if changes is not None:
+        fields["changes"] = msgspec.to_builtins(changes)
+    return msgspec.json.format(msgspec.json.encode(fields), indent=2).decode() + "\n"
+
+
+def inventory_csv(document: InventoryDocument) -> str:
+    """The inventory as CSV: units, then masters."""
+    rows = [_slave_cells(row) for row in document.slaves]
+    rows += [_master_cells(row) for row in document.masters]
+    return _csv(INVENTORY_COLUMNS, rows)
+
+
+def changes_csv(changes: Sequence[InventoryChange]) -> str:
+    """What is new as CSV."""
+    rows: list[dict[str, object]] = [
+        {
+            "kind": one.kind.value,
+            "host": one.host,
+            "port": one.port,
+            "unit": one.unit,
+            "text": one.text,
+            "first": "" if one.first_ns is None else iso_time(one.first_ns),
+            "first_ns": one.first_ns,
+        }
+        for one in changes
+    ]
+    return _csv(CHANGE_COLUMNS, rows)
+
+
+def spreadsheet_cell(value: object) -> str:
+    """A value as the text of a cell that no spreadsheet takes for a formula."""
+    if value is None:
+        return ""
+    if isinstance(value, int):
+        return str(value)
+    text = "".join(char if char.isprintable() else "?" for char in str(value).translate(_ONE_LINE))
+    return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
+
+
+def _csv(columns: Sequence[str], rows: Iterable[dict[str, object]]) -> str:
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        writer.writerow([spreadsheet_cell(row.get(column)) for column in columns])
+    return stream.getvalue()
+
+
+def _slave_cells(row: SlaveRow) -> dict[str, object]:
+    fit = row.fit
+    writers = row.masters(writing=True)
+    return {
+        "host": row.host,
+        "port": row.port,
+        "unit": row.unit,
+        "role": row.role.value,
+        "macs": "; ".join(row.macs),
+        "makers": "; ".join(row.makers),
+        "identity": identity_text(row),
+        "device": row.device,
+        "profile": "" if fit is None else fit.profile or "none fits",
+        "score": None if fit is None else fit.score,
+        "why": "" if fit is None else fit.why,
+        "reads": _uses(row, writes=False),
+        "writes": _uses(row, writes=True),
+        "refused": _uses(row, refused=True),
+        "readers": "; ".join(
+            dict.fromkeys(use.master for use in row.uses if use.master and not use.writes)
+        ),
+        "writers": "; ".join(writers),
+        "transactions": row.transactions,
+        "answered": row.answered,
+        "unanswered": row.unanswered,
+        "exceptions": "; ".join(f"{code:02X} x{count}" for code, count in row.exceptions.items()),
+        "first": iso_time(row.first_ns),
+        "last": iso_time(row.last_ns),
+        "first_ns": row.first_ns,
+        "last_ns": row.last_ns,
+        "transports": "; ".join(row.transports),
+    }
+
+
+def _master_cells(row: MasterRow) -> dict[str, object]:
+    return {
+        "host": row.host,
+        "role": Role.MASTER.value,
+        "macs": "; ".join(row.macs),
+        "makers": "; ".join(row.makers),
+        "transactions": row.requests,
+        "first": iso_time(row.first_ns),
+        "last": iso_time(row.last_ns),
+        "first_ns": row.first_ns,
+        "last_ns": row.last_ns,
+    }
+
+
+def _uses(row: SlaveRow, *, writes: bool = False, refused: bool = False) -> str:
+    """The functions with their ranges, each once, whoever asked."""
+    texts = []
+    for use in row.uses:
+        ranges = use.refused if refused else use.ranges
+        if (refused and not ranges) or (not refused and use.writes is not writes):
+            continue
+        label = function_label(use.function, use.name)
+        texts.append(f"{label} {ranges_text(ranges, MAX_RANGES)}".rstrip())
+    return "; ".join(dict.fromkeys(texts))

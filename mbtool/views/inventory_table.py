@@ -1,0 +1,284 @@
+"""Shows an inventory: a row for each unit of each host, and what is known of it under it."""
+
+#     host           unit  role     profile        MAC
+#     192.168.3.250     1  slave    fa3-at1m8x 90  00:30:de:11:22:33 WAGO Kontakttechnik GmbH
+#           seen 2026-11-22 09:14:03 .. 09:20:11, 812 transactions, 3 without answer
+#           says vendor "WAGO", product code "750-352"
+#           03 read holding 0..99, 200; 800 times by 192.168.3.9
+#           10 write registers 10..12; 12 times by 192.168.3.9
+#
+# A terminal gets long lines wrapped. What was asked and never answered is one line for each master,
+# unless everything is wanted.
+
+from __future__ import annotations
+
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from mbtool.core.wording import counted
+from mbtool.devices.model import READ_AND_WRITE
+from mbtool.modbus import FUNCTIONS, Transport, exception_name
+from mbtool.overview.inventory_ranges import MAX_RANGES, AddressRanges, listed, ranges_text
+from mbtool.overview.inventory_rows import Role, iso_time
+from mbtool.views.tables import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from rich.console import Console
+
+    from mbtool.overview.inventory_rows import (
+        FunctionUse,
+        InventoryDocument,
+        MasterRow,
+        SlaveRow,
+    )
+
+_INDENT = " " * 6
+_NARROWEST = 40
+_FEW_RANGES = 12
+_FEW_PLACES = 6
+_MANY_ROWS = 60
+"""More units than this are folded where they are alike."""
+_QUIET = (Role.SILENT, Role.UNHEARD)
+_SLAVE_HEADINGS = ("host", "unit", "role", "profile", "MAC")
+_MASTER_HEADINGS = ("master", "asks", "writes to", "requests", "seen")
+_NUMBERS = frozenset(("unit", "asks", "writes to", "requests"))
+
+_Entry = tuple[tuple[str, ...], str, "list[str]"]
+"""The cells of a row, its style, and the lines under it."""
+
+
+def print_inventory(
+    console: Console, document: InventoryDocument, *, everything: bool = False
+) -> None:
+    """Print all units, then the masters.
+
+    With `everything`, units that never answered have rows of their own, and lists of ranges are
+    whole.
+    """
+    most = MAX_RANGES if everything else _FEW_RANGES
+    shown = [row for row in document.slaves if everything or row.role not in _QUIET]
+    entries = [_slave_entry(row, most) for row in shown]
+    if len(shown) > _MANY_ROWS and not everything:
+        entries = list(_folded(shown, entries))
+    _print(console, _SLAVE_HEADINGS, entries)
+    if not everything:
+        for line in _quiet_lines(document.slaves):
+            _print_line(console, line, "  ", "yellow")
+    if document.masters and document.slaves:
+        console.print()
+    _print(console, _MASTER_HEADINGS, [_master_entry(row) for row in document.masters])
+
+
+def profile_text(row: SlaveRow) -> str:
+    """The profile of a slave with how sure it is; `none fits`; empty if there was no comparison."""
+    if row.device is not None:
+        return f"{row.device} (named)"
+    if row.fit is None:
+        return ""
+    return "none fits" if row.fit.profile is None else f"{row.fit.profile} {row.fit.score}"
+
+
+def mac_text(macs: Sequence[str], makers: Sequence[str]) -> str:
+    return " ".join((", ".join(macs), ", ".join(makers))).strip()
+
+
+def identity_text(row: SlaveRow) -> str:
+    """What a slave says of itself: `vendor "WAGO", 42H model code "0003H"`."""
+    return ", ".join(
+        f'{"" if one.function in FUNCTIONS else f"{one.function:02X}H "}{one.name} "{one.text}"'
+        for one in row.identity
+    )
+
+
+def function_label(function: int, name: str) -> str:
+    """A function with its code: `03 read holding`."""
+    known = FUNCTIONS.get(function)
+    return f"{function:02X} {name if known is None else known.short}"
+
+
+def seen_text(first_ns: int, last_ns: int) -> str:
+    """A time and another, the day only once: `2026-11-22 09:14:03 .. 09:20:11`."""
+    first, last = (iso_time(ns)[:19].replace("T", " ") for ns in (first_ns, last_ns))
+    if first == last:
+        return first
+    return f"{first} .. {last[11:] if first[:10] == last[:10] else last}"
+
+
+def _slave_entry(row: SlaveRow, most: int) -> _Entry:
+    cells = (
+        row.where,
+        str(row.unit),
+        row.role.value,
+        profile_text(row),
+        mac_text(row.macs, row.makers),
+    )
+    style = "yellow" if row.role in _QUIET else ""
+    return cells, style, list(_slave_lines(row, most))
+
+
+def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
+    """One entry for all units that differ in nothing but their host, maker and times."""
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
+        alike.setdefault((row.unit, row.role, cells[3], *lines[1:]), []).append(index)
+    for several in alike.values():
+        cells, style, lines = entries[several[0]]
+        if len(several) > 1:
+            others = [rows[index].where for index in several[1:]]
+            lines = [
+                *lines,
+                f"and so {counted(len(others), 'host', ',')} more: {listed(others, _FEW_PLACES)}",
+            ]
+        yield cells, style, lines
+
+
+def _master_entry(row: MasterRow) -> _Entry:
+    cells = (
+        row.host,
+        f"{row.slaves:,}",
+        f"{row.written:,}",
+        f"{row.requests:,}",
+        seen_text(row.first_ns, row.last_ns),
+    )
+    return cells, "", [f"MAC {mac_text(row.macs, row.makers)}"] if row.macs else []
+
+
+def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
+    """What stands under the row of a unit."""
+    counts = [one for one in row.transports if one != Transport.TCP]
+    counts.append(f"seen {seen_text(row.first_ns, row.last_ns)}")
+    counts.append(counted(row.transactions, "transaction", ","))
+    if row.unanswered:
+        counts.append(f"{row.unanswered:,} without answer")
+    yield ", ".join(counts)
+    if row.identity:
+        yield f"says {identity_text(row)}"
+    fit = row.fit
+    if fit is not None:
+        if fit.profile is not None:
+            yield f"fits {fit.profile}, by {fit.why}"
+        else:
+            nearest = f"; nearest {fit.nearest}, {fit.score} of 100" if fit.nearest else ""
+            yield f"no profile: {fit.why}{nearest}"
+    yield from _use_lines(row.uses, most)
+    if row.exceptions:
+        texts = (
+            f"{code:02X} {exception_name(code)} {_times(count)}"
+            for code, count in row.exceptions.items()
+        )
+        yield f"exceptions: {', '.join(texts)}"
+
+
+def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
+    """A line for each function; masters that ask the same share a line."""
+    groups: dict[tuple[object, ...], list[FunctionUse]] = {}
+    lacking = []
+    for use in uses:
+        if use.requests and use.unsupported == use.requests:
+            lacking.append(use)
+            continue
+        key = (use.function, use.writes, tuple(use.ranges), tuple(use.refused))
+        groups.setdefault(key, []).append(use)
+    for several in groups.values():
+        yield _use_line(several, most)
+    if lacking:
+        by = _masters("; asked by", lacking)
+        yield f"refused as no function of it: {_codes(use.function for use in lacking)}{by}"
+
+
+def _use_line(several: Sequence[FunctionUse], most: int) -> str:
+    """One function with its ranges, and the masters that ask for just these."""
+    first = several[0]
+    label = function_label(first.function, first.name)
+    if first.function == READ_AND_WRITE:
+        label += " (writes)" if first.writes else " (reads)"
+    parts = [f"{label} {ranges_text(first.ranges, most)}".rstrip()]
+    if first.refused:
+        parts.append(f"refused {ranges_text(first.refused, most)}")
+    if any(one.left_out for one in several):
+        parts.append("more ranges than are kept")
+    count = sum(one.requests for one in several)
+    parts.append((_times(count) if count else "answers only") + _masters(" by", several))
+    return "; ".join(parts)
+
+
+def _masters(word: str, uses: Iterable[FunctionUse]) -> str:
+    """The masters behind a word; empty on a serial line, where a master has no address."""
+    names = listed(list(dict.fromkeys(one.master for one in uses if one.master is not None)))
+    return f"{word} {names}" if names else ""
+
+
+def _codes(codes: Iterable[int]) -> str:
+    """Function codes in hexadecimal, with runs folded: `02..04, 07`."""
+    return ", ".join(
+        f"{first:02X}" if first == last else f"{first:02X}..{last:02X}"
+        for first, last in AddressRanges((code, code) for code in codes).pairs
+    )
+
+
+def _quiet_lines(slaves: Sequence[SlaveRow]) -> Iterator[str]:
+    """One line for each master whose requests were never answered."""
+    groups: dict[tuple[Role, str | None], list[SlaveRow]] = {}
+    for row in slaves:
+        if row.role in _QUIET:
+            groups.setdefault((row.role, next(iter(row.masters()), None)), []).append(row)
+    for (role, master), rows in groups.items():
+        hosts = list(dict.fromkeys(row.where for row in rows))
+        if len(hosts) == 1:
+            units = listed([str(row.unit) for row in rows], _FEW_RANGES)
+            where = f"{hosts[0]} unit{'' if len(rows) == 1 else 's'} {units}"
+        else:
+            where = f"{counted(len(hosts), 'host', ',')}: {listed(hosts, _FEW_PLACES)}"
+        by = f", asked by {master}" if master is not None else ""
+        what = "no answer from" if role is Role.SILENT else "answers not captured of"
+        yield f"{what} {where}{by}"
+
+
+def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry]) -> None:
+    """Print a table whose rows have lines under them."""
+    if not entries:
+        return
+    columns = list(zip(*(cells for cells, _, _ in entries), strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    # An empty column is not shown.
+    widths = [
+        max(width, len(heading)) if width else 0
+        for heading, width in zip(headings, widths, strict=True)
+    ]
+
+    def line(cells: Sequence[str]) -> str:
+        texts = (
+            printable(cell).rjust(width) if heading in _NUMBERS else printable(cell).ljust(width)
+            for heading, cell, width in zip(headings, cells, widths, strict=True)
+            if width
+        )
+        return "  ".join(texts).rstrip()
+
+    console.print(Text(line(headings), "bold"), soft_wrap=True)
+    for cells, style, under in entries:
+        console.print(Text(line(cells), style or "bold cyan"), soft_wrap=True)
+        for text in under:
+            _print_line(console, text, _INDENT)
+
+
+def _print_line(console: Console, text: str, indent: str, style: str = "") -> None:
+    """Print a line, indented. Only a terminal gets it wrapped."""
+    lines = [printable(text)]
+    if console.is_terminal:
+        width = max(console.width, _NARROWEST)
+        lines = wrap(
+            lines[0],
+            width - len(indent),
+            subsequent_indent="  ",
+            break_on_hyphens=False,
+        )
+    for one in lines:
+        console.print(Text(indent + one, style), soft_wrap=True)
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count:,} times"

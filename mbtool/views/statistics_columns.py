@@ -1,0 +1,110 @@
+"""Lines of a table; the first column is as wide as the other columns allow."""
+
+# On a terminal, columns with the highest rank are left out until the first column has room for its
+# longest text or for ENOUGH characters. A text that is still too long is cut and ends in "..". In a
+# pipe (width None) no column is left out, widths are the same in each run, and a long text makes
+# its line longer.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+
+from mbtool.views.tables import printable
+
+ENOUGH = 34
+PIPE_FIRST = 40
+_MORE = ".."
+_KEPT = "\0%"
+"""Stands for a percent sign with its space while a text is wrapped, so that it is not cut off."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatisticsColumn:
+    """A column behind the first one. Its cells are aligned to the right."""
+
+    title: str
+    width: int
+    rank: int = 0
+    """If there is little room, columns of the highest rank are left out first; rank 0 never is."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatisticsRow:
+    """A row of a table: the text of its first column, and the other cells."""
+
+    first: str
+    cells: Sequence[str]
+    style: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StyledLine:
+    """A line of text with its style, as the library rich writes styles."""
+
+    text: str
+    style: str = ""
+
+
+def table_lines(
+    title: str,
+    columns: Sequence[StatisticsColumn],
+    rows: Sequence[StatisticsRow],
+    width: int | None,
+) -> list[StyledLine]:
+    """The title line and a line for each row; `width` is that of the terminal, None in a pipe."""
+    kept = [*range(len(columns))]
+    longest = max(len(one.first) for one in (StatisticsRow(title, ()), *rows))
+    while width is not None and _room(columns, kept, width) < min(longest, ENOUGH):
+        rank = max(columns[at].rank for at in kept)
+        if rank == 0:
+            break
+        kept = [at for at in kept if columns[at].rank != rank]
+    room = PIPE_FIRST if width is None else min(longest, max(_room(columns, kept, width), 8))
+    titles = StatisticsRow(title, [one.title for one in columns], "bold")
+    return [
+        StyledLine(_line(one, columns, kept, room, is_cut=width is not None), one.style)
+        for one in (titles, *rows)
+    ]
+
+
+def _room(columns: Sequence[StatisticsColumn], kept: Sequence[int], width: int) -> int:
+    return width - sum(columns[at].width + 1 for at in kept)
+
+
+def _line(
+    row: StatisticsRow,
+    columns: Sequence[StatisticsColumn],
+    kept: Sequence[int],
+    room: int,
+    *,
+    is_cut: bool,
+) -> str:
+    first = shortened(row.first, room) if is_cut else printable(row.first)
+    cells = [row.cells[at].rjust(columns[at].width) for at in kept]
+    return " ".join((first.ljust(room), *cells)).rstrip()
+
+
+def shortened(text: str, room: int | None) -> str:
+    """A text of at most `room` characters; a longer one ends in `..`."""
+    text = printable(text)
+    if room is None or len(text) <= room:
+        return text
+    return text[: max(room - len(_MORE), 0)] + _MORE
+
+
+def more_line(number: int, what: str) -> list[StyledLine]:
+    """A line with the number of rows that are not shown; no line if the number is 0."""
+    if number <= 0:
+        return []
+    return [StyledLine(f"  ... {number:,} more {what}; --top shows them", "dim")]
+
+
+def wrapped(line: StyledLine, width: int | None) -> list[StyledLine]:
+    """Break a text into lines that fit the width of the terminal."""
+    text = printable(line.text)
+    if width is None:
+        return [StyledLine(text, line.style)]
+    lines = wrap(text.replace(" %", _KEPT), width, subsequent_indent="  ")
+    return [StyledLine(one.replace(_KEPT, " %"), line.style) for one in lines]

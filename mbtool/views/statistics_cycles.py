@@ -1,0 +1,126 @@
+"""Shows the lists that masters poll in cycles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.views.statistics_columns import (
+    StatisticsColumn,
+    StatisticsRow,
+    StyledLine,
+    more_line,
+    shortened,
+    table_lines,
+)
+from mbtool.views.statistics_words import counted, duration, in_ms, in_s, poll_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.overview.poll_cycle import PollList
+    from mbtool.overview.poll_statistics import PollStatistics
+    from mbtool.overview.statistics_report import LinkReport, MasterReport
+
+_LIST = (
+    StatisticsColumn("polls", 5),
+    StatisticsColumn("every s", 7),
+    StatisticsColumn("least", 6),
+    StatisticsColumn("most", 6),
+    StatisticsColumn("cycles", 6),
+    StatisticsColumn("other", 5),
+    StatisticsColumn("+miss ms", 8, 1),
+)
+_STEP = (
+    StatisticsColumn("pause ms", 9),
+    StatisticsColumn("took ms", 9),
+    StatisticsColumn("miss", 6),
+)
+_LISTS_WITH_STEPS = 5
+"""The polls of one list are shown for every so many rows that a section may have."""
+
+Found = tuple["LinkReport", "MasterReport", "PollList[PollStatistics]"]
+
+
+def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
+    """A row for each poll list, then the polls of the longest lists, in their order."""
+    found = [
+        (link, master, one)
+        for link in links
+        for master in link.masters
+        for one in master.lists.lists
+    ]
+    if not found:
+        return []
+    found.sort(key=lambda one: -len(one[2].steps))
+    rows = [
+        StatisticsRow(_name(one, links), _cells(one[2]), "red" if one[2].missing_ns else "")
+        for one in found[:top]
+    ]
+    lines = table_lines("poll cycles", _LIST, rows, width)
+    lines += more_line(len(found) - top, "cycles")
+    for one in found[: max(top // _LISTS_WITH_STEPS, 1)]:
+        if len(one[2].steps) > 1:
+            title = "  in this order" if len(found) == 1 else f"  in order: {_name(one, links)}"
+            lines += [*_step_lines(one[2], title, width, top), *_repeated_line(one[2], width)]
+    return lines + _between_lines(links, width, top)
+
+
+def _name(found: Found, links: Sequence[LinkReport]) -> str:
+    link, master, one = found
+    more = ", .." if len(one.steps) > 1 else ""
+    parts = [f"{master.master}:"] if len(link.masters) > 1 else []
+    parts += [] if len(links) == 1 else [link.name]
+    return " ".join((*parts, f"{poll_text(one.steps[0].poll)}{more}"))
+
+
+def _cells(one: PollList[PollStatistics]) -> list[str]:
+    cost = one.missing_cost_ns
+    return [
+        str(len(one.steps)),
+        in_s(one.period_ns),
+        in_s(one.times[0]),
+        in_s(one.times[-1]),
+        f"{one.cycles:,}",
+        counted(one.other_cycles),
+        "" if not cost else in_ms(cost),
+    ]
+
+
+def _step_lines(
+    one: PollList[PollStatistics], title: str, width: int | None, top: int
+) -> list[StyledLine]:
+    rows = [
+        StatisticsRow(
+            f"  {poll_text(step.poll)}",
+            [in_ms(step.pause_ns), in_ms(step.took_ns), counted(step.missing)],
+            "red" if step.missing else "",
+        )
+        for step in one.steps[:top]
+    ]
+    return table_lines(title, _STEP, rows, width) + more_line(len(one.steps) - top, "polls")
+
+
+def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:
+    if not one.repeated:
+        return []
+    texts = "; ".join(f"{poll_text(poll)} x{one.polls.count(poll)}" for poll in one.repeated)
+    return [StyledLine(shortened(f"  more than once a cycle: {texts}", width), "yellow")]
+
+
+def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
+    """Lines about polls that are in no list of their master, and about the master's timeout."""
+    lines = []
+    for link in links:
+        for master in link.masters:
+            of = f" of {master.master}" if len(link.masters) > 1 else ""
+            at = "" if len(links) == 1 else f" at {link.name}"
+            between = sorted(master.lists.between.items(), key=lambda one: -one[1])
+            if between and master.lists.lists:
+                texts = ", ".join(f"{poll_text(poll)} x{count:,}" for poll, count in between)
+                lines.append(StyledLine(shortened(f"in no cycle{of}{at}: {texts}", width)))
+    if len(links) == len(links[0].masters) == 1:
+        timeout_ns = links[0].masters[0].lists.timeout_ns
+        if timeout_ns is not None:
+            text = f"the master waits {duration(timeout_ns)} for an answer"
+            lines.append(StyledLine(text))
+    return lines[:top]

@@ -1,0 +1,325 @@
+"""Shows statistics: the verdict first, then links, functions, polls, cycles and the rest."""
+
+# An empty section is left out. A section lists at most `top` rows; the last line says how many more
+# there are. On a terminal, sections are shortened, then left out, until the lines fit the height.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.modbus import Outcome, short_name
+from mbtool.overview.distribution import Bucket
+from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.views.cells import clock_time, day
+from mbtool.views.statistics_columns import (
+    StatisticsColumn,
+    StatisticsRow,
+    StyledLine,
+    more_line,
+    shortened,
+    table_lines,
+    wrapped,
+)
+from mbtool.views.statistics_cycles import cycle_lines
+from mbtool.views.statistics_verdict import verdict
+from mbtool.views.statistics_words import (
+    counted,
+    duration,
+    in_ms,
+    in_s,
+    per_second,
+    percent,
+    poll_text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.overview.statistics_connections import ConnectionTally
+    from mbtool.overview.statistics_report import FunctionReport, LinkReport, PollReport
+
+FEWEST = 3
+"""A section is not shortened to fewer rows than this, however small the terminal is."""
+USUAL = 10
+MOST_IMPORTANT = 3
+"""The first so many sections are shown even on the smallest terminal."""
+_ALIKE = 0.7
+_BAR = 30
+_EATERS = 3
+_LEAST_OF_HISTOGRAM = 20
+_FINEST_NS = 100_000
+"""The histogram shows all latencies below this time (ns) in one line."""
+
+_LATENCY = (
+    StatisticsColumn("p50 ms", 6),
+    StatisticsColumn("p95", 5),
+    StatisticsColumn("p99", 5, 2),
+    StatisticsColumn("max", 5, 1),
+)
+_FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5), StatisticsColumn("n/cap", 5, 3))
+_COUNTS = (StatisticsColumn("asked", 8), StatisticsColumn("/s", 6))
+_POLLS = (
+    StatisticsColumn("asked", 7),
+    StatisticsColumn("every s", 7),
+    StatisticsColumn("+-ms", 5),
+    *_LATENCY,
+    StatisticsColumn("exc", 4),
+    StatisticsColumn("miss", 4),
+    StatisticsColumn("line", 6, 3),
+)
+_CONNECTIONS = (
+    StatisticsColumn("opened", 7),
+    StatisticsColumn("joined", 6, 2),
+    StatisticsColumn("reset", 6),
+    StatisticsColumn("refused", 7),
+    StatisticsColumn("at once", 7, 1),
+    StatisticsColumn("keep-alive", 10),
+)
+
+
+def statistics_lines(
+    links: Sequence[LinkReport],
+    *,
+    width: int | None,
+    height: int | None = None,
+    top: int | None = None,
+) -> list[StyledLine]:
+    """All lines. `width` and `height` are those of the terminal, None in a pipe.
+
+    Without `top`, a section has as many rows as fit the height, FEWEST to USUAL.
+    """
+    if top is not None or height is None:
+        return _joined(_sections(links, width, top or USUAL))
+    for fewer in range(USUAL, FEWEST, -1):
+        lines = _joined(_sections(links, width, fewer))
+        if len(lines) < height:
+            return lines
+    sections = _sections(links, width, FEWEST)
+    left_out: list[str] = []
+    while len(lines := _joined(sections)) >= height - 1 and len(sections) > MOST_IMPORTANT:
+        left_out.insert(0, sections.pop()[0])
+    if left_out:
+        text = f"left out: {', '.join(left_out)}; --top 10 shows all"
+        lines.append(StyledLine(shortened(text, width), "dim"))
+    return lines
+
+
+def _joined(sections: Sequence[tuple[str, list[StyledLine]]]) -> list[StyledLine]:
+    lines: list[StyledLine] = []
+    for _, section in sections:
+        lines += [StyledLine(""), *section] if lines else section
+    return lines
+
+
+def _sections(
+    links: Sequence[LinkReport], width: int | None, top: int
+) -> list[tuple[str, list[StyledLine]]]:
+    """The sections that have lines, with their names, the most important first."""
+    sections = [
+        ("verdict", [line for one in verdict(links) for line in wrapped(one, width)]),
+        ("line", _load(links, width)),
+        ("links", _links(links, width, top)),
+        ("polls", _polls(links, width, top)),
+        ("poll cycles", cycle_lines(links, width, top)),
+        ("functions", _functions(links, width, top)),
+        ("hours", _hours(links, top)),
+        ("connections", _connections(links, width, top)),
+        ("histogram", _histogram(links)),
+    ]
+    return [one for one in sections if one[1]]
+
+
+def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
+    if len(links) < 2:
+        return []
+    ordered = sorted(links, key=lambda one: (-one.tally.unanswered, -one.tally.transactions))
+    rows = [
+        StatisticsRow(
+            f"{one.transport} {one.name}{f' {one.settings}' if one.settings else ''}",
+            _tally_cells(one.tally, one),
+            _style(one.tally),
+        )
+        for one in ordered[:top]
+    ]
+    lines = table_lines("link", (*_COUNTS, *_FAILED, *_LATENCY), rows, width)
+    return lines + more_line(len(links) - top, "links")
+
+
+def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
+    found = [(link, one) for link in links for one in link.functions]
+    if len(found) > _ALIKE * sum(len(link.polls) for link in links):
+        return []  # It would nearly repeat the section of polls.
+    found.sort(key=lambda one: (-one[1].tally.unanswered, -one[1].tally.transactions))
+    rows = [
+        StatisticsRow(
+            _prefix(link, links) + _function_text(one),
+            _tally_cells(one.tally, link),
+            _style(one.tally),
+        )
+        for link, one in found[:top]
+    ]
+    lines = table_lines("unit, function", (*_COUNTS, *_FAILED, *_LATENCY), rows, width)
+    return lines + more_line(len(found) - top, "functions")
+
+
+def _function_text(one: FunctionReport) -> str:
+    return f"{one.unit} {one.function:02X} {short_name(one.function, one.function_name)}"
+
+
+def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
+    found = [(link, one) for link in links for one in link.polls]
+    found.sort(key=lambda one: -one[1].poll.tally.latency.percentile(95))
+    rows = [
+        StatisticsRow(
+            _prefix(link, links) + _of_master(link, one) + poll_text(one.poll),
+            _poll_cells(one, link),
+            _style(one.poll.tally),
+        )
+        for link, one in found[:top]
+    ]
+    if not rows:
+        return []
+    columns = _POLLS if any(link.load is not None for link in links) else _POLLS[:-1]
+    lines = table_lines("polls, slowest first", columns, rows, width)
+    return lines + more_line(len(found) - top, "polls")
+
+
+def _of_master(link: LinkReport, one: PollReport) -> str:
+    return f"{one.poll.key.master}: " if len(link.masters) > 1 else ""
+
+
+def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
+    poll = one.poll
+    jitter_ns = poll.jitter_ns if poll.period.count > 1 else None
+    share = ""
+    if link.load is not None and one.line_time is not None:
+        share = percent(link.load.share(one.line_time.total_ns))
+    return [
+        f"{poll.tally.transactions:,}",
+        in_s(poll.period.percentile(50)) if poll.period.count else "-",
+        "-" if jitter_ns is None else in_ms(jitter_ns),
+        *_latency_cells(poll.tally),
+        counted(poll.tally.count(Outcome.EXCEPTION)),
+        counted(poll.tally.unanswered),
+        share,
+    ]
+
+
+def _tally_cells(tally: RequestTally, link: LinkReport) -> list[str]:
+    return [
+        f"{tally.transactions:,}",
+        per_second(link.rate(tally.transactions)),
+        counted(tally.count(Outcome.EXCEPTION)),
+        counted(tally.unanswered),
+        counted(tally.count(Outcome.NOT_CAPTURED)),
+        *_latency_cells(tally),
+    ]
+
+
+def _latency_cells(tally: RequestTally) -> list[str]:
+    latency = tally.latency
+    if not latency.count:
+        return ["-"] * len(_LATENCY)
+    return [*(in_ms(latency.percentile(one)) for one in (50, 95, 99)), in_ms(latency.greatest)]
+
+
+def _style(tally: RequestTally) -> str:
+    return "red" if tally.unanswered or tally.count(Outcome.EXCEPTION) else ""
+
+
+def _prefix(link: LinkReport, links: Sequence[LinkReport]) -> str:
+    return "" if len(links) == 1 else f"{link.name} "
+
+
+def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
+    lines = []
+    for link in links:
+        load = link.load
+        if load is None:
+            continue
+        parts = [f"busy {percent(load.busy_share)}"]
+        parts.append(f"waits for slaves {percent(load.share(load.spent.slaves_ns))}")
+        if load.spent.missing_ns:
+            parts.append(f"for missing answers {percent(load.share(load.spent.missing_ns))}")
+        parts.append(f"free {percent(load.share(load.pauses_ns))}")
+        text = f"{_prefix(link, links)}line: {', '.join(parts)}"
+        lines.append(StyledLine(shortened(text, width)))
+        lines += _longest_polls(link, width)
+    return lines
+
+
+def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
+    """A line that names the polls that occupy the serial line longest."""
+    load = link.load
+    if load is None or len(link.polls) < 2:
+        return []
+    found = [(one.line_time.total_ns, one.poll) for one in link.polls if one.line_time is not None]
+    found.sort(key=lambda one: -one[0])
+    texts = [f"{poll_text(poll)} {percent(load.share(ns))}" for ns, poll in found[:_EATERS]]
+    return [StyledLine(shortened(f"  kept most by {'; '.join(texts)}", width))]
+
+
+def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:
+    latency = merged([link.tally for link in links]).latency
+    if latency.count < _LEAST_OF_HISTOGRAM:
+        return []
+    buckets = _joined_below(_FINEST_NS, latency.histogram())
+    most = max(one.number for one in buckets)
+    lines = [StyledLine("latency of all", "bold")]
+    for one in buckets:
+        bar = "#" * -(-one.number * _BAR // most)
+        lines.append(StyledLine(f"  < {duration(one.high_ns):<8} {one.number:>9,} {bar}".rstrip()))
+    return lines
+
+
+def _joined_below(finest_ns: int, buckets: list[Bucket]) -> list[Bucket]:
+    """The histogram's buckets, with all latencies below `finest_ns` joined into one bucket."""
+    below = sum(one.number for one in buckets if one.high_ns <= finest_ns)
+    first = [Bucket(0, finest_ns, below)] if below else []
+    return [*first, *(one for one in buckets if one.high_ns > finest_ns)]
+
+
+def _hours(links: Sequence[LinkReport], top: int) -> list[StyledLine]:
+    counts: dict[int, tuple[int, int]] = {}
+    for link in links:
+        for one in link.hours:
+            requests, missing = counts.get(one.begin_ns, (0, 0))
+            counts[one.begin_ns] = requests + one.requests, missing + one.missing
+    missing_in = [(begin, *both) for begin, both in sorted(counts.items()) if both[1]]
+    if len(counts) < 2 or not missing_in:
+        return []
+    worst = sorted(sorted(missing_in, key=lambda one: -one[2])[:top])
+    lines = [StyledLine("answers missing, by hour (UTC)", "bold")]
+    for begin_ns, requests, missing in worst:
+        text = f"  {day(begin_ns)} {clock_time(begin_ns)[:5]} {missing:>9,} of {requests:,}"
+        lines.append(StyledLine(text))
+    return lines + more_line(len(missing_in) - top, "hours")
+
+
+def _connections(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
+    found = [(link, master, one) for link in links for master, one in link.connections]
+    found.sort(key=lambda one: (-one[2].resets - one[2].refused, -one[2].opened))
+    rows = []
+    for link, master, one in found[:top]:
+        alive = counted(one.keep_alives)
+        if one.unanswered_keep_alives:
+            alive = f"{alive} (-{one.unanswered_keep_alives})"
+        cells = [
+            f"{one.opened:,}",
+            counted(one.joined),
+            counted(one.resets),
+            counted(one.refused),
+            counted(one.most_at_once),
+            alive,
+        ]
+        style = "yellow" if one.resets or one.refused else ""
+        rows.append(StatisticsRow(f"{master or '?'} to {link.name}", cells, style))
+    if not any(_is_notable(one) for _, _, one in found):
+        return []
+    lines = table_lines("connections", _CONNECTIONS, rows, width)
+    return lines + more_line(len(found) - top, "pairs")
+
+
+def _is_notable(one: ConnectionTally) -> bool:
+    """False for a single connection that stayed open, without resets or keep-alive probes."""
+    return bool(one.resets or one.refused or one.keep_alives or one.opened + one.joined > 1)

@@ -1,0 +1,119 @@
+"""Reads captures and logs into an inventory, and compares it with an older one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.core import InputError, WireEvent
+from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
+from mbtool.overview.baseline import changes
+from mbtool.overview.identification import identify
+from mbtool.overview.inventory import Inventory
+from mbtool.overview.inventory_rows import INVENTORY_FORMAT, InventoryDocument
+from mbtool.sources.makers import maker
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+
+if TYPE_CHECKING:
+    from mbtool.overview.baseline import InventoryChange
+    from mbtool.workflows.shared.read_all import Watch
+
+_DOCUMENT_BEGINS = b"{"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InventoryOptions:
+    """What an inventory is taken of."""
+
+    reading: ReadingOptions
+    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+
+
+class InventoryRun:
+    """One pass over some files for their inventory."""
+
+    def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
+        self._files = files
+        self._options = options
+        self.reading = Reading(files, options.reading)
+        self.error: InputError | None = None
+        """Why some file could not be read, or not to its end; the others were read."""
+
+    def take(
+        self, on_remark: Callable[[str], None] = lambda _: None, watch: Watch = unwatched
+    ) -> InventoryDocument:
+        """Read the files as far as they can be read.
+
+        `on_remark` gets a line for each thing a user should know of the files. Raises InputError if
+        nothing could be read because of it.
+        """
+        inventory = Inventory()
+        wanted = self._options.wanted
+        try:
+            for record in watch(self.reading, self.reading.records()):
+                if not isinstance(record, WireEvent) and wanted(record):
+                    inventory.add(record)
+        except InputError as error:
+            if not inventory.transactions:
+                raise
+            self.error = error
+        for remark in self.reading.remarks:
+            on_remark(remark)
+        profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
+        profiles |= {one.name: one for one in self.reading.assignments.profiles}
+        return inventory.document(
+            self._files, partial(identify, profiles=list(profiles.values())), maker
+        )
+
+
+def changes_since(
+    baseline: Sequence[str],
+    document: InventoryDocument,
+    options: InventoryOptions,
+    on_remark: Callable[[str], None] = lambda _: None,
+) -> list[InventoryChange]:
+    """What is new in an inventory since a baseline: an older inventory in JSON, or captures.
+
+    Raises InputError if the baseline cannot be read or has no transaction.
+    """
+    first = baseline[0]
+    old = _stored(first) if len(baseline) == 1 and _is_stored(first) else None
+    if old is None:
+        run = InventoryRun(baseline, options)
+        run.reading.demand_files()
+        old = run.take(on_remark)
+        if run.error is not None:
+            on_remark(f"{run.error}; compared with what is there")
+    if not old.transactions:
+        raise InputError(f"{', '.join(baseline)}: no transaction in it to compare with")
+    return changes(old, document)
+
+
+def _is_stored(path: str) -> bool:
+    """True if a file looks like an inventory in JSON; captures never begin so."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(64).lstrip().startswith(_DOCUMENT_BEGINS)
+    except OSError:
+        return False  # Reading it as a capture tells why.
+
+
+def _stored(path: str) -> InventoryDocument:
+    try:
+        document = msgspec.json.decode(Path(path).read_bytes(), type=InventoryDocument)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is no inventory as --format json writes it: {error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if document.format != INVENTORY_FORMAT:
+        raise InputError(
+            f"{path}: is an inventory of format {document.format!r}; this program reads "
+            f"{INVENTORY_FORMAT}"
+        )
+    return document
