@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 _KIND_WIDTH = max(len(kind.value) for kind in ChangeKind)
 _WIDEST_PLACE = 40
 _INDENT = " " * 4
+_NARROWEST = 40
 
 
 def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
@@ -33,7 +35,7 @@ def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
         if not console.is_terminal or len(head) + 2 + len(text) <= console.width:
             line = Text(f"{head}  {text}")
         else:
-            body = Text(text).wrap(console, max(console.width - len(_INDENT), 20))
-            line = Text("\n").join([Text(head.rstrip()), *(Text(_INDENT) + part for part in body)])
+            parts = wrap(text, max(console.width, _NARROWEST) - len(_INDENT))
+            line = Text("\n".join([head.rstrip(), *(_INDENT + part for part in parts)]))
         line.stylize("bold yellow", 0, len(one.kind.value))
         console.print(line, soft_wrap=True)

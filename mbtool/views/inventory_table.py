@@ -1,8 +1,9 @@
 """Shows an inventory: a row for each unit of each host, and what is known of it under it."""
 
-#     host           unit  role     profile        MAC
-#     192.168.3.250     1  slave    fa3-at1m8x 90  00:30:de:11:22:33 WAGO Kontakttechnik GmbH
+#     host           unit  role     profile
+#     192.168.3.250     1  slave    wago-750 91
 #           seen 2026-11-22 09:14:03 .. 09:20:11, 812 transactions, 3 without answer
+#           MAC 00:30:de:11:22:33 WAGO Kontakttechnik GmbH
 #           says vendor "WAGO", product code "750-352"
 #           03 read holding 0..99, 200; 800 times by 192.168.3.9
 #           10 write registers 10..12; 12 times by 192.168.3.9
@@ -43,7 +44,7 @@ _FEW_PLACES = 6
 _MANY_ROWS = 60
 """More units than this are folded where they are alike."""
 _QUIET = (Role.SILENT, Role.UNHEARD)
-_SLAVE_HEADINGS = ("host", "unit", "role", "profile", "MAC")
+_SLAVE_HEADINGS = ("host", "unit", "role", "profile")
 _MASTER_HEADINGS = ("master", "asks", "writes to", "requests", "seen")
 _NUMBERS = frozenset(("unit", "asks", "writes to", "requests"))
 
@@ -114,7 +115,6 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
         str(row.unit),
         row.role.value,
         profile_text(row),
-        mac_text(row.macs, row.makers),
     )
     style = "yellow" if row.role in _QUIET else ""
     return cells, style, list(_slave_lines(row, most))
@@ -124,7 +124,8 @@ def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_En
     """One entry for all units that differ in nothing but their host, maker and times."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
-        alike.setdefault((row.unit, row.role, cells[3], *lines[1:]), []).append(index)
+        told = [line for line in lines[1:] if line not in _mac_lines(row)]
+        alike.setdefault((*cells[1:], *told), []).append(index)
     for several in alike.values():
         cells, style, lines = entries[several[0]]
         if len(several) > 1:
@@ -144,7 +145,11 @@ def _master_entry(row: MasterRow) -> _Entry:
         f"{row.requests:,}",
         seen_text(row.first_ns, row.last_ns),
     )
-    return cells, "", [f"MAC {mac_text(row.macs, row.makers)}"] if row.macs else []
+    return cells, "", _mac_lines(row)
+
+
+def _mac_lines(row: SlaveRow | MasterRow) -> list[str]:
+    return [f"MAC {mac_text(row.macs, row.makers)}"] if row.macs else []
 
 
 def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
@@ -155,6 +160,7 @@ def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
     if row.unanswered:
         counts.append(f"{row.unanswered:,} without answer")
     yield ", ".join(counts)
+    yield from _mac_lines(row)
     if row.identity:
         yield f"says {identity_text(row)}"
     fit = row.fit
