@@ -20,14 +20,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import Int64s, pieces
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
 from mbtool.columns.headers import read_headers
 from mbtool.columns.packet_block import PacketBlock
 from mbtool.columns.stretches import find_stretches
-from mbtool.core import Connection
+from mbtool.core import Connection, LinkAddresses
 from mbtool.decode.decoder import Record
 from mbtool.decode.plain_stretch import PlainStretch
+from mbtool.packets.link_addresses import link_addresses
 from mbtool.packets.plain_bytes import PlainBytes
 from mbtool.packets.segment import RST, SYN
 from mbtool.packets.stream import RECENT_BYTES
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from mbtool.columns.stretches import Stretches
     from mbtool.decode.decoder import Decoder
 
+_LINK_HEADER = np.dtype("V32")
+"""More bytes than the headers of the link layer have that headers.py reads."""
 _SMALLEST_ADU = 8
 _LAST_ADUS = RECENT_BYTES // _SMALLEST_ADU
 """So many ADUs have RECENT_BYTES bytes at least."""
@@ -50,8 +53,16 @@ class PlainRows:
 
     block: PacketBlock
     connections: list[Connection]
+    """The connection of each stretch."""
+    addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
+    """The addresses on the link layer of the first request and response of each stretch."""
     connection: Int64s
-    """The index of its connection in `connections`."""
+    """The index of its stretch in `connections`."""
+    has_addresses: Bools
+    """True if request and response have the same addresses as the first ones of their stretch."""
+    request_ip_at: Int64s
+    """The length of the header of the link layer of its request."""
+    response_ip_at: Int64s
     request: Int64s
     """The index of the request's packet in the block."""
     response: Int64s
@@ -264,6 +275,8 @@ class _TransactionArrays:
         self._response_begin = segments.begin[responses]
         self._request_size = segments.size[requests]
         self._response_size = segments.size[responses]
+        self._request_ip_at = segments.ip_at[requests]
+        self._response_ip_at = segments.ip_at[responses]
         self._request_ns = segments.ts_ns[requests]
         self._response_ns = segments.ts_ns[responses]
 
@@ -300,17 +313,43 @@ class _TransactionArrays:
             latencies=latencies,
         )
 
+    @staticmethod
+    def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
+        """The header of the link layer of each packet, zeros behind it, and its length."""
+        headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
+        headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
+        headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
+        headers[:, -1] = ip_at
+        return headers
+
     def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
         """The rows of the transactions that were taken, in the order of their responses."""
-        chosen = np.concatenate([np.arange(first, end) for first, end, _ in taken])
-        sizes = [end - first for first, end, _ in taken]
+        firsts = np.array([first for first, _, _ in taken])
+        sizes = np.array([end - first for first, end, _ in taken])
+        chosen = ranges(firsts, sizes)
         connection = np.repeat(np.arange(len(taken)), sizes)
+        requests = self._link_headers(block, self.request_packet, self._request_ip_at)
+        responses = self._link_headers(block, self._response_packet, self._response_ip_at)
+        like = np.repeat(firsts, sizes)
+        has_addresses = (requests[chosen] == requests[like]).all(axis=1)
+        has_addresses &= (responses[chosen] == responses[like]).all(axis=1)
+        addresses = [
+            (
+                link_addresses_of(block, self.request_packet[first], self._request_ip_at[first]),
+                link_addresses_of(block, self._response_packet[first], self._response_ip_at[first]),
+            )
+            for first in firsts.tolist()
+        ]
         order = np.argsort(self._response_packet[chosen], kind="stable")
         chosen = chosen[order]
         return PlainRows(
             block=block,
             connections=[one for _, _, one in taken],
+            addresses=addresses,
             connection=connection[order],
+            has_addresses=has_addresses[order],
+            request_ip_at=self._request_ip_at[chosen],
+            response_ip_at=self._response_ip_at[chosen],
             request=self.request_packet[chosen],
             response=self._response_packet[chosen],
             request_begin=self._request_begin[chosen],
@@ -324,6 +363,13 @@ class _TransactionArrays:
             code=self._found.code[chosen],
             response_code=self._found.response_code[chosen],
         )
+
+
+def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:
+    """The addresses in the header of the link layer of a packet, which has `ip_at` bytes."""
+    start = int(block.starts[packet])
+    _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]
+    return link_addresses(link_type, block.data[start : start + ip_at].tobytes())
 
 
 def _tail(block: PacketBlock, begins: Int64s, sizes: Int64s) -> bytes:

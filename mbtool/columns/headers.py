@@ -72,6 +72,8 @@ class Segments:
     sequence: Int64s
     acknowledged: Int64s
     flags: Int64s
+    ip_at: Int64s
+    """The length of the header of the link layer, in front of the IP header."""
     begin: Int64s
     """Where in the data of the block the payload begins."""
     size: Int64s
@@ -211,6 +213,7 @@ def _ipv4(
         sequence=tcp["sequence"].astype(np.int64),
         acknowledged=tcp["acknowledged"].astype(np.int64),
         flags=tcp["flags"].astype(np.int64),
+        ip_at=relative[chosen],
         begin=begin,
         size=np.where(is_plain, end - begin, 0),
         ts_ns=block.ts_ns[index],

@@ -56,6 +56,10 @@ class PacketBlock:
     """How many bytes each packet had on the wire."""
     ts_ns: Int64s
     """When each was captured, in UTC ns."""
+    file: str
+    """The capture file, as the user named it."""
+    first_number: int
+    """The number of the first packet in its file, counted from 1."""
     links: list[tuple[str, int]]
     """The names and link types of the interfaces that captured them."""
     interfaces: Int64s | None = None
@@ -74,6 +78,8 @@ class PacketBlock:
             link_type=link_type,
             data=self.data[start : start + captured].tobytes(),
             original_length=int(self.original[index]),
+            file=self.file,
+            number=self.first_number + index,
         )
 
 
@@ -200,6 +206,8 @@ class _PcapBlocks:
             captured=captured,
             original=np.maximum(records["len"].astype(np.int64), captured),
             ts_ns=seconds * _NS_PER_SECOND + fraction * self._form.unit_ns,
+            file=self._name,
+            first_number=self._number + 1,
             links=[("if0", self._form.link_type)],
         )
 
@@ -233,6 +241,8 @@ def _block_of(packets: list[Packet]) -> PacketBlock:
         captured=captured,
         original=np.array([one.original_length for one in packets], np.int64),
         ts_ns=np.array([one.ts_ns for one in packets], np.int64),
+        file=packets[0].file,
+        first_number=packets[0].number,
         links=[*numbers],
         interfaces=np.array(interfaces, np.int64) if len(numbers) > 1 else None,
     )

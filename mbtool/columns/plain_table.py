@@ -18,6 +18,8 @@ from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
 from mbtool.columns.plain_transactions import plain_transaction
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
+from mbtool.core import Origin
+from mbtool.decode.transactions import add_origins
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES
@@ -33,7 +35,10 @@ from mbtool.modbus.layouts import COIL_VALUES
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mbtool.columns.column_decoder import PlainRows
+    from mbtool.core import LinkAddresses
 
 _WRITE_COIL, _WRITE_COILS = 0x05, 0x0F
 _READ_WORDS = READ_REGISTERS - {0x17}
@@ -50,8 +55,7 @@ _COUNTED = 6
 class PlainTables:
     """Makes the tables of plain rows, which have no device profile."""
 
-    def __init__(self, file: str) -> None:
-        self._file = file
+    def __init__(self) -> None:
         self._namer = Namer()
         self._names: dict[int, NamedTransaction] = {}
         """By function, address and quantity, the first row of each, with its names."""
@@ -65,7 +69,7 @@ class PlainTables:
         parts = [self._usual_table(rows, usual, chosen)]
         if not made:
             return parts[0], made
-        parts.append(row_table(made, [self._file] * len(made)))
+        parts.append(row_table(made))
         order = np.argsort(np.concatenate([chosen, others]), kind="stable")
         return pa.concat_tables(parts).take(pa.array(order)), made
 
@@ -76,6 +80,8 @@ class PlainTables:
         names, name = self._names_of(rows, usual, chosen)
         ends = rows.connection[chosen]
         connections = rows.connections
+        origins = [_origin_fields(*one) for one in rows.addresses]
+        source_macs, destination_macs, vlans = zip(*origins, strict=True)
         exception = usual.exception[chosen]
         is_exception = exception >= 0
         codes = np.unique(exception[is_exception])
@@ -109,13 +115,15 @@ class PlainTables:
             "response_raw": _raw(rows, rows.response_begin[chosen], rows.response_size[chosen]),
             "direction_by": _words([DirectionBy.PORT.value], np.zeros(len(chosen), np.int64)),
             "confidence": np.ones(len(chosen)),
-            "reference": _words(
-                [one.reference or "" for one in names],
-                name,
-                np.array([one.reference is None for one in names], np.bool_)[name],
-            ),
+            "reference": _words_or_none([one.reference for one in names], name),
             "findings": _lists([one.findings for one in names], name),
-            "file": _words([self._file], np.zeros(len(chosen), np.int64)),
+            "time": rows.request_ns[chosen],
+            "file": _words([rows.block.file], np.zeros(len(chosen), np.int64)),
+            "request_packet": rows.block.first_number + rows.request[chosen],
+            "response_packet": rows.block.first_number + rows.response[chosen],
+            "source_mac": _words_or_none(source_macs, ends),
+            "destination_mac": _words_or_none(destination_macs, ends),
+            "vlan": pa.array(vlans, pa.uint16()).take(pa.array(ends)),
         }
         return pa.Table.from_arrays(
             [_column(field, columns.get(field.name), len(chosen)) for field in SCHEMA],
@@ -174,7 +182,8 @@ class _Usual:
         fits = np.where(reads, (second == read) & (response_size == 2 + read), repeats)
         is_exception = rows.response_code == code | EXCEPTION_BIT
         answered = np.where(is_exception, response_size == 2, fits)
-        self.is_usual = has_form & answered & ~self._is_padded(is_exception)
+        is_whole = has_form & answered & rows.has_addresses
+        self.is_usual = is_whole & ~self._is_padded(is_exception)
         self.exception = np.where(is_exception, second, -1)
 
     def _is_padded(self, is_exception: Bools) -> Bools:
@@ -184,7 +193,8 @@ class _Usual:
         response_end = self._response + self._response_size - 1
         last = np.where(self._writes_bits, self._data[request_end], self._data[response_end])
         has_bits = self._writes_bits | self._reads_bits & ~is_exception
-        return has_bits & (used > 0) & (last.astype(np.int64) >> used > 0)
+        is_padded: Bools = has_bits & (used > 0) & (last.astype(np.int64) >> used > 0)
+        return is_padded
 
     def request_values(self, chosen: Int64s) -> pa.Array:
         """What the requests write; null for reads."""
@@ -230,6 +240,15 @@ class _Usual:
         return numbers, offsets
 
 
+def _origin_fields(
+    request: LinkAddresses | None, response: LinkAddresses | None
+) -> tuple[str | None, str | None, int | None]:
+    """The MAC addresses of master and slave, and the VLAN, as a transaction has them."""
+    fields: dict[str, Any] = {}
+    add_origins(fields, Origin("", 0, request), Origin("", 0, response))
+    return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
+
+
 def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
     if values is None:
         if pa.types.is_list(field.type):
@@ -246,6 +265,12 @@ def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> p
         np.where(missing, 0, indices) if missing is not None else indices, mask=missing
     )
     return pa.DictionaryArray.from_arrays(index.cast(pa.int32()), pa.array(texts, pa.string()))
+
+
+def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
+    """A column of texts, each named by its index; null where the text is None."""
+    missing = np.array([text is None for text in texts], np.bool_)
+    return _words([text or "" for text in texts], indices, missing[indices])
 
 
 def _raw(rows: PlainRows, begins: Int64s, sizes: Int64s) -> pa.Array:

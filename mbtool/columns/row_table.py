@@ -15,25 +15,21 @@ if TYPE_CHECKING:
 
     from mbtool.devices import NamedTransaction
 
-_FILE = "file"
 
-
-def row_table(transactions: Sequence[NamedTransaction], files: Sequence[str]) -> pa.Table:
-    """The table of some transactions; `files` are their files.
+def row_table(transactions: Sequence[NamedTransaction]) -> pa.Table:
+    """The table of some transactions.
 
     Raises InputError for numbers that no transaction has, which another program may have written to
     a log.
     """
     rows = [_row(one) for one in transactions]
-    columns = [
-        _column(field, list(files) if field.name == _FILE else [row[field.name] for row in rows])
-        for field in SCHEMA
-    ]
+    columns = [_column(field, [row[field.name] for row in rows]) for field in SCHEMA]
     return pa.Table.from_arrays(columns, schema=SCHEMA)
 
 
 def _row(transaction: NamedTransaction) -> dict[str, Any]:
     row = msgspec.structs.asdict(transaction)
+    row["time"] = transaction.start_ns
     row["points"] = [msgspec.structs.asdict(point) for point in transaction.points]
     return row
 

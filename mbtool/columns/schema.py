@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pyarrow as pa
 
+Table = pa.Table
+
 _WORD = pa.dictionary(pa.int32(), pa.string())
 """Texts of which few differ."""
 _NUMBERS = pa.list_(pa.uint16())
@@ -51,7 +53,16 @@ SCHEMA = pa.schema(
         ("reference", _WORD),
         ("points", pa.list_(_POINT)),
         ("findings", pa.list_(pa.string())),
+        ("time", pa.timestamp("ns", "UTC")),
         ("file", _WORD),
+        ("response_file", _WORD),
+        ("request_packet", pa.uint64()),
+        ("response_packet", pa.uint64()),
+        ("request_offset", pa.uint64()),
+        ("response_offset", pa.uint64()),
+        ("source_mac", _WORD),
+        ("destination_mac", _WORD),
+        ("vlan", pa.uint16()),
     ]
 )
 """The columns in order. A column never changes its name, type or meaning; new columns come last."""

@@ -213,8 +213,7 @@ class ProtocolDetector:
 
     def plain_decoder(self) -> ConnectionDecoder | None:
         """The decoder of a connection that is Modbus/TCP in the expected roles; else None."""
-        one = self._candidates[0] if self.state is ProtocolState.MODBUS else None
-        return one and one.plain_decoder
+        return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
 
     def in_detected_roles(self, event: WireEvent) -> WireEvent:
         """An event of the connection, with master and slave as they were detected."""

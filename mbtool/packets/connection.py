@@ -292,8 +292,7 @@ class TcpConnection:
             start = self._continue_at(sender, sequence)
         data, missing = segment.payload, segment.missing
         end = start + len(data)
-        is_receipt = segment.flags & ACK
-        receipt = other.receipt(segment.acknowledgement, WINDOW) if is_receipt else None
+        receipt = other.receipt(segment.acknowledgement, WINDOW) if segment.flags & ACK else None
         if data:
             piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt, origin)
             if start == sender.position and not sender.held and acknowledged <= other.position:

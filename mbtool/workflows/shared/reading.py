@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.unreadable_lines import LineOf
 
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
-_UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
+UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
 
@@ -280,7 +280,7 @@ class Reading:
             result = self._results.get(self.file)
             if result is not None:
                 result.note(record)
-            if isinstance(record, WireEvent) and record.kind in _UNDECODABLE_EVENTS:
+            if isinstance(record, WireEvent) and record.kind in UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
             else:
                 self._has_decoded = True
