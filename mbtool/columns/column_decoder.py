@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from mbtool.columns.headers import Headers, Segments
     from mbtool.columns.stretches import Stretches
     from mbtool.decode.decoder import Decoder
+    from mbtool.packets.connection import TcpConnection
 
 _LINK_HEADER = np.dtype("V32")
 """More bytes than the headers of the link layer have that headers.py reads."""
@@ -171,6 +172,8 @@ class _BlockPass:
         self._decoded = DecodedBlock()
         self._taken: list[tuple[int, int, Connection]] = []
         """The first and the last transaction, exclusive, of each stretch that was taken."""
+        self._ends_ns: dict[TcpConnection, int] = {}
+        """When the last stretch of each connection ended."""
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
@@ -198,6 +201,9 @@ class _BlockPass:
         self._pass_times(len(self._times))
         self._note_used(len(self._times))
         self._decoder.note_time(int(self._block.ts_ns.max()))
+        for connection, end_ns in self._ends_ns.items():
+            # Times of other connections, within the stretch, may have been told to it since.
+            connection.note_time(end_ns)
         self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
         return self._decoded
 
@@ -254,7 +260,9 @@ class _BlockPass:
         sequences = self._segments.sequence[place], self._segments.acknowledged[place]
         if sequences != (resting.place.request_sequence, resting.place.response_sequence):
             return False
-        resting.pass_plain(rows.stretch(self._block, at, end))
+        stretch = rows.stretch(self._block, at, end)
+        resting.pass_plain(stretch)
+        self._ends_ns[resting.connection] = stretch.responses.last_ns
         self._taken.append((at, end, resting.connection.identity))
         return True
 
@@ -295,7 +303,6 @@ class _TransactionArrays:
             latencies[code] = latency_ns[codes == code].tolist()
         tail = slice(max(at, end - _LAST_ADUS), end)
         return PlainStretch(
-            segments=last - first + 1,
             requests=PlainBytes(
                 int(self._request_size[some].sum()),
                 _tail(block, self._request_begin[tail], self._request_size[tail]),

@@ -87,9 +87,7 @@ class RestingConnection(NamedTuple):
 
     def pass_plain(self, stretch: PlainStretch) -> None:
         """Take transactions that were decoded elsewhere, as if their packets had been fed."""
-        last_ns = stretch.responses.last_ns
-        parts = stretch.requests, stretch.responses
-        self.connection.pass_plain(*parts, stretch.segments, last_ns)
+        self.connection.pass_plain(stretch.requests, stretch.responses)
         self.decoder.pass_plain(stretch, self.place)
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 class PlainStretch(NamedTuple):
     """One or more transactions in a row, from the first request to the last response."""
 
-    segments: int
-    """How many segments there are, with those that only acknowledge."""
     requests: PlainBytes
     responses: PlainBytes
     last_response_size: int

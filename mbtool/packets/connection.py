@@ -139,15 +139,16 @@ class TcpConnection:
             return None
         return RestPlace(*(way.next_sequence for way in ways), *(way.position for way in ways))
 
-    def pass_plain(
-        self, requests: PlainBytes, responses: PlainBytes, segments: int, ts_ns: int
-    ) -> None:
-        """Take segments of both directions, in order, that were read elsewhere; it is at rest."""
+    def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
+        """Take segments up to a response, in order, that were read elsewhere; it is at rest."""
         for (stream, _), passed in zip(self._directions, (requests, responses), strict=True):
             stream.pass_plain(passed, self._arrivals)
-        self._arrivals += segments
-        self.last_ns = self._now_ns = ts_ns
+        self._arrivals += responses.last_segment
+        self.last_ns = self._now_ns = responses.last_ns
         self.unanswered_probes = 0
+
+    def note_time(self, ts_ns: int) -> None:
+        self._now_ns = max(self._now_ns, ts_ns)
 
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
         """True if a segment belongs to a new connection between the same ends.
@@ -211,8 +212,7 @@ class TcpConnection:
             self._prober = sender
             self.unanswered_probes += 1
         if flags & FIN:
-            size = len(segment.payload) + segment.missing
-            sender.note_finish(sequence, size, WINDOW)
+            sender.note_finish(sequence, len(segment.payload) + segment.missing, WINDOW)
         if sender.held or other.held:
             self._deliver_held()
         if sender.finish is not None and self._is_finished():

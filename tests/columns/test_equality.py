@@ -102,6 +102,10 @@ def test_simulated_plants_give_equal_results(number: int) -> None:
     assert differences(capture, rng.choice((3, 17, 100, 65_536))) == []
 
 
+def test_a_connection_is_told_the_time_while_its_stretch_goes_on() -> None:
+    assert differences(damaged(generated(742), random.Random("cut 742"))) == []
+
+
 @settings(max_examples=40)
 @given(data=st.data())
 def test_a_poll_that_is_disturbed_anywhere_gives_equal_results(data: st.DataObject) -> None:
