@@ -144,6 +144,8 @@ class SoundRecords:
         if opcode == Opcode.MESSAGE and len(content) < _MESSAGE_FIELDS:
             self._why = "a message shorter than its header"
             return None
+        if opcode == PRIVATE and not content.strip(b"\0"):
+            return record  # The filler of a log; the record behind it may be damaged.
         if not self._may_begin(_HEAD + len(content)):
             return None
         # A changed bit makes a chunk a record that readers have to pass over.

@@ -68,7 +68,7 @@ MAX_HEAD_RECORDS = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Loss:
+class LogLoss:
     """A part of a log that is lost."""
 
     offset: int
@@ -101,7 +101,7 @@ class Recovered:
 class Recovery:
     """Reads a damaged log once, and writes what is whole to a new one."""
 
-    def __init__(self, stream: BinaryIO, name: str, report: Callable[[Loss], None]) -> None:
+    def __init__(self, stream: BinaryIO, name: str, report: Callable[[LogLoss], None]) -> None:
         """Take the damaged log; `report` is called for each loss, in the order of the file."""
         self._name = name
         self._report = report
@@ -292,7 +292,7 @@ class Recovery:
         begin_ns = min((chunk.begin_ns for chunk in chunks), default=self._now_ns)
         end_ns = max((chunk.end_ns for chunk in chunks), default=next_ns)
         what = str(hole.error).removeprefix(f"{self._name}: ")
-        loss = Loss(
+        loss = LogLoss(
             offset=hole.offset, end=hole.end, what=what, begin_ns=begin_ns, end_ns=end_ns
         )  # fmt: skip
         self.result.losses += 1
@@ -301,7 +301,7 @@ class Recovery:
         if self._now_ns is not None:
             self._add_gap(loss, self._now_ns)
 
-    def _add_gap(self, loss: Loss, ts_ns: int) -> None:
+    def _add_gap(self, loss: LogLoss, ts_ns: int) -> None:
         size = loss.end - loss.offset
         message = f"{size} bytes of the log, from byte {loss.offset} on, were damaged and are lost"
         gap = WireEvent(ts_ns=ts_ns, link="", kind=EventKind.GAP, message=message)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
 from mbtool.logs.opening import check_log_path
-from mbtool.logs.recovery import Loss, Recovered, Recovery
+from mbtool.logs.recovery import LogLoss, Recovered, Recovery
 from mbtool.sources.files import STANDARD_INPUT, CaptureFile, CaptureKind, open_capture
 from mbtool.views.cells import clock_time, day
 
@@ -23,7 +23,7 @@ _SIGN_WITHIN = 64 * 1024
 
 
 def recover(
-    broken: str, good: str, report: Callable[[Loss], None], *, replace: bool = False
+    broken: str, good: str, report: Callable[[LogLoss], None], *, replace: bool = False
 ) -> Recovered:
     """Write what is whole in the log `broken` to the log `good`.
 
@@ -41,13 +41,13 @@ def recover(
         return Recovery(capture.stream, capture.name, report).run(Path(good), replace=replace)
 
 
-def loss_text(loss: Loss) -> str:
+def loss_text(loss: LogLoss) -> str:
     """A loss in one line: where in the file, how many bytes, when, and what is damaged."""
     size = loss.end - loss.offset
     return f"lost: bytes {loss.offset} to {loss.end} ({size:,} bytes), {_times(loss)}: {loss.what}"
 
 
-def _times(loss: Loss) -> str:
+def _times(loss: LogLoss) -> str:
     begin = "" if loss.begin_ns is None else _time(loss.begin_ns)
     end = "" if loss.end_ns is None else _time(loss.end_ns)
     if begin and end:

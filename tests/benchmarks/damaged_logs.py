@@ -258,11 +258,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--step", type=int, default=STEP, help="bytes from one flip to the next")
     parser.add_argument("--cut-step", type=int, default=1, help="bytes from one cut to the next")
+    parser.add_argument("--log", action="append", help="only this one of the logs; repeatable")
     options = parser.parse_args(arguments)
     is_right = True
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for log, data in logs(folder).items():
+            if options.log and log not in options.log:
+                continue
             for kind, changes in (
                 ("flips", flips(data, options.step)), ("cuts", cuts(data, options.cut_step))
             ):  # fmt: skip

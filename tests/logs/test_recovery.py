@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.logs import LogReader, LogWriter, read_log
 from mbtool.logs.layout import DATA_END_SIZE, FOOTER_SIZE, MAGIC, Opcode, empty_record
-from mbtool.logs.recovery import Loss, Recovered, Recovery
+from mbtool.logs.recovery import LogLoss, Recovered, Recovery
 from tests.logs.samples import (
     NAMED,
     START_NS,
@@ -199,7 +199,7 @@ def test_a_recovered_log_recovers_to_the_same_messages(tmp_path: Path) -> None:
     assert stock_messages(tmp_path / "good.mcap") == stock_messages(tmp_path / "x.mcap")
 
 
-def recover(data: bytes, folder: Path) -> tuple[Recovered, list[Loss]]:
-    losses: list[Loss] = []
+def recover(data: bytes, folder: Path) -> tuple[Recovered, list[LogLoss]]:
+    losses: list[LogLoss] = []
     recovery = Recovery(io.BytesIO(data), "x.mcap", losses.append)
     return recovery.run(folder / "good.mcap", replace=True), losses
