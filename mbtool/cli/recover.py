@@ -17,7 +17,7 @@ def recover(
         bool, typer.Option("--overwrite", help="Replace GOOD if it exists.")
     ] = False,
 ) -> None:
-    """Write what is whole in a damaged log to a new one; exit 1 when something was lost.
+    """Make a whole log of a damaged one; exit 1 when something is lost.
 
     Every whole message before and behind the damage is copied, with the settings and profiles. Each
     part that is lost is a line on standard output: its place in the file, its bytes and its times.
