@@ -100,7 +100,7 @@ def _is_link(text: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """The sources, and the options that say what is shown of them."""
+    """The sources, and the options for showing their statistics."""
 
     sources: Sequence[str]
     where: str | None

@@ -1,4 +1,4 @@
-"""Shows what is new in an inventory since an older one."""
+"""Shows the changes in an inventory since an older one."""
 
 #     new host          10.0.0.66 unit 1    asked by 10.0.0.5
 #     wider range       10.0.0.7 unit 1     03 read holding reads 100..119 by 10.0.0.5

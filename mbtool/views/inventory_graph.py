@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _MAX_UNITS = 24
-"""How many units a box lists; of further ones it gives the number."""
+"""The most units that a box lists; for further units it gives only their number."""
 _MAX_TEXT = 60
 
 

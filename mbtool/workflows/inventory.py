@@ -29,7 +29,7 @@ _DOCUMENT_BEGINS = b"{"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InventoryOptions:
-    """What an inventory is taken of."""
+    """How the files of an inventory are read, and a filter for transactions."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
@@ -43,7 +43,7 @@ class InventoryRun:
         self._options = options
         self.reading = Reading(files, options.reading)
         self.error: InputError | None = None
-        """Why some file could not be read, or not to its end; the others were read."""
+        """An error of a file that could not be read, or not to its end; None if there was none."""
 
     def take(
         self, on_remark: Callable[[str], None] = lambda _: None, watch: Watch = unwatched
@@ -78,7 +78,7 @@ def changes_since(
     options: InventoryOptions,
     on_remark: Callable[[str], None] = lambda _: None,
 ) -> list[InventoryChange]:
-    """What is new in an inventory since a baseline: an older inventory in JSON, or captures.
+    """The changes in an inventory since a baseline: an older inventory in JSON, or captures.
 
     Raises InputError if the baseline cannot be read or has no transaction.
     """
