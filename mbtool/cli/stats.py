@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.stats import LiveStatistics
 
-_LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:")
+_LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:", "tcp:", "rtu+tcp:")
+"""How a LINK begins; the message for one that cannot be heard says so."""
 REFRESH_NS = 1_000_000_000
 """Time between two refreshes of the view of a live link, in ns."""
 
@@ -170,6 +171,8 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     if broken is not None:
         raise broken
     say_if_empty(reading)
+    if not run.statistics.transactions and reading.why_empty is None:
+        say("no transactions" if shown.where is None else "no transactions pass --where")
 
 
 def _listen(
