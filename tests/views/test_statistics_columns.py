@@ -64,6 +64,6 @@ def test_what_is_not_shown_is_counted() -> None:
 
 
 def test_a_sentence_goes_on_below_and_keeps_a_percent_sign_with_its_number() -> None:
-    lines = wrapped(StyledLine("rtu rs485: 11 requests, 100 % answered", "bold"), 29)
+    lines = wrapped(StyledLine("rtu rs485: 11 requests, 100 % answered", "bold"), 28)
     assert [line.text for line in lines] == ["rtu rs485: 11 requests,", "  100 % answered"]
     assert {line.style for line in lines} == {"bold"}
