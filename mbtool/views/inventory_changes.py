@@ -27,7 +27,7 @@ _NARROWEST = 40
 
 
 def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
-    """Print a line for each change; on a narrow terminal its text stands below it."""
+    """Print a line for each change; on a narrow terminal the text is on a line below."""
     width = min(max((len(one.where) for one in changes), default=0), _WIDEST_PLACE)
     for one in changes:
         head = f"{one.kind.value:<{_KIND_WIDTH}}  {printable(one.where):<{width}}"

@@ -1,4 +1,4 @@
-"""Shows an inventory: a row for each unit of each host, and what is known of it under it."""
+"""Shows an inventory: a row for each unit of each host, with details below it."""
 
 #     host           unit  role     profile
 #     192.168.3.250     1  slave    wago-750 91
@@ -8,8 +8,8 @@
 #           03 read holding 0..99, 200; 800 times by 192.168.3.9
 #           10 write registers 10..12; 12 times by 192.168.3.9
 #
-# A terminal gets long lines wrapped. What was asked and never answered is one line for each master,
-# unless everything is wanted.
+# On a terminal, long lines are wrapped. All units that never answered a master share one line,
+# unless the user wants everything.
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _NARROWEST = 40
 _FEW_RANGES = 12
 _FEW_PLACES = 6
 _MANY_ROWS = 60
-"""More units than this are folded where they are alike."""
+"""If there are more units than this, units that are alike share one row."""
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _SLAVE_HEADINGS = ("host", "unit", "role", "profile")
 _MASTER_HEADINGS = ("master", "asks", "writes to", "requests", "seen")
@@ -57,8 +57,8 @@ def print_inventory(
 ) -> None:
     """Print all units, then the masters.
 
-    With `everything`, units that never answered have rows of their own, and lists of ranges are
-    whole.
+    With `everything`, each unit that never answered has its own row, and lists of ranges are not
+    shortened.
     """
     most = MAX_RANGES if everything else _FEW_RANGES
     shown = [row for row in document.slaves if everything or row.role not in _QUIET]
@@ -75,7 +75,7 @@ def print_inventory(
 
 
 def profile_text(row: SlaveRow) -> str:
-    """The profile of a slave with how sure it is; `none fits`; empty if there was no comparison."""
+    """The best profile of a slave with its score, or `none fits`; empty if none was compared."""
     if row.device is not None:
         return f"{row.device} (named)"
     if row.fit is None:
@@ -88,7 +88,7 @@ def mac_text(macs: Sequence[str], makers: Sequence[str]) -> str:
 
 
 def identity_text(row: SlaveRow) -> str:
-    """What a slave says of itself: `vendor "WAGO", 42H model code "0003H"`."""
+    """The identity that a slave reports: `vendor "WAGO", 42H model code "0003H"`."""
     return ", ".join(
         f'{"" if one.function in FUNCTIONS else f"{one.function:02X}H "}{one.name} "{one.text}"'
         for one in row.identity
@@ -102,7 +102,7 @@ def function_label(function: int, name: str) -> str:
 
 
 def seen_text(first_ns: int, last_ns: int) -> str:
-    """A time and another, the day only once: `2026-11-22 09:14:03 .. 09:20:11`."""
+    """Two times as a range, the day only once: `2026-11-22 09:14:03 .. 09:20:11`."""
     first, last = (iso_time(ns)[:19].replace("T", " ") for ns in (first_ns, last_ns))
     if first == last:
         return first
@@ -121,7 +121,7 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
 
 
 def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
-    """One entry for all units that differ in nothing but their host, maker and times."""
+    """Yield one entry for all units that differ only in host, maker and times."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
         told = [line for line in lines[1:] if line not in _mac_lines(row)]
@@ -153,7 +153,7 @@ def _mac_lines(row: SlaveRow | MasterRow) -> list[str]:
 
 
 def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
-    """What stands under the row of a unit."""
+    """The lines with details below the row of a unit."""
     counts = [one for one in row.transports if one != Transport.TCP]
     counts.append(f"seen {seen_text(row.first_ns, row.last_ns)}")
     counts.append(counted(row.transactions, "transaction", ","))
@@ -180,7 +180,7 @@ def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
 
 
 def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
-    """A line for each function; masters that ask the same share a line."""
+    """A line for each function; masters that use it in the same way share a line."""
     groups: dict[tuple[object, ...], list[FunctionUse]] = {}
     lacking = []
     for use in uses:
@@ -197,7 +197,7 @@ def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
 
 
 def _use_line(several: Sequence[FunctionUse], most: int) -> str:
-    """One function with its ranges, and the masters that ask for just these."""
+    """A line with a function, its ranges, and the masters that use exactly these ranges."""
     first = several[0]
     label = function_label(first.function, first.name)
     if first.function == READ_AND_WRITE:
@@ -213,13 +213,13 @@ def _use_line(several: Sequence[FunctionUse], most: int) -> str:
 
 
 def _masters(word: str, uses: Iterable[FunctionUse]) -> str:
-    """The masters behind a word; empty on a serial line, where a master has no address."""
+    """The masters, after `word`; empty on a serial line, where masters have no addresses."""
     names = listed(list(dict.fromkeys(one.master for one in uses if one.master is not None)))
     return f"{word} {names}" if names else ""
 
 
 def _codes(codes: Iterable[int]) -> str:
-    """Function codes in hexadecimal, with runs folded: `02..04, 07`."""
+    """Function codes in hexadecimal; consecutive ones as a range: `02..04, 07`."""
     return ", ".join(
         f"{first:02X}" if first == last else f"{first:02X}..{last:02X}"
         for first, last in AddressRanges((code, code) for code in codes).pairs
@@ -272,7 +272,7 @@ def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry])
 
 
 def _print_line(console: Console, text: str, indent: str, style: str = "") -> None:
-    """Print a line, indented. Only a terminal gets it wrapped."""
+    """Print an indented line; only on a terminal it is wrapped."""
     lines = [printable(text)]
     if console.is_terminal:
         width = max(console.width, _NARROWEST)

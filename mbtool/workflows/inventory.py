@@ -36,7 +36,7 @@ class InventoryOptions:
 
 
 class InventoryRun:
-    """One pass over some files for their inventory."""
+    """Reads files once, to make their inventory."""
 
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
@@ -50,8 +50,8 @@ class InventoryRun:
     ) -> InventoryDocument:
         """Read the files as far as they can be read.
 
-        `on_remark` gets a line for each thing a user should know of the files. Raises InputError if
-        nothing could be read because of it.
+        `on_remark` gets lines for the user about the files. Raises InputError if an error made it
+        impossible to read any transaction.
         """
         inventory = Inventory()
         wanted = self._options.wanted
@@ -101,7 +101,7 @@ def _is_stored(path: str) -> bool:
         with Path(path).open("rb") as file:
             return file.read(64).lstrip().startswith(_DOCUMENT_BEGINS)
     except OSError:
-        return False  # Reading it as a capture tells why.
+        return False  # Reading the file as a capture will raise the error.
 
 
 def _stored(path: str) -> InventoryDocument:

@@ -1,4 +1,4 @@
-"""Writes what is whole in a damaged log to a new log."""
+"""Copies the undamaged parts of a damaged log to a new log."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _SIGN = b"mbtool.capture"
-"""The name of the first metadata of each log."""
+"""The name of the first metadata record of each log; a file with it is a log of mbtool."""
 _SIGN_WITHIN = 64 * 1024
 
 
 def recover(
     broken: str, good: str, report: Callable[[LogLoss], None], *, replace: bool = False
 ) -> Recovered:
-    """Write what is whole in the log `broken` to the log `good`.
+    """Copy the undamaged parts of the log `broken` to the new log `good`.
 
     `report` is called for each part that is lost. Raises UsageError if the new log cannot be
     created there, InputError if the file is no log or cannot be read, OutputError if the new log
@@ -42,7 +42,7 @@ def recover(
 
 
 def loss_text(loss: LogLoss) -> str:
-    """A loss in one line: where in the file, how many bytes, when, and what is damaged."""
+    """A loss in one line: its position in the file, its bytes and times, and the damage."""
     size = loss.end - loss.offset
     return f"lost: bytes {loss.offset} to {loss.end} ({size:,} bytes), {_times(loss)}: {loss.what}"
 
@@ -62,7 +62,7 @@ def _time(ts_ns: int) -> str:
 
 
 def _opened(path: str) -> CaptureFile:
-    """Open a log, also one whose first bytes are damaged so that its kind is not seen."""
+    """Open a log, even if damage to its first bytes hides that it is a log."""
     try:
         return open_capture(path)
     except InputError:

@@ -1,7 +1,7 @@
 """Reads a capture file into tables of transactions, as arrays where that is possible."""
 
-# The transactions, their order, the remarks and the errors are those of `Reading`. Only what needs
-# no state across rows is read so: one file of packets, without device profiles.
+# The transactions, their order, the remarks and the errors are the same as with `Reading`. This
+# faster way only works for a single file of packets, without device profiles.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
-    """True if a ColumnReading reads these files.
+    """True if ColumnReading can read these files.
 
     Raises InputError for a file that cannot be read.
     """
@@ -38,10 +38,10 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
 
 class ColumnReading(Reading):
-    """One pass over a capture file, which gives tables of its transactions."""
+    """Reads a capture file once, and yields tables of its transactions."""
 
     def batches(self) -> Iterator[TransactionBatch]:
-        """Give the transactions and events, a table for each block of packets.
+        """Yield the transactions and events, as a table for each block of packets.
 
         Raises InputError if the file cannot be read, CutError if it ends too early, after the
         transactions before that place.
@@ -96,5 +96,5 @@ class ColumnReading(Reading):
                 self._first_undecodable = self._first_undecodable or record.message
             else:
                 self._has_decoded = True
-        # A plain stretch is part of a connection that was opened: there was an event.
+        # Transactions that were read as arrays are in connections whose OPENED event came before.
         return batch
