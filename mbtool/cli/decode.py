@@ -26,8 +26,10 @@ from mbtool.cli.progress import with_progress
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.decode.decoder import Record
+    from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.model_hints import ModelHints
-    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 STANDARD_INPUT = "-"
 _LOOK_AGAIN_S = 0.2
@@ -57,7 +59,7 @@ def decode(
     output: Annotated[
         str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help="Write to a file: .jsonl, .csv or .txt."
+            "--output", "-o", metavar="OUT", help="Write to a file: .jsonl, .csv, .parquet or .txt."
         ),
     ] = None,
     limit: Annotated[
@@ -92,7 +94,9 @@ def decode(
     demand_other_file(files, output)
     wanted = condition(where)
     options = source.read(device, raw=raw, silences=silences)
-    reading = Reading(files, options)
+    is_whole = where is None and limit is None and sort is None and not follow
+    columns = _columns(files, options) if is_whole and _is_parquet(format_, output) else None
+    reading = columns or Reading(files, options)
     hints = ModelHints(reading.profile_for)
     with (
         _with_remarks(reading, hints),
@@ -121,10 +125,20 @@ def decode(
         # A live capture may come through a pipe, so each line is printed at once, even into a pipe.
         is_live = STANDARD_INPUT in files and (out.on_terminal or _is_piped())
         lines = UnreadableLines(lambda link: reading.line_of(link))
-        for record in records if follow or out.on_terminal else with_progress(reading, records):
+
+        def note(record: Record) -> None:
             hints.note(record)
             if (doubt := lines.note(record)) is not None:
                 say(f"mbtool: {doubt}")
+
+        if columns is not None:
+            records = iter(())
+            for batch in interrupt.breakable(columns.batches()):
+                for record in batch.records:
+                    note(record)
+                out.add_table(batch.table)
+        for record in records if follow or out.on_terminal else with_progress(reading, records):
+            note(record)
             out.add(record)
             if is_live:
                 out.wait()
@@ -137,6 +151,22 @@ def decode(
             raise KeyboardInterrupt
     if not follow:
         say_if_empty(reading)
+
+
+def _is_parquet(format_: Format | None, output: str | None) -> bool:
+    if format_ is not None:
+        return format_ is Format.PARQUET
+    return output is not None and output.lower().endswith(".parquet")
+
+
+def _columns(files: list[str], options: ReadingOptions) -> ColumnReading | None:
+    """A pass over the files that gives tables; None if they are read one by one."""
+    from mbtool.cli.printers import demand_columns
+
+    demand_columns()
+    from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
+
+    return ColumnReading(files, options) if can_read_columns(files, options) else None
 
 
 @contextmanager

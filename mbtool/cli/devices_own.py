@@ -35,7 +35,7 @@ class ScalingChoice(StrEnum):
 
 
 class WordOrderChoice(StrEnum):
-    """Which register comes first where a value takes several: the high or the low word."""
+    """The register that comes first if a value takes several: the high or the low word."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"

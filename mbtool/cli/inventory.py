@@ -114,7 +114,8 @@ def inventory(
     if baseline and chosen in _WITHOUT_CHANGES:
         raise UsageError("--baseline goes with --format table, json and csv")
     run = InventoryRun(files, options)
-    # The output is opened when all is read, so that an error leaves an older one as it is.
+    # The output is opened only when everything is read, so that an error does not overwrite an
+    # older output.
     run.reading.demand_files()
     document = run.take(say, with_progress)
     new = changes_since(baseline, document, options, say) if baseline else None
@@ -140,7 +141,7 @@ def _write(
     *,
     everything: bool,
 ) -> None:
-    """Write the inventory or, in a table or CSV against a baseline, what is new."""
+    """Write the inventory; in a table or CSV with a baseline, only the changes since it."""
     from mbtool.cli.console import PipeConsole
     from mbtool.views.inventory_changes import print_changes
     from mbtool.views.inventory_cyclonedx import inventory_cyclonedx

@@ -30,6 +30,7 @@ from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
 from mbtool.cli.links import links
+from mbtool.cli.recover import recover
 from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
@@ -60,6 +61,7 @@ for command in (
     inventory,
     check,
     stats,
+    recover,
     replay,
     diff,
     slave,

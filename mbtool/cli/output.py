@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from mbtool.cli.options import EventChoice, Format, SortKey
-from mbtool.cli.printers import printer_for
+from mbtool.cli.printers import ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.talk import say
 from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.core.wording import plural
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mbtool.cli.printers import Printer, ProfileFor
+    from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
     from mbtool.workflows.shared.reading import Reading
@@ -45,7 +46,12 @@ _WORDS = {
     Outcome.MALFORMED: "malformed",
 }
 
-_SUFFIXES = {".jsonl": Format.JSONL, ".csv": Format.CSV, ".txt": Format.TABLE}
+_SUFFIXES = {
+    ".jsonl": Format.JSONL,
+    ".csv": Format.CSV,
+    ".parquet": Format.PARQUET,
+    ".txt": Format.TABLE,
+}
 
 
 _SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
@@ -127,6 +133,14 @@ class RecordOutput:
         else:
             self._print(record, self._read)
 
+    def add_table(self, table: Table) -> None:
+        """Print a table of transactions, without the filter and the limit."""
+        assert isinstance(self._printer, ParquetPrinter)
+        self._read += table.num_rows
+        self._tally.add_table(table)
+        with told_as_lost(self._name):
+            self._printer.print_table(table)
+
     def wait(self) -> None:
         """Flush what has been printed, as the next record may take a while."""
         with told_as_lost(self._name):
@@ -189,8 +203,12 @@ def open_output(
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if table not in (None, TableOptions()) and chosen is not Format.TABLE:
         raise UsageError("--time, --columns, --hex, --wide and --full go with --format table")
-    if chosen is Format.CSV and shown is not EventChoice.NONE:
-        raise UsageError("--events goes with table and jsonl; a CSV row is a transaction")
+    if chosen in (Format.CSV, Format.PARQUET) and shown is not EventChoice.NONE:
+        raise UsageError(f"--events goes with table and jsonl; a row of {chosen} is a transaction")
+    if chosen is Format.PARQUET:
+        if path is None:
+            raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
+        demand_columns()
     with opened(path, demand_inputs, is_kept=is_kept) as (file, name):
         with told_as_lost(name):
             printer = printer_for(chosen, file, profile_for, table)
@@ -343,6 +361,12 @@ class Tally:
         else:
             self.outcomes[record.outcome] += 1
             self.ambiguous += Verdict.AMBIGUOUS in record.verdicts
+
+    def add_table(self, table: Table) -> None:
+        for one in table["outcome"].value_counts().to_pylist():
+            self.outcomes[Outcome(one["values"])] += one["counts"]
+        verdicts = table["verdicts"].combine_chunks().flatten().to_pylist()
+        self.ambiguous += verdicts.count(Verdict.AMBIGUOUS)
 
     @property
     def transactions(self) -> int:

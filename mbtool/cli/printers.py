@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.options import Format
-from mbtool.core import WireEvent
+from mbtool.core import UsageError, WireEvent
 from mbtool.logs import CsvWriter, event_to_jsonl, transaction_to_jsonl
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.table_options import TableOptions
@@ -44,6 +46,8 @@ def printer_for(
             return _JsonLinesPrinter(file)
         case Format.CSV:
             return _CsvPrinter(file)
+        case Format.PARQUET:
+            return ParquetPrinter(file)
 
 
 class _TablePrinter(Printer):
@@ -83,3 +87,29 @@ class _CsvPrinter(Printer):
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):
             self._writer.write(record)
+
+
+class ParquetPrinter(Printer):
+    """Writes transactions to a Parquet file."""
+
+    def __init__(self, file: TextIO) -> None:
+        from mbtool.columns.parquet import ParquetRows
+
+        self._rows = ParquetRows(file.buffer)
+
+    def print(self, record: Record, number: int) -> None:
+        if not isinstance(record, WireEvent):
+            self._rows.write(record)
+
+    def print_table(self, table: Table) -> None:
+        """Print a table of transactions."""
+        self._rows.write_table(table)
+
+    def flush(self) -> None:
+        self._rows.close()
+
+
+def demand_columns() -> None:
+    """Raise UsageError if the packages that Parquet needs are not installed."""
+    if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
+        raise UsageError("--format parquet needs numpy and pyarrow: pip install 'mbtool[columns]'")

@@ -33,9 +33,12 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.stats import LiveStatistics
 
-_LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:")
+_LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:", "tcp:", "rtu+tcp:")
+"""How a LINK begins; the message for one that cannot be heard says so."""
 REFRESH_NS = 1_000_000_000
-"""Time between two refreshes of the view of a live link, in ns."""
+"""The least time between two refreshes of the view of a live link, in ns."""
+REFRESH_SHARE = 10
+"""A pause is at least so many times as long as the refresh took, so that listening comes first."""
 
 
 @takes_groups
@@ -100,7 +103,7 @@ def _is_link(text: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """The sources, and the options that say what is shown of them."""
+    """The sources, and the options for showing their statistics."""
 
     sources: Sequence[str]
     where: str | None
@@ -170,6 +173,8 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     if broken is not None:
         raise broken
     say_if_empty(reading)
+    if not run.statistics.transactions and reading.why_empty is None:
+        say("no transactions" if shown.where is None else "no transactions pass --where")
 
 
 def _listen(
@@ -224,14 +229,15 @@ def _end(
     from mbtool.ports.clock import now_ns
 
     end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
-    shown_ns = 0
+    shown_ns, pause_ns = 0, REFRESH_NS
 
     def ends(at_ns: int) -> bool:
-        nonlocal shown_ns
-        if not 0 <= at_ns - shown_ns < REFRESH_NS:
-            shown_ns = at_ns
+        nonlocal shown_ns, pause_ns
+        if not 0 <= at_ns - shown_ns < pause_ns:
             live.advance(at_ns)
             refresh()
+            shown_ns = now_ns()
+            pause_ns = max(REFRESH_NS, REFRESH_SHARE * (shown_ns - at_ns))
         return interrupt.asked or at_ns >= end_ns
 
     return ends

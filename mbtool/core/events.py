@@ -1,4 +1,4 @@
-"""Events of a link: what the program reports beside transactions."""
+"""Events of a link: all that is reported except transactions, such as a gap or skipped bytes."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ def parse_number(text: str, what: str, allowed: range, where: str, others: str =
     """Read a decimal number of ASCII digits.
 
     Raises UsageError if `text` is no such number or not in `allowed`. In the text of the error,
-    `what` names the number, `where` says which option or text it is part of, and `others` what else
-    can be written there.
+    `what` names the number, `where` names the option or text that it is part of, and `others` lists
+    other values that are allowed there.
     """
     is_short = len(text) <= len(str(allowed.stop))
     if text.isascii() and text.isdecimal() and is_short and int(text) in allowed:

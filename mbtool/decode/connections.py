@@ -25,6 +25,8 @@ from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
     from mbtool.core import Connection, SerialFormat, StreamPlace
+    from mbtool.decode.plain_stretch import PlainStretch
+    from mbtool.packets.plain_bytes import RestPlace
 
 Decoded = Adu | Transaction | WireEvent
 
@@ -130,6 +132,28 @@ class ConnectionDecoder:
             return [*self._lost(gaps, ts_ns), *self._paired(events, direction)]
         self._progress[direction].take(place, len(data))
         return self._placed(events, direction, ts_ns)
+
+    def is_at_rest(self, request_position: int, response_position: int, now_ns: int) -> bool:
+        """True if nothing is open or buffered, and all bytes before two positions are known.
+
+        The positions are those of the next bytes; `now_ns` is the time of the next segment.
+        """
+        return (
+            all(splitter.is_idle for splitter in self._splitters.values())
+            and self._progress[Direction.REQUEST].is_at_rest(request_position)
+            and self._progress[Direction.RESPONSE].is_at_rest(response_position)
+            and self._pairing.is_at_rest(now_ns)
+        )
+
+    def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
+        """Take transactions that were decoded elsewhere; `place` is where they began."""
+        requests, responses = stretch.requests.size, stretch.responses.size
+        before = place.response_position + responses - stretch.last_response_size
+        self._progress[Direction.REQUEST].pass_plain(requests, before)
+        after = place.request_position + requests
+        self._progress[Direction.RESPONSE].pass_plain(responses, after)
+        self._last_ns = stretch.responses.last_ns
+        self._pairing.pass_plain(stretch)
 
     def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
         """Tell lost bytes to the pairing: those of requests before those of their responses."""

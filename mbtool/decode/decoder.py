@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.core import (
     CONNECTION_JOINED,
@@ -35,7 +35,7 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.link_spec import MODBUS_PORT
-from mbtool.decode.connections import Bus, Decoded
+from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
 from mbtool.decode.line_timing import LineTiming
 from mbtool.decode.protocol_detection import ProtocolDetector, ProtocolState
 from mbtool.decode.tap_pair import TapPair
@@ -56,7 +56,12 @@ from mbtool.packets import (
 from mbtool.packets.reassembler import MAX_CONNECTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from mbtool.decode.plain_stretch import PlainStretch
+    from mbtool.packets.connection import TcpConnection
+    from mbtool.packets.plain_bytes import RestPlace
+    from mbtool.packets.reassembler import FlowEnds
 
 MAX_FOREIGN_REPORTED = 4096
 
@@ -71,6 +76,19 @@ Evidence = (
     Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent
 )
 Record = NamedTransaction | WireEvent
+
+
+class RestingConnection(NamedTuple):
+    """A connection of which nothing is open, held or undecided."""
+
+    connection: TcpConnection
+    decoder: ConnectionDecoder
+    place: RestPlace
+
+    def pass_plain(self, stretch: PlainStretch) -> None:
+        """Take transactions that were decoded elsewhere, as if their packets had been fed."""
+        self.connection.pass_plain(stretch.requests, stretch.responses)
+        self.decoder.pass_plain(stretch, self.place)
 
 
 class Decoder:
@@ -147,6 +165,38 @@ class Decoder:
     def break_lines(self) -> list[Record]:
         """End all serial links, as bytes may be missing; connections have sequence numbers."""
         return [record for link in [*self._buses] for record in self.end_line(link)]
+
+    @property
+    def reassembler(self) -> TcpReassembler:
+        """What follows the TCP connections in packets."""
+        return self._reassembler
+
+    def at_rest(self, ends: FlowEnds, now_ns: int) -> RestingConnection | None:
+        """A connection whose next transactions may be decoded elsewhere, if they are plain.
+
+        None if it is unknown, or if something of it is open, held or undecided.
+        """
+        connection = self._reassembler.find(ends)
+        place = None if connection is None else connection.rest
+        detector = None if connection is None else self._detectors.get(connection.identity)
+        decoder = None if detector is None else detector.plain_decoder()
+        if connection is None or place is None or decoder is None:
+            return None
+        positions = place.request_position, place.response_position
+        if not decoder.is_at_rest(*positions, now_ns):
+            return None
+        return RestingConnection(connection, decoder, place)
+
+    def pass_times(
+        self, times: Sequence[int], start: int, end: int
+    ) -> list[tuple[int, list[Record]]]:
+        """Note packets that were read elsewhere, as TcpReassembler.pass_times does."""
+        delivered = self._reassembler.pass_times(times, start, end)
+        return [(at, self._dispatch(items)) for at, items in delivered]
+
+    def note_time(self, ts_ns: int) -> None:
+        """Note the latest time of packets that were read elsewhere."""
+        self._last_ns = max(self._last_ns, ts_ns)
 
     def close(self) -> list[Record]:
         """End the evidence: return everything that is still held."""

@@ -27,6 +27,10 @@ class DroppedRequests:
         self._counts: dict[_Key, int] = {}
         self._last_ns = 0
 
+    @property
+    def is_empty(self) -> bool:
+        return not self._counts
+
     def note(self, request: Adu, now_ns: int) -> None:
         """Take a request that is dropped now."""
         key = (request.transaction_id, request.unit)

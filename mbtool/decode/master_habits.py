@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ FIRST_LATE_NS = 100_000_000
 FORGET = 20
 """Each response lowers the longest latency by 1/FORGET of itself: TCP may have retransmitted the
 segment of the slowest response."""
+FORGOTTEN = 1024
+"""After so many further responses a latency of any 64 bits counts no more."""
 ENOUGH_OVERLAPS = 3
 """The master is said to pipeline once this many responses came while a further request waited."""
 ENOUGH_REQUESTS = 8
@@ -100,15 +103,60 @@ class MasterHabits:
         if self._in_a_row >= ENOUGH_REQUESTS:
             self.is_sequential, self.pipelines = True, False
             self._overlaps = 0
-        if transaction_id is None:
-            return
-        if (
-            self._last_id is not None and transaction_id != self._last_id
-        ):  # A retry may have the same id.
+        if transaction_id is not None:
+            self._note_id(transaction_id)
+
+    def _note_id(self, transaction_id: int) -> None:
+        # A retry may have the same id.
+        if self._last_id is not None and transaction_id != self._last_id:
             counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
             self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
             self.ids_vary = True
         self._last_id = transaction_id
+
+    def note_plain(self, transaction_ids: Sequence[int], number: int, last_ns: int) -> None:
+        """Note requests that were answered before the next one came, all in order.
+
+        `number` is that of the last request, `last_ns` the time of its response.
+        """
+        self._in_a_row += len(transaction_ids)
+        if self._in_a_row >= ENOUGH_REQUESTS:
+            self.is_sequential, self.pipelines = True, False
+            self._overlaps = 0
+        self._note_ids(transaction_ids)
+        self.has_matching_ids |= self.ids_vary
+        self._latest_answered = max(number, self._latest_answered)
+        self.last_response_ns = last_ns
+
+    def _note_ids(self, ids: Sequence[int]) -> None:
+        before = ids[0] if self._last_id is None else self._last_id
+        steps = {later - earlier & 0xFFFF for earlier, later in pairwise((before, *ids))}
+        if self._last_id is not None and steps == {0}:
+            return  # Equal ids say nothing: a retry may have the same id.
+        if self._last_id is not None and all(0 < step < 0x8000 for step in steps):
+            self.ids_count_up = self.ids_count_up or not self.ids_vary
+            self.ids_vary = True
+            self._last_id = ids[-1]
+        else:
+            for one in ids:
+                self._note_id(one)
+
+    def note_latencies(self, function: int, latencies: Sequence[int]) -> None:
+        """Note how long several responses took, in ns, in their order."""
+        slowest_ns = self._slowest_ns.get(function, 0)
+        older = latencies[:-FORGOTTEN]
+        if older:
+            # So many steps leave of any latency only what no longer falls: less than FORGET ns.
+            slowest_ns = min(max(slowest_ns, *older), FORGET - 1)
+        for latency_ns in latencies[-FORGOTTEN:]:
+            slowest_ns = max(slowest_ns - slowest_ns // FORGET, latency_ns)
+        self._slowest_ns[function] = slowest_ns
+        usual_ns = self._usual_ns.get(function, latencies[0])
+        for latency_ns in latencies:
+            usual_ns = (7 * usual_ns + min(latency_ns, 2 * usual_ns)) // 8
+        self._usual_ns[function] = usual_ns
+        fastest_ns = self._fastest_ns.get(function, latencies[0])
+        self._fastest_ns[function] = min(fastest_ns, *latencies)
 
     def note_answered(self, number: int) -> None:
         """Note a response to the request with a number."""

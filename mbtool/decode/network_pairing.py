@@ -68,6 +68,7 @@ from mbtool.modbus.transaction import Outcome
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.decode.plain_stretch import PlainStretch
     from mbtool.modbus.transaction import Transaction
 
 TIMEOUT_NS = 60_000_000_000
@@ -111,6 +112,24 @@ class NetworkPairing:
         else:
             self._respond(adu, place, done)
         return done
+
+    def is_at_rest(self, now_ns: int) -> bool:
+        """True if no request is open, and none of those before is counted in later ones.
+
+        `now_ns` is not before the last response.
+        """
+        reading = self._readings[0]
+        is_open = len(self._readings) > 1 or reading.waiting or reading.passed or reading.steps
+        remembers = self._unanswered or not self._dropped.is_empty
+        return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
+
+    def pass_plain(self, stretch: PlainStretch) -> None:
+        """Take transactions that were paired elsewhere. The pairing is at rest."""
+        self._requests += len(stretch.transaction_ids)
+        last_ns = stretch.responses.last_ns
+        self._habits.note_plain(stretch.transaction_ids, self._requests, last_ns)
+        for function, latencies in stretch.latencies.items():
+            self._habits.note_latencies(function, latencies)
 
     def note_loss(
         self, direction: Direction, lost: int, at_ns: int, end: int | None = None

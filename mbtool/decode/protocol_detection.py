@@ -47,9 +47,8 @@ from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.connections import ConnectionDecoder, Decoded
 from mbtool.decode.foreign_protocols import TLS, begins_tls_record, foreign_protocol
 from mbtool.framing.mbap import LONG_HEADER
-from mbtool.framing.rtu_lengths import frame_size
+from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Verdict
-from mbtool.modbus.adu_bytes import crc
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.pdu import pdu_length
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -212,6 +211,10 @@ class ProtocolDetector:
             return self._accept(expected)
         return self._reject()
 
+    def plain_decoder(self) -> ConnectionDecoder | None:
+        """The decoder of a connection that is Modbus/TCP in the expected roles; else None."""
+        return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
+
     def in_detected_roles(self, event: WireEvent) -> WireEvent:
         """An event of the connection, with master and slave as they were detected."""
         return self._candidates[0].in_own_roles(event) if self._candidates else event
@@ -295,7 +298,7 @@ class ProtocolDetector:
     def _foreign_name(self) -> str | None:
         """The protocol that the first bytes belong to, if it is recognised."""
         head = self._beginnings[Direction.REQUEST] or self._first_bytes
-        if any(_begins_with_frame(head, direction) for direction in self._beginnings):
+        if any(begins_with_frame(head, direction) for direction in self._beginnings):
             return "RTU over TCP (--rtu-port)"
         return foreign_protocol(head)
 
@@ -327,6 +330,11 @@ class _ProtocolCandidate:
         needs_frame = rtu and not expected
         self._noise = {Direction.REQUEST: 0, Direction.RESPONSE: 0} if needs_frame else {}
         """By direction, how many bytes came before its first frame."""
+
+    @property
+    def plain_decoder(self) -> ConnectionDecoder | None:
+        """Its decoder, if that reads Modbus/TCP in the roles of the connection."""
+        return None if self._is_rtu or self._is_swapped else self.decoder
 
     def feed(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
@@ -374,7 +382,7 @@ class _ProtocolCandidate:
 
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
         if self._is_rtu:
-            return _begins_with_frame(head, self._role(direction)) is not False
+            return begins_with_frame(head, self._role(direction)) is not False
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:
@@ -440,11 +448,3 @@ def _is_well_formed(one: Transaction) -> bool:
         and Verdict.MALFORMED_REQUEST not in one.verdicts
         and Verdict.MALFORMED_RESPONSE not in one.verdicts
     )
-
-
-def _begins_with_frame(head: bytes, direction: Direction) -> bool | None:
-    """True if bytes begin with an RTU frame with a correct CRC; None if more bytes are needed."""
-    size = frame_size(head, direction)
-    if size is None or size > len(head):
-        return None if (size or 0) <= MAX_RTU_ADU and len(head) <= MAX_RTU_ADU else False
-    return size > 0 and crc(head[:size]) == 0

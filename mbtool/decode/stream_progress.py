@@ -55,6 +55,17 @@ class StreamProgress:
         """The position of the first byte that the splitter holds; None if positions are unknown."""
         return None if self._captured is None else self._captured - self.unread
 
+    def is_at_rest(self, position: int) -> bool:
+        """True if all up to a position is known, and nothing behind it came."""
+        return not (self.unread or self._missing) and self._captured == position
+
+    def pass_plain(self, size: int, received: int) -> None:
+        """Note whole ADUs that were read elsewhere; `received` is as in the last segment."""
+        assert self._captured is not None
+        self._captured += size
+        self._known = max(self._captured, self._known)
+        self.received = received
+
     def take(self, place: StreamPlace, size: int) -> None:
         """Note a segment."""
         if self._captured is None:

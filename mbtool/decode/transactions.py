@@ -238,7 +238,7 @@ def _record(
     asked = None if request is None else request.origin
     answered = None if response is None else response.origin
     if asked is not None or answered is not None:
-        _add_origins(fields, asked, answered)
+        add_origins(fields, asked, answered)
     return Transaction(
         link=ends.link,
         transport=adu.transport,
@@ -260,7 +260,7 @@ def _record(
     )
 
 
-def _add_origins(fields: dict[str, Any], request: Origin | None, response: Origin | None) -> None:
+def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin | None) -> None:
     """Add the fields that say where the request and the response come from."""
     addresses: LinkAddresses | None = None
     if request is not None:

@@ -38,7 +38,7 @@ READ_AND_WRITE = 0x17
 
 
 class Radix(StrEnum):
-    """How the vendor writes the number in a reference."""
+    """The number system in which the vendor writes the number of a reference."""
 
     DECIMAL = "decimal"
     HEX = "hex"
@@ -68,7 +68,7 @@ class Radix(StrEnum):
 
 
 class Access(StrEnum):
-    """What a master may do with an area or a point."""
+    """The kind of access that a master has to an area or a point: read, write or both."""
 
     READ = "r"
     READ_WRITE = "rw"
@@ -154,7 +154,7 @@ class AnswerWord(_Part, frozen=True, kw_only=True):
 
 
 class FunctionRule(_Part, frozen=True, kw_only=True):
-    """What the manual says about one function of the device."""
+    """The rules in the manual for one function of the device: limits, answers, exceptions."""
 
     limit: Annotated[Quantity | None, _about("The largest quantity in the manual.")] = None
     write_limit: Annotated[

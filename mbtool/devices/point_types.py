@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class PointType(StrEnum):
-    """How a point's value is encoded in its registers or bits."""
+    """The encoding of a point's value in its registers or bits."""
 
     BIT = "bit"
     UINT16 = "uint16"

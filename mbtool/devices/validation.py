@@ -239,7 +239,7 @@ def _validate_points(profile: Profile, file: str) -> None:
 
 
 def _access(profile: Profile, point: Point, address: int, errors: PartErrors) -> Access:
-    """What a master may do with a point: the point's own access, or else that of its area.
+    """Return a master's access to a point: the point's own, or else that of its area.
 
     Raises ProfileError if the point is in no area, or if its access does not fit the area.
     """

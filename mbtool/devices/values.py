@@ -49,8 +49,8 @@ class PointInstance:
 
     # The values of a point often repeat, so each instance caches decoded values, at most
     # _MAX_CACHED. A plain number (one register, no scale, no texts) is formatted nearly as fast as
-    # it is found in a cache. So only the last plain number is cached, which repeats as long as the
-    # machine stands still.
+    # it is found in a cache. So only the last plain number is cached; while nothing changes in the
+    # plant, each poll returns it again.
 
     __slots__ = (
         "_cache",

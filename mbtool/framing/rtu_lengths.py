@@ -94,3 +94,11 @@ def why_skipped(
             )
             return EventKind.BAD_CHECK, reason, check
     return EventKind.SKIPPED, "no frame with a correct CRC begins here", None
+
+
+def begins_with_frame(head: bytes, direction: Direction) -> bool | None:
+    """True if bytes begin with an RTU frame with a correct CRC; None if more bytes are needed."""
+    size = frame_size(head, direction)
+    if size is None or size > len(head):
+        return None if (size or 0) <= MAX_RTU_ADU and len(head) <= MAX_RTU_ADU else False
+    return size > 0 and crc(head[:size]) == 0

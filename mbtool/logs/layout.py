@@ -20,11 +20,14 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "mbtool"
+LIBRARY = "mbtool "
+"""What a log's header names as its library: this, and the version."""
 FORMAT_VERSION = 1
 
 CAPTURE = "mbtool.capture"
 LINK = "mbtool.link"
 DEVICE = "mbtool.device"
+RECOVERED = "mbtool.recovered"
 PROFILE_MEDIA_TYPE = "application/json"
 
 RECORD_HEAD = struct.Struct("<BQ")
@@ -71,6 +74,7 @@ __all__ = [
     "DEVICE",
     "FOOTER_SIZE",
     "FORMAT_VERSION",
+    "LIBRARY",
     "LINK",
     "MAGIC",
     "MAX_RECORD",
@@ -79,6 +83,7 @@ __all__ = [
     "PROFILE",
     "PROFILE_MEDIA_TYPE",
     "RECORD_HEAD",
+    "RECOVERED",
     "TAIL_SIZE",
     "Opcode",
     "data_end",

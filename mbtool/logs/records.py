@@ -1,11 +1,14 @@
-"""Reads the complete records of an MCAP file, even if the file is damaged."""
+"""Reads the records of an MCAP file one by one, and can look at bytes before it takes them."""
 
 # The mcap package's StreamReader accepts a truncated field, trusts every length, and cannot wait
 # for more bytes. So only its record classes are used here.
 #
 # For any bytes the only errors are CutError (the file ends inside a record), DamageError (a record
 # contradicts itself) and InputError (another kind of file, or one that cannot be read). A record
-# has at most MAX_RECORD bytes, compressed or not.
+# has at most MAX_RECORD bytes.
+#
+# Memory: the bytes that were looked at and not taken, at most one record and what a search looks at
+# (healing.py).
 
 from __future__ import annotations
 
@@ -14,22 +17,17 @@ import struct
 import zlib
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Chunk
 
 from mbtool.core import CutError, DamageError, InputError
 from mbtool.core.errors import reason_of
 from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
 _T = TypeVar("_T")
-
-_DATA_END = struct.Struct("<I")
-_FOOTER = struct.Struct("<QQI")
 
 
 class ByteStream(Protocol):
@@ -45,12 +43,13 @@ class ByteStream(Protocol):
 
 
 class McapRecord(NamedTuple):
-    """One record of the file or of a chunk."""
+    """One record of the file."""
 
     offset: int
-    """The file offset of the record; for a record in a chunk, of the chunk."""
+    """The file offset of the record."""
     opcode: int
     content: bytes
+    """What follows the opcode and the length; of a chunk that was checked, its unpacked records."""
 
 
 class RecordStream:
@@ -59,10 +58,19 @@ class RecordStream:
     def __init__(self, stream: ByteStream, name: str) -> None:
         self._stream = stream
         self._name = name
-        self._position = 0
-        self._crc = 0
-        self._crc_before = 0
-        """The CRC of all bytes before the record that was read last."""
+        self._held = bytearray()
+        """The bytes at `position` that were read from the stream and not taken."""
+        self.position = 0
+        """The file offset of the next byte to take."""
+        self.crc = 0
+        """The CRC of all bytes that were taken, until `restart_crc`."""
+        self._end: InputError | None = None
+        """Why the stream gives no more bytes, although it may not have ended."""
+
+    @property
+    def end(self) -> int:
+        """The file offset behind the last byte that was looked at."""
+        return self.position + len(self._held)
 
     def read_magic(self) -> None:
         """Read the magic bytes at the beginning or the end of the file.
@@ -70,8 +78,10 @@ class RecordStream:
         Raises InputError for a file of another kind, CutError for a file that ends inside the
         magic, DamageError for other bytes at its end.
         """
-        at = self._position
-        magic = self._read(len(MAGIC), at, partly=True)
+        at = self.position
+        magic = self.look(len(MAGIC))
+        if not magic and self._end is not None:
+            raise self._end
         if not magic and at == 0:
             raise InputError(f"{self._name}: the file is empty")
         if not MAGIC.startswith(magic):
@@ -79,36 +89,50 @@ class RecordStream:
                 raise InputError(f"{self._name}: not an MCAP file, so not a log")
             raise self.damaged(at, "the file does not end as an MCAP file does")
         if len(magic) < len(MAGIC):
-            raise self._cut(at)
+            raise self.cut(at)
+        self.take(len(MAGIC))
 
-    def read(self) -> McapRecord:
-        """Return the next record.
-
-        Raises CutError if the file ends inside it, DamageError if its length is above MAX_RECORD.
-        """
-        offset = self._position
-        self._crc_before = self._crc
-        opcode, length = RECORD_HEAD.unpack(self._read(RECORD_HEAD.size, offset))
+    def look_at_record(self) -> McapRecord | None:
+        """Return the next record and do not take it; None if it is too long or not all there."""
+        head = self.look(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            return None
+        opcode, length = RECORD_HEAD.unpack(head)
         if length > MAX_RECORD:
-            raise self.damaged(
-                offset,
-                f"a record of {length} bytes; {MAX_RECORD} is the maximum, and the rest is lost",
-            )
-        return McapRecord(offset, opcode, self._read(length, offset))
+            return None
+        content = self.look(length, RECORD_HEAD.size)
+        return McapRecord(self.position, opcode, content) if len(content) == length else None
 
-    def check_crc(self, data_end: McapRecord) -> None:
-        """Check the CRC of all bytes before a DataEnd, which must be the record read last.
+    def look(self, size: int, ahead: int = 0) -> bytes:
+        """Return `size` bytes that begin `ahead` bytes after the position, and do not take them.
 
-        Raises DamageError if they do not match the CRC in the DataEnd.
+        There are fewer only where the file ends or cannot be read on.
         """
-        expected = self._unpack(_DATA_END, data_end)[0]
-        if expected not in (0, self._crc_before):
-            raise self.damaged(data_end.offset, "the CRC of the data section does not match")
+        missing = ahead + size - len(self._held)
+        if missing > 0:
+            self._fill(missing)
+        with memoryview(self._held) as held:
+            return bytes(held[ahead : ahead + size])
+
+    def take(self, size: int) -> None:
+        """Go `size` bytes forward; they must have been looked at."""
+        with memoryview(self._held) as held:
+            self.crc = zlib.crc32(held[:size], self.crc)
+        del self._held[:size]
+        self.position += size
+
+    def restart_crc(self) -> None:
+        self.crc = 0
+
+    def ends_as_a_file(self) -> bool:
+        """True if the bytes that are held end with the magic bytes, as a whole file does."""
+        return self._held.endswith(MAGIC)
 
     def seek(self, offset: int) -> None:
         """Go back to an offset, to read what was written there meanwhile."""
         self._stream.seek(offset)
-        self._position = offset
+        self._held.clear()
+        self.position = offset
 
     def parse(self, record: McapRecord, read: Callable[[ReadDataStream], _T]) -> _T:
         """Parse a record with `read`, the method of one of mcap's classes.
@@ -120,83 +144,31 @@ class RecordStream:
         except (McapError, struct.error, ValueError, OverflowError) as error:
             raise self.damaged(record.offset, "a record that ends too early") from error
 
-    def summary_start(self, footer: McapRecord) -> int:
-        """Return the offset of the summary that a Footer gives; 0 if there is no summary.
-
-        Raises DamageError if the Footer is too short.
-        """
-        return self._unpack(_FOOTER, footer)[0]
-
-    def unpack_chunk(self, record: McapRecord) -> Iterator[McapRecord]:
-        """Give the records of a chunk.
-
-        Raises DamageError if the chunk cannot be unpacked, has a wrong CRC or ends inside a record.
-        """
-        chunk = self.parse(record, Chunk.read)
-        try:
-            data = _decompress(chunk)
-        except (ValueError, zstandard.ZstdError) as error:
-            raise self.damaged(record.offset, f"a chunk that cannot be unpacked: {error}") from None
-        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-            raise self.damaged(record.offset, "a chunk whose CRC does not match")
-        at = 0
-        while at < len(data):
-            body = at + RECORD_HEAD.size
-            if body > len(data):
-                raise self.damaged(record.offset, "a chunk that ends inside a record")
-            opcode, length = RECORD_HEAD.unpack_from(data, at)
-            at = body + length
-            if at > len(data):
-                raise self.damaged(record.offset, "a chunk that ends inside a record")
-            yield McapRecord(record.offset, opcode, data[body:at])
-
     def damaged(self, offset: int, what: str) -> DamageError:
         return DamageError(f"{self._name}: damaged at byte {offset}: {what}")
 
-    def _cut(self, offset: int) -> CutError:
+    def cut(self, offset: int) -> InputError:
+        """The error for a file that ends, or cannot be read on, inside what begins at an offset."""
+        if self._end is not None:
+            return self._end
         return CutError(
-            f"{self._name}: cut off at byte {self._position}, inside what begins at byte {offset}; "
+            f"{self._name}: cut off at byte {self.end}, inside what begins at byte {offset}; "
             "all before that was read"
         )
 
-    def _unpack(self, layout: struct.Struct, record: McapRecord) -> tuple[int, ...]:
-        if len(record.content) < layout.size:
-            raise self.damaged(record.offset, "a record that ends too early")
-        return layout.unpack_from(record.content)
-
-    def _read(self, size: int, start: int, *, partly: bool = False) -> bytes:
-        pieces = []
-        missing = size
-        while missing:
+    def _fill(self, missing: int) -> None:
+        while missing > 0 and self._end is None:
             try:
                 piece = self._stream.read(missing)
             except EOFError:
-                piece = b""  # A compressed file that was cut off.
+                return  # A compressed file that was cut off.
+            except InputError as error:
+                self._end = error
+                return
             except (OSError, ValueError) as error:
-                raise InputError(f"{self._name}: cannot be read: {reason_of(error)}") from error
+                self._end = InputError(f"{self._name}: cannot be read: {reason_of(error)}")
+                return
             if not piece:
-                break
-            pieces.append(piece)
+                return
+            self._held += piece
             missing -= len(piece)
-            self._position += len(piece)
-            self._crc = zlib.crc32(piece, self._crc)
-        data = b"".join(pieces)
-        if missing and not partly:
-            raise self._cut(start)
-        return data
-
-
-def _decompress(chunk: Chunk) -> bytes:
-    if chunk.uncompressed_size > MAX_RECORD:
-        raise ValueError(f"{chunk.uncompressed_size} bytes; {MAX_RECORD} is the maximum")
-    if chunk.compression == "":
-        return chunk.data
-    if chunk.compression != "zstd":
-        raise ValueError(f"its compression is {chunk.compression!r}, not zstd")
-    # zstd unpacks a frame that states its own size to that size, regardless of the limit.
-    stated = zstandard.get_frame_parameters(chunk.data).content_size
-    if stated not in (0, zstandard.CONTENTSIZE_UNKNOWN, chunk.uncompressed_size):
-        raise ValueError("its frame states another size than its record")
-    return zstandard.ZstdDecompressor().decompress(
-        chunk.data, max_output_size=chunk.uncompressed_size
-    )

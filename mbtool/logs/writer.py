@@ -34,6 +34,7 @@ from mbtool.logs.layout import (
     CAPTURE,
     DEVICE,
     FORMAT_VERSION,
+    LIBRARY,
     LINK,
     MAGIC,
     PROFILE,
@@ -64,7 +65,7 @@ class LogWriter(ClosesOnExit):
         """
         self._path = Path(path)
         file = create_file(self._path, replace=replace)
-        header = Header(profile=PROFILE, library=f"mbtool {__version__}")
+        header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
         self._file = CompleteFile(file, str(path), MAGIC + packed(header))
         self._container = Container(self._file)
         self._topics: dict[tuple[str, str], Topic] = {}
@@ -173,10 +174,16 @@ class LogWriter(ClosesOnExit):
             if len(self._links) >= MAX_LINKS and link != OTHER_LINKS:
                 return self._topic(OTHER_LINKS, kind, schema)
             self._links.add(link)
-        name = f"/{link.replace('/', '_')}/{kind}" if link else f"/{kind}"
-        topic = self._container.add_topic(name, schema, schemas.json_schema(schema))
+        topic = self._container.add_topic(
+            topic_name(link, kind), schema, schemas.json_schema(schema)
+        )
         self._topics[link, kind] = topic
         return topic
+
+
+def topic_name(link: str, kind: str) -> str:
+    """The name of a topic; "" is the link of the topics that all links share."""
+    return f"/{link.replace('/', '_')}/{kind}" if link else f"/{kind}"
 
 
 _LEVELS = {

@@ -19,7 +19,7 @@ MAX_ASCII_ADU = 513
 
 
 class Transport(StrEnum):
-    """The kind of ADU that carries a PDU, and what carries the ADU."""
+    """The form of an ADU (RTU, ASCII, MBAP) and its medium (serial line or TCP)."""
 
     RTU = "rtu"
     ASCII = "ascii"
@@ -36,7 +36,7 @@ class DirectionBy(StrEnum):
     """The evidence that decided the direction of an ADU."""
 
     PORT = "port"
-    """The ports of the TCP connection, or the tap that heard the ADU, tell its direction. This is
+    """The TCP ports of the connection, or the tap that received the ADU, tell the direction. It is
     certain."""
     PENDING = "pending"
     """The ADU fits as a response to the pending request."""
@@ -78,7 +78,7 @@ class Verdict(StrEnum):
     MALFORMED_RESPONSE = "malformed-response"
     """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
-    """The response's transaction id differs from that of the only request that it can belong to."""
+    """The response has another transaction id than the only request that it can belong to."""
     CUT = "cut"
     """The capture has only the first bytes of the ADU, with the unit and the function."""
     OVER_LENGTH = "over-length"

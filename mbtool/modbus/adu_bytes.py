@@ -8,7 +8,7 @@ from fastcrc import crc16
 
 MBAP_BYTES = 7
 RTU_EXTRA_BYTES = 3
-"""The number of bytes that an RTU ADU has beside its PDU: the unit and the CRC."""
+"""The number of bytes that an RTU ADU has in addition to the PDU: 1 for the unit, 2 for the CRC."""
 
 
 def crc(data: bytes) -> int:

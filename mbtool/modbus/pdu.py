@@ -55,7 +55,7 @@ class Pdu(msgspec.Struct, frozen=True):
     """The function code as it is on the wire: an exception response has the exception bit, 80H."""
     fields: Fields
     problem: str | None
-    """How the PDU breaks the form of its function; None if it does not."""
+    """A text that says why the PDU does not have the form of its function; None if it has."""
 
     @property
     def function(self) -> int:

@@ -1,4 +1,4 @@
-"""The response of a slave that this program plays, and the interface of such a slave."""
+"""A response that a simulated slave gives, and the interface of simulated slaves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol
 
 
 class ConnectionEnding(StrEnum):
-    """How the slave that is played ends a TCP connection after a response."""
+    """The way in which a simulated slave ends a TCP connection after a response."""
 
     CLOSE = "close"
     """The slave closes the connection in the normal way, with a FIN."""

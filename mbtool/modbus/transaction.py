@@ -61,9 +61,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     exception_name: str | None = None
     outcome: Outcome
     request_ns: int | None = None
-    """When the request was complete on the wire, in UTC ns."""
+    """When the last byte of the request was on the wire, in UTC ns."""
     response_ns: int | None = None
-    """When the response was complete on the wire, in UTC ns."""
+    """When the last byte of the response was on the wire, in UTC ns."""
     latency_ns: int | None = None
     """The time from the end of the request to the start of the response, in ns."""
     retries: int

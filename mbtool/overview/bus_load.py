@@ -66,8 +66,10 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
 
 
 def bus_load(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> BusLoad | None:
-    """The time of a line by all its requests; None if its baud rate or its times are unknown."""
-    if link.format is None or not link.watched_ns:
+    """The time of a line by all its requests; None if its baud rate or its times are unknown, or if
+    its settings changed.
+    """
+    if link.format is None or link.is_mixed or not link.watched_ns:
         return None
     return BusLoad(
         watched_ns=link.watched_ns,

@@ -16,6 +16,8 @@ P = TypeVar("P", bound="Hashable")
 
 MIN_CYCLES = 3
 """So often a cycle must be seen to count as one: two equal pieces may be chance."""
+MIN_REQUESTS = 6
+"""The least requests of all cycles of one list: one poll thrice in a row is no cycle."""
 _TRANSITIONS = 64
 """At most so many transitions are tried, the most frequent first. A list that is longer has all of
 its transitions equally often, so any of them will do."""
@@ -79,7 +81,7 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
     polls = [start.poll for start in starts]
     pieces = Counter(tuple(polls[begin:end]) for begin, end in pairwise(cuts))
     usual, count = max(pieces.items(), key=lambda one: (one[1] * len(one[0]), one[1]))
-    if count < MIN_CYCLES:
+    if count < MIN_CYCLES or count * len(usual) < MIN_REQUESTS:
         return None
     # What comes before the first cut and after the last one may be a part of a cycle.
     head = cuts[0] if tuple(polls[: cuts[0]]) == usual[-cuts[0] :] else 0

@@ -184,7 +184,7 @@ class Inventory:
         for slave in self._slaves.values():
             row = _slave_row(slave, (slave.host, slave.port) in gateways, maker)
             observed = slave.observed
-            if identify is not None and observed is not None and observed.has_responded:
+            if identify is not None and observed is not None:
                 row.fit = identify(observed)
             rows.append(row)
         left_out = Counter(self.left_out)

@@ -39,7 +39,7 @@ class AddressRanges:
     def add(self, first: int, last: int) -> None:
         """Add the addresses from `first` to `last`; those behind FFFFH do not exist."""
         last = min(last, _LAST_ADDRESS)
-        if last < first:
+        if not 0 <= first <= last:
             return
         # Everything from `begin` up to `end` overlaps the new range or lies directly beside it.
         begin = bisect_left(self._lasts, first - 1)

@@ -54,6 +54,10 @@ class LinkStatistics:
         self.transport: Transport | None = None
         self.format: SerialFormat | None = None
         """The settings of a serial line; None on a network, and where its bytes have no times."""
+        self.has_times = True
+        """False if the bytes of the line have no times, as in a file of bytes alone."""
+        self.is_mixed = False
+        """True if the settings differ from capture to capture."""
         self.other_bytes = 0
         """Bytes on the line that belong to no frame, and second copies of an adapter's echo."""
         self.hours = Hours()
@@ -61,12 +65,15 @@ class LinkStatistics:
         self.last_ns: int | None = None
         self._earlier_ns = 0
         self._span: tuple[int, int] | None = None
+        self._is_new = True
+        """True before the first transaction of a capture."""
 
     def note(self, one: NamedTransaction) -> None:
         """Take the times of a transaction."""
-        if self.transport is None:
-            self.transport = one.transport
-            self.format = self._format_of(one.link) if one.transport.is_serial else None
+        if self._is_new:
+            self._begin_span(one)
+        if not self.has_times:
+            return
         begin_ns = one.start_ns
         end_ns = max(one.response_ns or begin_ns, begin_ns)
         if self._span is None:
@@ -74,8 +81,17 @@ class LinkStatistics:
         else:
             self._span = min(self._span[0], begin_ns), max(self._span[1], end_ns)
 
+    def _begin_span(self, one: NamedTransaction) -> None:
+        is_serial = one.transport.is_serial
+        format_ = self._format_of(one.link) if is_serial else None
+        if self.transport is not None and (self.transport, self.format) != (one.transport, format_):
+            self.is_mixed = True
+        self.transport, self.format, self._is_new = one.transport, format_, False
+        self.has_times = not is_serial or format_ is not None
+
     def end_span(self) -> None:
         """Begin anew: the time between two captures does not count."""
+        self._is_new = True
         if self._span is not None:
             self.first_ns, self.last_ns = self.whole_span()
             self._earlier_ns, self._span = self.watched_ns, None

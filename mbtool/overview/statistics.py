@@ -108,6 +108,8 @@ class Statistics:
             return
         poll = self._poll(one)
         poll.tally.add(one)
+        if not link.has_times:
+            return
         self._taken += 1
         if one.request_ns < self._ordered_ns:
             self.late += 1

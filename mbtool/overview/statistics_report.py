@@ -56,6 +56,8 @@ class LinkReport:
     transport: str
     settings: str | None
     """Baud rate and character format of a serial line."""
+    has_times: bool
+    """False if the bytes of the line have no times: there are no rates, periods and cycles."""
     begin_ns: int
     end_ns: int
     watched_ns: int
@@ -110,7 +112,8 @@ def _link_report(
     return LinkReport(
         name=name,
         transport="" if link.transport is None else str(link.transport),
-        settings=None if link.format is None else str(link.format),
+        settings=None if link.format is None or link.is_mixed else str(link.format),
+        has_times=link.has_times,
         begin_ns=begin_ns,
         end_ns=end_ns,
         watched_ns=link.watched_ns,

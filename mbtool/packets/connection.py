@@ -51,6 +51,7 @@ from mbtool.core import (
     StreamPlace,
     WireEvent,
 )
+from mbtool.packets.plain_bytes import PlainBytes, RestPlace
 from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment
 from mbtool.packets.stream import LEAD, HeldBytes, Stream
 from mbtool.packets.stream_events import (
@@ -130,6 +131,25 @@ class TcpConnection:
         requests, responses = self._directions[0]
         return bool(requests.held or responses.held)
 
+    @property
+    def rest(self) -> RestPlace | None:
+        """Where the connection stands; None if it has ended, or if something is held or open."""
+        ways = self._directions[0]
+        if self.closed or not all(way.is_at_rest for way in ways):
+            return None
+        return RestPlace(*(way.next_sequence for way in ways), *(way.position for way in ways))
+
+    def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
+        """Take segments up to a response, in order, that were read elsewhere; it is at rest."""
+        for (stream, _), passed in zip(self._directions, (requests, responses), strict=True):
+            stream.pass_plain(passed, self._arrivals)
+        self._arrivals += responses.last_segment
+        self.last_ns = self._now_ns = responses.last_ns
+        self.unanswered_probes = 0
+
+    def note_time(self, ts_ns: int) -> None:
+        self._now_ns = max(self._now_ns, ts_ns)
+
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
         """True if a segment belongs to a new connection between the same ends.
 
@@ -192,7 +212,7 @@ class TcpConnection:
             self._prober = sender
             self.unanswered_probes += 1
         if flags & FIN:
-            _note_finish(sender, sequence, segment)
+            sender.note_finish(sequence, len(segment.payload) + segment.missing, WINDOW)
         if sender.held or other.held:
             self._deliver_held()
         if sender.finish is not None and self._is_finished():
@@ -272,7 +292,7 @@ class TcpConnection:
             start = self._continue_at(sender, sequence)
         data, missing = segment.payload, segment.missing
         end = start + len(data)
-        receipt = _receipt(segment, other)
+        receipt = other.receipt(segment.acknowledgement, WINDOW) if segment.flags & ACK else None
         if data:
             piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt, origin)
             if start == sender.position and not sender.held and acknowledged <= other.position:
@@ -428,21 +448,3 @@ class TcpConnection:
             and (stream.joining or stream.position >= stream.finish)
             for stream in self._directions[0]
         )
-
-
-def _receipt(segment: TcpSegment, other: Stream) -> int | None:
-    """The position in the other stream that a segment acknowledges, if that is plausible."""
-    if not segment.flags & ACK or other.origin is None:
-        return None
-    position = other.position_of(segment.acknowledgement)
-    if other.finish is not None:
-        position = min(position, other.finish)
-    return position if -WINDOW <= position - other.position <= WINDOW else None
-
-
-def _note_finish(sender: Stream, sequence: int, segment: TcpSegment) -> None:
-    """Note the position of a FIN, unless it is too far from the bytes in flight."""
-    if sender.origin is not None:
-        finish = sender.position_of(sequence) + len(segment.payload) + segment.missing
-        if abs(finish - sender.position) <= WINDOW:
-            sender.finish = finish

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from mbtool.core import CutError, InputError, Packet
 
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MAX_CAPTURED = 256 * 1024
+
+PCAP_HEADER = 24
+"""The length of the file header, with its magic, in bytes."""
 
 _NS_PER_SECOND = 1_000_000_000
 
@@ -40,21 +43,27 @@ _FORMATS = {
 PCAP_MAGICS = tuple(_FORMATS)
 
 
+class PcapForm(NamedTuple):
+    """What the header of a pcap file tells of its records."""
+
+    order: str
+    """The byte order, as struct writes it."""
+    unit_ns: int
+    """The nanoseconds in one unit of the fraction of a second."""
+    extra: int
+    """How many bytes more than usual the header of each record has."""
+    link_type: int
+
+
 def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     """Give the packets of a pcap file from which `magic`, its first 4 bytes, is read already.
 
     Raises InputError if the file is damaged or of an unknown version, CutError if it ends too
     early.
     """
-    order, unit_ns, extra = _FORMATS[magic]
-    header = stream.read(20)
-    if len(header) < 20:
-        raise CutError(f"{name}: ends inside the file header")
-    major, minor, link_field = struct.unpack(order + "HH12xI", header)
-    if major != 2:
-        raise InputError(f"{name}: pcap version {major}.{minor} is unknown; 2.4 is read")
-    link_type = link_field & 0xFFFF  # The upper bits describe frame check sequences.
-    record = struct.Struct(f"{order}IIII{extra}x")
+    form = read_pcap_form(magic, stream.read(PCAP_HEADER - len(magic)), name)
+    unit_ns, link_type = form.unit_ns, form.link_type
+    record = struct.Struct(f"{form.order}IIII{form.extra}x")
     size = record.size
     number = 0
     while record_header := stream.read(size):
@@ -62,10 +71,7 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             raise cut_error(name, number)
         seconds, fraction, captured, original = record.unpack(record_header)
         if captured > MAX_CAPTURED:
-            raise InputError(
-                f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
-                f"more than {MAX_CAPTURED}"
-            )
+            raise too_long_error(name, number, captured)
         data = stream.read(captured)
         if len(data) < captured:
             raise cut_error(name, number)
@@ -79,6 +85,29 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             file=name,
             number=number,
         )
+
+
+def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
+    """Read the file header behind its magic.
+
+    Raises InputError for an unknown version, CutError if the header is too short.
+    """
+    order, unit_ns, extra = _FORMATS[magic]
+    if len(header) < PCAP_HEADER - len(magic):
+        raise CutError(f"{name}: ends inside the file header")
+    major, minor, link_field = struct.unpack(order + "HH12xI", header)
+    if major != 2:
+        raise InputError(f"{name}: pcap version {major}.{minor} is unknown; 2.4 is read")
+    # The upper bits describe frame check sequences.
+    return PcapForm(order, unit_ns, extra, link_field & 0xFFFF)
+
+
+def too_long_error(name: str, number: int, captured: int) -> InputError:
+    """The error for a record behind packet `number` that claims too many bytes."""
+    return InputError(
+        f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
+        f"more than {MAX_CAPTURED}"
+    )
 
 
 def cut_error(name: str, number: int) -> CutError:

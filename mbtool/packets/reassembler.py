@@ -26,7 +26,9 @@
 from __future__ import annotations
 
 import struct
+from bisect import bisect_left
 from collections import OrderedDict
+from typing import TYPE_CHECKING
 
 from mbtool.core import Connection, EventKind, Origin, Packet, WireEvent
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
@@ -44,6 +46,9 @@ from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
@@ -56,6 +61,8 @@ _SERIAL_HINT = "; if it holds bytes of a serial line, say which: --link rtu@1920
 _TCP_HEADER_SEEN = 14
 """The number of bytes of the TCP header up to and including its flags."""
 
+FlowEnds = tuple[bytes, int, bytes, int]
+"""Address and port of the lower end of a connection (by port, then address), and of the other."""
 _Key = tuple[str, bytes, int, bytes, int]
 """What identifies a connection: the interface, or "" if flows are followed across interfaces; then
 address and port of the lower end (by port, then address), and those of the other end."""
@@ -107,6 +114,43 @@ class TcpReassembler:
         self._finish(self._fragments.advance(now_ns), now_ns)
         self._advance(now_ns)
         return self._take_out()
+
+    def find(self, ends: FlowEnds) -> TcpConnection | None:
+        """The connection between two ends, if flows are followed across interfaces."""
+        return self._connections.get(("", *ends))
+
+    def may_drop(self, now_ns: int, more: int) -> bool:
+        """True if a connection may be dropped until a time while `more` packets come."""
+        if len(self._connections) + more > MAX_CONNECTIONS:
+            return True
+        oldest_ns = min((one.last_ns for one in self._connections.values()), default=now_ns)
+        return now_ns - oldest_ns >= IDLE_NS
+
+    def pass_times(
+        self, times: Sequence[int], start: int, end: int
+    ) -> list[tuple[int, list[StreamItem]]]:
+        """Note packets of followed connections that were read elsewhere.
+
+        `times[start:end]` are their times in ns, ascending. Returns what these times deliver of
+        other connections, each with the index of its time.
+        """
+        delivered = []
+        at = start
+        while at < end:
+            if -PATIENCE_NS < times[at] - self._checked_ns < PATIENCE_NS:
+                at = bisect_left(times, self._checked_ns + PATIENCE_NS, at, end)
+                continue
+            self._advance(times[at])
+            if self._out:
+                delivered.append((at, self._take_out()))
+            at += 1
+        return delivered
+
+    def note_used(self, flows: Iterable[FlowEnds]) -> None:
+        """Take connections as used least recently, in this order, after all others."""
+        for ends in flows:
+            if ("", *ends) in self._connections:
+                self._connections.move_to_end(("", *ends))
 
     def close(self, ts_ns: int) -> list[StreamItem]:
         """End all connections, at the end of the capture."""

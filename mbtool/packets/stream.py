@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from mbtool.core import Direction, Endpoint, Origin
+    from mbtool.packets.plain_bytes import PlainBytes
 
 MAX_HELD_BYTES = 64 * 1024
 MAX_HELD_PIECES = 64
@@ -170,10 +171,33 @@ class Stream:
         return origin is not None and not (sequence + 1 - origin - self.position) & _MASK
 
     @property
+    def is_at_rest(self) -> bool:
+        """True if nothing is held or undecided, and no FIN has come."""
+        undecided = self.origin is None or self.joining or self.syn_end is not None
+        return not (undecided or self.held or self.finish is not None)
+
+    @property
+    def next_sequence(self) -> int:
+        """The sequence number of the next byte to deliver. `origin` must be known."""
+        return (self.origin or 0) + self.position & _MASK
+
+    def pass_plain(self, passed: PlainBytes, arrivals: int) -> None:
+        """Take bytes that came in order and were read elsewhere, behind `arrivals` segments."""
+        self.advance(passed.tail, passed.size)
+        self.latest = (arrivals + passed.last_segment, passed.last_ns)
+
+    @property
     def holds_a_probe(self) -> bool:
         """True if the first held piece is a single byte and the byte behind it has not come."""
         first, *later = self.held
         return len(first.data) == 1 and not (later and later[0].start == first.end)
+
+    def note_finish(self, sequence: int, size: int, window: int) -> None:
+        """Note the position of a FIN behind `size` bytes, unless it is more than `window` away."""
+        if self.origin is not None:
+            finish = self.position_of(sequence) + size
+            if abs(finish - self.position) <= window:
+                self.finish = finish
 
     def rebase(self, sequence: int) -> None:
         """Give the next byte this sequence number, and forget gaps, FIN and acknowledgements."""
@@ -198,6 +222,15 @@ class Stream:
                 _, arrival, ts_ns = known.pop()
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
+    def receipt(self, acknowledgement: int, window: int) -> int | None:
+        """The position that the other end acknowledges, unless it is more than `window` away."""
+        if self.origin is None:
+            return None
+        position = self.position_of(acknowledgement)
+        if self.finish is not None:
+            position = min(position, self.finish)
+        return position if -window <= position - self.position <= window else None
+
     def is_overdue(
         self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int = 0
     ) -> bool:
@@ -216,7 +249,7 @@ class Stream:
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:
-        """Move the position on by `length` bytes, which are `data`, or missing if that is empty."""
+        """Move the position on by `length` bytes that end with `data`; missing if that is empty."""
         self.position += length
         if not data:
             self._recent = b""

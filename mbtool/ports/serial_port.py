@@ -70,7 +70,7 @@ def settings_for(port: str, format_: SerialFormat) -> dict[str, Any]:
 
 
 def lost(port: str) -> LinkError:
-    """Return the error to raise when an open port is gone, such as that of an unplugged adapter."""
+    """Return the error to raise when an open port is gone, as when its adapter is unplugged."""
     return LinkError(f"serial port {port}: lost; is it still plugged in?")
 
 

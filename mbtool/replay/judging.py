@@ -171,7 +171,7 @@ class Judge:
         """The results of each request, by unit, function, and the registers that it accesses (or
         its PDU, if it accesses none)."""
         self._result_of: dict[tuple[int, bytes], _RequestResult] = {}
-        """The same results by unit and PDU."""
+        """The results in `_results` again, by unit and PDU, to find them faster."""
         self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
         """The values of each register that differed, by unit, profile name and register."""
         self.count = 0
@@ -267,7 +267,7 @@ class Judge:
         return spans
 
     def _result(self, step: Step) -> _RequestResult:
-        """The results to which those of a step are added: equal requests share them."""
+        """Return the results of the request in a step; steps with equal requests share them."""
         result = self._result_of.get((step.unit, step.pdu))
         if result is None:
             access = register_access(parse_pdu(step.pdu, Direction.REQUEST))

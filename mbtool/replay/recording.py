@@ -48,11 +48,10 @@ class RecordedAnswer:
     pdu: bytes | None
     """The PDU of the response; None if there was no intact response."""
     at_ns: int
-    """When the last byte of the response was on the wire, in ns; without a response, that of the
-    request."""
+    """When the response ended on the wire, in ns; if there is none, when the request ended."""
     latency_ns: int
     asked_ns: int = 0
-    """When the last byte of the request was on the wire, in ns."""
+    """When the request ended on the wire, in ns."""
     damaged: DamagedAnswer | None = None
     """The damaged response, if one was captured in place of an intact one; else None."""
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Control(StrEnum):
-    """What a key of the user does to a player."""
+    """A command that the user gives to a player by pressing a key."""
 
     PAUSE = "pause"
     """Pause the player, or continue if it is paused."""

@@ -22,7 +22,7 @@ import sys
 import zlib
 from enum import StrEnum
 from pathlib import PurePath
-from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, cast
+from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, TypeVar, cast
 
 from mbtool.core import CutError, InputError, Packet, UsageError
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
     from _typeshed import WriteableBuffer
 
-    from mbtool.core import Chunk, LineSettings
+    from mbtool.core import LineSettings
+
+_Item = TypeVar("_Item")
 
 STANDARD_INPUT = "-"
 INPUT_BYTES = 512
@@ -126,7 +128,7 @@ class CaptureFile:
             line, pieces = self._serial(line)
         except OSError as error:
             raise _unreadable(self.name, error) from error
-        return SerialBytes(line, self._guarded(pieces))
+        return SerialBytes(line, self.guarded(pieces))
 
     def _serial(self, line: LineSettings | None) -> SerialBytes:
         of_file = self.stream, self.name, self.link
@@ -136,9 +138,10 @@ class CaptureFile:
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
 
-    def _guarded(self, pieces: Iterator[Chunk]) -> Iterator[Chunk]:
+    def guarded(self, items: Iterator[_Item]) -> Iterator[_Item]:
+        """Pass on what is read from the stream; raise InputError in place of an OSError."""
         try:
-            yield from pieces
+            yield from items
         except OSError as error:
             raise _unreadable(self.name, error) from error
 

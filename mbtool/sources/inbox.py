@@ -48,7 +48,7 @@ class Ended:
 
     link: str
     error: LinkError | None = None
-    """Why the link was lost; None if the source was told to end."""
+    """The error that ended the source; None if the program ended it."""
 
 
 Item = StreamItem | Packet | Quiet | Ended

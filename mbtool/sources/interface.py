@@ -231,8 +231,8 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                 if link_type is not None:
                     _, data, seconds = capture.socket.recv_raw(_MAX_PACKET)
                 else:
-                    # recv_raw does not say which interface heard the packet, nor its hardware
-                    # type. _recv_raw does, and scapy has no public name for it.
+                    # recv_raw does not return the interface that received the packet, nor its
+                    # hardware type. _recv_raw does; it is private, but scapy offers no other way.
                     data, heard_by, seconds = capture.socket._recv_raw(
                         capture.socket.ins, _MAX_PACKET
                     )

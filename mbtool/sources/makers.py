@@ -1,14 +1,15 @@
-"""Tells the maker of a network card by its MAC address."""
+"""Finds the maker of a network card by its MAC address."""
 
-# Source: the list of Wireshark that scapy ships with since version 2.6. A line is a prefix, a short
-# name and the maker's name, with tabs between them. Blocks of 28 and 36 bits say so:
+# Source: Wireshark's list, which is part of scapy since version 2.6. A line is a prefix of MAC
+# addresses, a short name and the maker's name, with tabs between them. A prefix has 24 bits unless
+# the line says 28 or 36:
 #
 #     00:00:2F          <tab> Timeplex <tab> Timeplex Inc.
 #     00:55:DA:00/28    <tab> ...
 #     00:1B:C5:00:10/36 <tab> ...
 #
-# The list is searched as text, since a capture has few makers. It takes 6 MB once a maker is asked
-# for; answers are kept for MAX_KNOWN prefixes.
+# The list is searched as text, since a capture has few makers. It is loaded for the first search
+# and takes 6 MB; the results for MAX_KNOWN prefixes are kept.
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from functools import cache, lru_cache
 
 MAX_KNOWN = 4096
 LOCAL = "locally administered"
-"""What is told of an address that no maker gave: its bit 02H of the first byte is set."""
+"""The text for an address that was not assigned by a maker: bit 02H of the first byte is set."""
 _MAC = re.compile(r"(?:[0-9A-F]{2}:){5}[0-9A-F]{2}")
 _NOBODY = "00:00:00:00:00:00"
 """The address of a loopback interface."""

@@ -1,10 +1,11 @@
-"""Shows what is new in an inventory since an older one."""
+"""Shows the changes in an inventory since an older one."""
 
 #     new host          10.0.0.66 unit 1    asked by 10.0.0.5
 #     wider range       10.0.0.7 unit 1     03 read holding reads 100..119 by 10.0.0.5
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
 _KIND_WIDTH = max(len(kind.value) for kind in ChangeKind)
 _WIDEST_PLACE = 40
 _INDENT = " " * 4
+_NARROWEST = 40
 
 
 def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
-    """Print a line for each change; on a narrow terminal its text stands below it."""
+    """Print a line for each change; on a narrow terminal the text is on a line below."""
     width = min(max((len(one.where) for one in changes), default=0), _WIDEST_PLACE)
     for one in changes:
         head = f"{one.kind.value:<{_KIND_WIDTH}}  {printable(one.where):<{width}}"
@@ -33,7 +35,7 @@ def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
         if not console.is_terminal or len(head) + 2 + len(text) <= console.width:
             line = Text(f"{head}  {text}")
         else:
-            body = Text(text).wrap(console, max(console.width - len(_INDENT), 20))
-            line = Text("\n").join([Text(head.rstrip()), *(Text(_INDENT) + part for part in body)])
+            parts = wrap(text, max(console.width, _NARROWEST) - len(_INDENT))
+            line = Text("\n".join([head.rstrip(), *(_INDENT + part for part in parts)]))
         line.stylize("bold yellow", 0, len(one.kind.value))
         console.print(line, soft_wrap=True)

@@ -1,9 +1,9 @@
 """Writes an inventory as a CycloneDX bill of materials, for asset management."""
 
 # CycloneDX 1.6, JSON. Each host is a component of type "device", its units that answered are
-# components of type "device" inside it, and masters are devices too. What CycloneDX has no field
-# for stands in properties whose names begin with "mbtool:". A host depends on nobody; a master
-# depends on the hosts that it asks.
+# components of type "device" inside it, and masters are devices, too. Facts for which CycloneDX has
+# no field are in properties whose names begin with "mbtool:". A master depends on the hosts that it
+# sends requests to; a host depends on no other.
 #
 # The serial number is made from the content, so that the same inventory gives the same document.
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SPEC_VERSION = "1.6"
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _SPACE = uuid.UUID("6e0f4c3a-2f8b-5c7e-9a55-3f6a1f5f7d10")
-"""A namespace for serial numbers, drawn once by chance."""
+"""The UUID namespace of serial numbers; a random number that never changes."""
 
 
 def inventory_cyclonedx(document: InventoryDocument, version: str) -> str:

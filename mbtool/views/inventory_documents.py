@@ -1,11 +1,11 @@
 """Writes an inventory as JSON or CSV."""
 
-# JSON is the InventoryDocument of overview/inventory_rows.py, the program's version and, against a
-# baseline, the changes. It can be read again as a baseline.
+# The JSON has the InventoryDocument of overview/inventory_rows.py, the program's version and, if
+# there is a baseline, the changes since it. It can be read again as a baseline.
 #
-# A row of CSV is a unit, or a master, which has no unit. Several values in a cell are separated by
-# "; ". A spreadsheet would take a text that begins with = + - or @ for a formula, so such a
-# text gets a ' in front.
+# A row of CSV is a unit, or a master, whose cell for the unit is empty. Several values in a cell
+# are separated by "; ". A spreadsheet would take a text that begins with = + - or @ as a formula,
+# so such a text gets a ' in front.
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def inventory_csv(document: InventoryDocument) -> str:
 
 
 def changes_csv(changes: Sequence[InventoryChange]) -> str:
-    """What is new as CSV."""
+    """The changes since a baseline as CSV."""
     rows: list[dict[str, object]] = [
         {
             "kind": one.kind.value,
@@ -76,7 +76,7 @@ def changes_csv(changes: Sequence[InventoryChange]) -> str:
 
 
 def spreadsheet_cell(value: object) -> str:
-    """A value as the text of a cell that no spreadsheet takes for a formula."""
+    """A value as text for a CSV cell, changed so that no spreadsheet takes it as a formula."""
     if value is None:
         return ""
     if isinstance(value, int):
@@ -143,7 +143,7 @@ def _master_cells(row: MasterRow) -> dict[str, object]:
 
 
 def _uses(row: SlaveRow, *, writes: bool = False, refused: bool = False) -> str:
-    """The functions with their ranges, each once, whoever asked."""
+    """The functions used on a unit, each once, with their ranges, from all masters together."""
     texts = []
     for use in row.uses:
         ranges = use.refused if refused else use.ranges

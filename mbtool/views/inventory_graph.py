@@ -1,8 +1,8 @@
-"""Draws an inventory as a graph in the language of Graphviz: who asks whom what."""
+"""Draws an inventory as a graph in the language of Graphviz: masters, hosts and functions used."""
 
-# A host is a box with its units and what they are; an arrow leads from a master to a host, with the
-# function codes that it uses there. Arrows of writers are bold and red. Units that never answered
-# are left out, but for their number.
+# A host is a box that lists its units and their profiles; an arrow leads from a master to a host,
+# with the function codes that the master uses there. The arrow of a master that writes is bold and
+# red. Of units that never answered only the number is shown.
 #
 #     mbtool inventory plant.pcap --format dot | dot -Tsvg > plant.svg
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _MAX_UNITS = 24
-"""How many units a box lists; of further ones it gives the number."""
+"""The most units that a box lists; for further units it gives only their number."""
 _MAX_TEXT = 60
 
 
@@ -39,7 +39,7 @@ def _lines(document: InventoryDocument) -> Iterator[str]:
             places.setdefault(row.where, []).append(row)
     slaves = {row.host for rows in places.values() for row in rows}
     for master in document.masters:
-        # A host that also answers is drawn once for each role: the arrows would cross otherwise.
+        # A host that is master and slave is drawn twice, so that arrows do not cross.
         lines = [master.host, *([mac_text(master.macs, master.makers)] if master.macs else [])]
         if master.host in slaves:
             lines[0] += " (as master)"

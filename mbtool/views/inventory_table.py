@@ -1,14 +1,15 @@
-"""Shows an inventory: a row for each unit of each host, and what is known of it under it."""
+"""Shows an inventory: a row for each unit of each host, with details below it."""
 
-#     host           unit  role     profile        MAC
-#     192.168.3.250     1  slave    fa3-at1m8x 90  00:30:de:11:22:33 WAGO Kontakttechnik GmbH
+#     host           unit  role     profile
+#     192.168.3.250     1  slave    wago-750 91
 #           seen 2026-11-22 09:14:03 .. 09:20:11, 812 transactions, 3 without answer
+#           MAC 00:30:de:11:22:33 WAGO Kontakttechnik GmbH
 #           says vendor "WAGO", product code "750-352"
 #           03 read holding 0..99, 200; 800 times by 192.168.3.9
 #           10 write registers 10..12; 12 times by 192.168.3.9
 #
-# A terminal gets long lines wrapped. What was asked and never answered is one line for each master,
-# unless everything is wanted.
+# On a terminal, long lines are wrapped. All units that never answered a master share one line,
+# unless the user wants everything.
 
 from __future__ import annotations
 
@@ -41,9 +42,9 @@ _NARROWEST = 40
 _FEW_RANGES = 12
 _FEW_PLACES = 6
 _MANY_ROWS = 60
-"""More units than this are folded where they are alike."""
+"""If there are more units than this, units that are alike share one row."""
 _QUIET = (Role.SILENT, Role.UNHEARD)
-_SLAVE_HEADINGS = ("host", "unit", "role", "profile", "MAC")
+_SLAVE_HEADINGS = ("host", "unit", "role", "profile")
 _MASTER_HEADINGS = ("master", "asks", "writes to", "requests", "seen")
 _NUMBERS = frozenset(("unit", "asks", "writes to", "requests"))
 
@@ -56,8 +57,8 @@ def print_inventory(
 ) -> None:
     """Print all units, then the masters.
 
-    With `everything`, units that never answered have rows of their own, and lists of ranges are
-    whole.
+    With `everything`, each unit that never answered has its own row, and lists of ranges are not
+    shortened.
     """
     most = MAX_RANGES if everything else _FEW_RANGES
     shown = [row for row in document.slaves if everything or row.role not in _QUIET]
@@ -74,7 +75,7 @@ def print_inventory(
 
 
 def profile_text(row: SlaveRow) -> str:
-    """The profile of a slave with how sure it is; `none fits`; empty if there was no comparison."""
+    """The best profile of a slave with its score, or `none fits`; empty if none was compared."""
     if row.device is not None:
         return f"{row.device} (named)"
     if row.fit is None:
@@ -87,7 +88,7 @@ def mac_text(macs: Sequence[str], makers: Sequence[str]) -> str:
 
 
 def identity_text(row: SlaveRow) -> str:
-    """What a slave says of itself: `vendor "WAGO", 42H model code "0003H"`."""
+    """The identity that a slave reports: `vendor "WAGO", 42H model code "0003H"`."""
     return ", ".join(
         f'{"" if one.function in FUNCTIONS else f"{one.function:02X}H "}{one.name} "{one.text}"'
         for one in row.identity
@@ -101,7 +102,7 @@ def function_label(function: int, name: str) -> str:
 
 
 def seen_text(first_ns: int, last_ns: int) -> str:
-    """A time and another, the day only once: `2026-11-22 09:14:03 .. 09:20:11`."""
+    """Two times as a range, the day only once: `2026-11-22 09:14:03 .. 09:20:11`."""
     first, last = (iso_time(ns)[:19].replace("T", " ") for ns in (first_ns, last_ns))
     if first == last:
         return first
@@ -114,17 +115,17 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
         str(row.unit),
         row.role.value,
         profile_text(row),
-        mac_text(row.macs, row.makers),
     )
     style = "yellow" if row.role in _QUIET else ""
     return cells, style, list(_slave_lines(row, most))
 
 
 def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
-    """One entry for all units that differ in nothing but their host, maker and times."""
+    """Yield one entry for all units that differ only in host, maker and times."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
-        alike.setdefault((row.unit, row.role, cells[3], *lines[1:]), []).append(index)
+        told = [line for line in lines[1:] if line not in _mac_lines(row)]
+        alike.setdefault((*cells[1:], *told), []).append(index)
     for several in alike.values():
         cells, style, lines = entries[several[0]]
         if len(several) > 1:
@@ -144,17 +145,22 @@ def _master_entry(row: MasterRow) -> _Entry:
         f"{row.requests:,}",
         seen_text(row.first_ns, row.last_ns),
     )
-    return cells, "", [f"MAC {mac_text(row.macs, row.makers)}"] if row.macs else []
+    return cells, "", _mac_lines(row)
+
+
+def _mac_lines(row: SlaveRow | MasterRow) -> list[str]:
+    return [f"MAC {mac_text(row.macs, row.makers)}"] if row.macs else []
 
 
 def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
-    """What stands under the row of a unit."""
+    """The lines with details below the row of a unit."""
     counts = [one for one in row.transports if one != Transport.TCP]
     counts.append(f"seen {seen_text(row.first_ns, row.last_ns)}")
     counts.append(counted(row.transactions, "transaction", ","))
     if row.unanswered:
         counts.append(f"{row.unanswered:,} without answer")
     yield ", ".join(counts)
+    yield from _mac_lines(row)
     if row.identity:
         yield f"says {identity_text(row)}"
     fit = row.fit
@@ -174,7 +180,7 @@ def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
 
 
 def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
-    """A line for each function; masters that ask the same share a line."""
+    """A line for each function; masters that use it in the same way share a line."""
     groups: dict[tuple[object, ...], list[FunctionUse]] = {}
     lacking = []
     for use in uses:
@@ -191,7 +197,7 @@ def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
 
 
 def _use_line(several: Sequence[FunctionUse], most: int) -> str:
-    """One function with its ranges, and the masters that ask for just these."""
+    """A line with a function, its ranges, and the masters that use exactly these ranges."""
     first = several[0]
     label = function_label(first.function, first.name)
     if first.function == READ_AND_WRITE:
@@ -207,13 +213,13 @@ def _use_line(several: Sequence[FunctionUse], most: int) -> str:
 
 
 def _masters(word: str, uses: Iterable[FunctionUse]) -> str:
-    """The masters behind a word; empty on a serial line, where a master has no address."""
+    """The masters, after `word`; empty on a serial line, where masters have no addresses."""
     names = listed(list(dict.fromkeys(one.master for one in uses if one.master is not None)))
     return f"{word} {names}" if names else ""
 
 
 def _codes(codes: Iterable[int]) -> str:
-    """Function codes in hexadecimal, with runs folded: `02..04, 07`."""
+    """Function codes in hexadecimal; consecutive ones as a range: `02..04, 07`."""
     return ", ".join(
         f"{first:02X}" if first == last else f"{first:02X}..{last:02X}"
         for first, last in AddressRanges((code, code) for code in codes).pairs
@@ -266,7 +272,7 @@ def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry])
 
 
 def _print_line(console: Console, text: str, indent: str, style: str = "") -> None:
-    """Print a line, indented. Only a terminal gets it wrapped."""
+    """Print an indented line; only on a terminal it is wrapped."""
     lines = [printable(text)]
     if console.is_terminal:
         width = max(console.width, _NARROWEST)

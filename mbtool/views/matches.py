@@ -47,7 +47,7 @@ def _where(slave: ObservedSlave) -> str:
 
 
 def _print_summary(console: Console, results: Sequence[MatchResult]) -> None:
-    """Print what is said of most slaves first."""
+    """Print each sentence once, with the slaves it is about; those about most slaves first."""
     alike: dict[str, list[ObservedSlave]] = {}
     for result in results:
         alike.setdefault(result.sentence, []).append(result.slave)

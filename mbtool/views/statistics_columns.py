@@ -17,7 +17,7 @@ ENOUGH = 34
 PIPE_FIRST = 40
 _MORE = ".."
 _KEPT = "\0%"
-"""Stands for a percent sign with its space while a text is wrapped, so that it is not cut off."""
+"""Replaces " %" while a text is wrapped, so that number and percent sign stay in one line."""
 
 
 @dataclass(frozen=True, slots=True)

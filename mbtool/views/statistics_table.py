@@ -147,7 +147,7 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
 
 def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     found = [(link, one) for link in links for one in link.functions]
-    if len(found) > _ALIKE * sum(len(link.polls) for link in links):
+    if len(found) < 2 or len(found) > _ALIKE * sum(len(link.polls) for link in links):
         return []  # It would nearly repeat the section of polls.
     found.sort(key=lambda one: (-one[1].tally.unanswered, -one[1].tally.transactions))
     rows = [
@@ -171,7 +171,7 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
     found.sort(key=lambda one: -one[1].poll.tally.latency.percentile(95))
     rows = [
         StatisticsRow(
-            _prefix(link, links) + _of_master(link, one) + poll_text(one.poll),
+            _of_master(link, one) + _prefix(link, links) + poll_text(one.poll),
             _poll_cells(one, link),
             _style(one.poll.tally),
         )

@@ -25,7 +25,12 @@ _SLOW = 3
 def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
     """A line that sums up, then a line for each kind of trouble, the worst first."""
     total = merged([link.tally for link in links])
+    if not total.transactions:
+        return [StyledLine("no transactions so far", "bold")]
     lines = [StyledLine(_sum(links, total), "bold")]
+    if not all(link.has_times for link in links):
+        text = "! no times: the bytes of the file have none, so there are no rates and periods"
+        lines.append(StyledLine(text, _DOUBT))
     lines += _missing(links, total)
     lines += _exceptions(total)
     lines += _odd(total)

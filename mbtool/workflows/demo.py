@@ -64,7 +64,7 @@ be slow."""
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How many responses played from the log equal those of the devices, and which do not."""
+    """The comparison of the responses played from the log with those of the devices."""
 
     asked: int
     differences: tuple[Exchange, ...]

@@ -29,29 +29,29 @@ _DOCUMENT_BEGINS = b"{"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InventoryOptions:
-    """What an inventory is taken of."""
+    """How the files of an inventory are read, and a filter for transactions."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
 
 
 class InventoryRun:
-    """One pass over some files for their inventory."""
+    """Reads files once, to make their inventory."""
 
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
         self._options = options
         self.reading = Reading(files, options.reading)
         self.error: InputError | None = None
-        """Why some file could not be read, or not to its end; the others were read."""
+        """An error of a file that could not be read, or not to its end; None if there was none."""
 
     def take(
         self, on_remark: Callable[[str], None] = lambda _: None, watch: Watch = unwatched
     ) -> InventoryDocument:
         """Read the files as far as they can be read.
 
-        `on_remark` gets a line for each thing a user should know of the files. Raises InputError if
-        nothing could be read because of it.
+        `on_remark` gets lines for the user about the files. Raises InputError if an error made it
+        impossible to read any transaction.
         """
         inventory = Inventory()
         wanted = self._options.wanted
@@ -78,7 +78,7 @@ def changes_since(
     options: InventoryOptions,
     on_remark: Callable[[str], None] = lambda _: None,
 ) -> list[InventoryChange]:
-    """What is new in an inventory since a baseline: an older inventory in JSON, or captures.
+    """The changes in an inventory since a baseline: an older inventory in JSON, or captures.
 
     Raises InputError if the baseline cannot be read or has no transaction.
     """
@@ -101,7 +101,7 @@ def _is_stored(path: str) -> bool:
         with Path(path).open("rb") as file:
             return file.read(64).lstrip().startswith(_DOCUMENT_BEGINS)
     except OSError:
-        return False  # Reading it as a capture tells why.
+        return False  # Reading the file as a capture will raise the error.
 
 
 def _stored(path: str) -> InventoryDocument:

@@ -43,7 +43,7 @@ _NS = 1_000_000_000
 _LOOK_NS = 200_000_000
 """The user's wish to end is checked at least once in so many ns."""
 _STEERED_NS = 30_000_000
-"""The same if the user can press keys: 30 ms, as a key should act at once."""
+"""If the user can press keys, they are checked once in so many ns: a key should act at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +80,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     uncompared_latencies: int = 0
     """Requests with too few responses for their latencies to be compared."""
     problem: str | None = None
-    """Why not all requests could be sent: the slave cannot be reached, or the port was lost. None
-    if the link worked."""
+    """The reason why not all requests could be sent: the slave cannot be reached, or the port was
+    lost. None if the link worked."""
 
 
 class MasterRun:

@@ -1,7 +1,7 @@
-"""Gathers the statistics of captures and logs, or of live links."""
+"""Computes the statistics of captures and logs, or of live links."""
 
-# Files are read by the same reader as for `decode`, links are heard by the same sniffer as for
-# `sniff`. --where chooses transactions; events, which tell of connections, always count.
+# Files are read by the same reader as for `decode`, and links by the same sniffer as for `sniff`.
+# --where chooses transactions; events, which tell of connections, are always counted.
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import Reading
 
 ORDERED_AFTER_NS = 5_000_000_000
-"""A live transaction is put in order after this time (ns): none ends later than a decoder waits for
-an answer."""
+"""Live transactions are sorted by time after a delay of so many ns. After it no earlier transaction
+can follow, as a decoder waits no longer for a response."""
 
 
 class FileStatistics:
-    """One pass over some files that counts what passes the filter."""
+    """Reads files once, and computes the statistics of the transactions that pass the filter."""
 
     def __init__(self, reading: Reading, wanted: Where) -> None:
         self._reading = reading
@@ -38,10 +38,10 @@ class FileStatistics:
         self.statistics = Statistics(self._format_of)
 
     def run(self) -> Iterator[Record]:
-        """Count all records, and give each of them.
+        """Count all records, and yield each of them.
 
-        Raises InputError for a file that cannot be read; for one that is cut or damaged, after
-        everything else has been counted.
+        Raises InputError for a file that cannot be read. For a file that is cut or damaged,
+        InputError is raised after all other records are counted.
         """
         try:
             for record in self._reading.records():
@@ -62,7 +62,7 @@ class FileStatistics:
 
     @property
     def remarks(self) -> list[str]:
-        """What a user should know of the files beside the figures, a line each."""
+        """Lines for the user about the files, beside the figures."""
         doubts = [f"mbtool: {doubt}" for doubt in self._doubts]
         return [*self._reading.remarks, *doubts, *self._hints.remarks]
 
@@ -82,5 +82,5 @@ class LiveStatistics:
             self.statistics.add(record)
 
     def advance(self, now_ns: int) -> None:
-        """Put in order what has waited long enough at this time (ns)."""
+        """Count the transactions that have waited for ORDERED_AFTER_NS at the time `now_ns`."""
         self.statistics.settle(now_ns - ORDERED_AFTER_NS)

@@ -28,6 +28,7 @@ COMMANDS = (
     "inventory",
     "check",
     "stats",
+    "recover",
     "replay",
     "diff",
     "slave",

@@ -26,6 +26,8 @@ from tests.differential.truth import PORTS
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mbtool.overview.inventory_rows import InventoryDocument
+
 Slave = tuple[str, int, int]
 """Host, port and unit."""
 Facts = dict[Slave, dict[int, set[int]]]
@@ -55,9 +57,9 @@ def captures_with_adus(folder: Path) -> list[Path]:
     )
 
 
-def differences(path: Path) -> list[str]:
+def differences(path: Path, document: InventoryDocument) -> list[str]:
     """What the inventory of a capture and its truth do not have in common, one line each."""
-    found, truth = inventory_facts(path), truth_facts(path)
+    found, truth = inventory_facts(document), truth_facts(path)
     lines = []
     for slave in sorted(found.keys() | truth.keys()):
         if slave not in truth or slave not in found:
@@ -91,10 +93,10 @@ def taken(path: Path) -> Inventory:
     return inventory
 
 
-def inventory_facts(path: Path) -> Facts:
+def inventory_facts(document: InventoryDocument) -> Facts:
     """Hosts, units, functions and addresses as the inventory has them."""
     facts: Facts = {}
-    for row in taken(path).document().slaves:
+    for row in document.slaves:
         functions: dict[int, set[int]] = defaultdict(set)
         for use in row.uses:
             functions[use.function].update(
@@ -136,7 +138,7 @@ def main(folder: Path) -> int:
         return 3
     unexplained = 0
     for path in paths:
-        lines = differences(path)
+        lines = differences(path, taken(path).document())
         count, reason = EXPLAINED.get(path.name, (0, ""))
         note = "" if not lines else reason if len(lines) == count else "DIFFERS"
         unexplained += note == "DIFFERS"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.devices import builtin_profiles, load_profile
-from mbtool.overview.identification import identify
+from mbtool.overview.identification import FITS, identify
 from tests.captures import FOLDER, public_folder
 from tests.differential.inventory_truth import (
     EXPLAINED,
@@ -25,23 +25,20 @@ MOST_BYTES = 300_000
 
 
 @pytest.mark.public_captures
-def test_hosts_units_functions_and_ranges_are_those_of_the_truth(public_captures: Path) -> None:
+def test_hosts_units_functions_and_ranges_are_those_of_the_truth_and_no_profile_fits(
+    public_captures: Path,
+) -> None:
+    """No device of these captures is one of the built-in profiles."""
+    profiles = [load_profile(name) for name in builtin_profiles()]
     small = [one for one in captures_with_adus(public_captures) if one.stat().st_size < MOST_BYTES]
     assert len(small) > 20
     for path in small:
+        document = taken(path).document(identify=lambda one: identify(one, profiles))
         count = EXPLAINED.get(path.name, (0, ""))[0]
-        found = differences(path)
+        found = differences(path, document)
         assert len(found) == count, (path.name, found[:3])
-
-
-@pytest.mark.public_captures
-def test_no_built_in_profile_fits_a_device_of_others(public_captures: Path) -> None:
-    profiles = [load_profile(name) for name in builtin_profiles()]
-    for path in captures_with_adus(public_captures):
-        if path.stat().st_size < MOST_BYTES:
-            document = taken(path).document(identify=lambda one: identify(one, profiles))
-            fits = [row.fit for row in document.slaves if row.fit is not None]
-            assert [one for one in fits if one.profile is not None or one.score > 80] == []
+        fits = [row.fit for row in document.slaves if row.fit is not None]
+        assert [one for one in fits if one.profile is not None or one.score > FITS] == []
 
 
 def test_a_folder_without_captures_is_told(

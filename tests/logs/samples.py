@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Packet, Stamp, WireEvent
 from mbtool.devices import NamedTransaction, PointValue
-from mbtool.logs.layout import Opcode
+from mbtool.logs.layout import RECORD_HEAD, Opcode
 from mbtool.logs.records import RecordStream
 from mbtool.logs.writer import LogWriter
 from mbtool.modbus import Outcome, Transport, Verdict
@@ -120,9 +120,10 @@ def records_of(data: bytes, opcode: Opcode) -> list[tuple[int, int]]:
     stream = RecordStream(io.BytesIO(data), "x.mcap")
     stream.read_magic()
     found = []
-    while (record := stream.read()).opcode != Opcode.DATA_END:
+    while (record := stream.look_at_record()) and record.opcode != Opcode.DATA_END:
         if record.opcode == opcode:
             found.append((record.offset, len(record.content)))
+        stream.take(RECORD_HEAD.size + len(record.content))
     return found
 
 

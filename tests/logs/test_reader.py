@@ -6,16 +6,17 @@ import tempfile
 import threading
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
-from mbtool.core import CutError, DamageError, EventKind, InputError, WireEvent
+from mbtool.core import Chunk, CutError, DamageError, EventKind, InputError, WireEvent
 from mbtool.devices import NamedTransaction
-from mbtool.logs.layout import FOOTER_SIZE, Opcode
+from mbtool.logs.layout import DATA_END_SIZE, FOOTER_SIZE, Opcode
+from mbtool.logs.message_decoder import BATCH
 from mbtool.logs.reader import LogReader, follow, read_log
 from mbtool.logs.writer import LogWriter
 from tests.logs.samples import (
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.logs.messages import LogItem
+
+T = TypeVar("T")
 
 
 @given(st.lists(items, max_size=6))
@@ -118,14 +121,11 @@ def test_a_log_that_was_never_closed_is_whole(tmp_path: Path) -> None:
 def test_a_log_with_any_byte_damaged_returns_no_wrong_item_and_an_error(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)
-    summary_at = int.from_bytes(data[-FOOTER_SIZE + 9 : -FOOTER_SIZE + 17], "little")
     for at in range(len(data)):
         found, error = read(data[:at] + bytes([data[at] ^ 0x40]) + data[at + 1 :])
-        # A chunk whose opcode or place is damaged is passed over; the CRC at the end tells.
         rest = iter(whole)
         assert all(item in rest for item in found if not _is_hole(item))
-        # Whatever stands before the summary is under a CRC.
-        assert at >= summary_at or error is not None
+        assert error is not None
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -144,11 +144,11 @@ def test_a_damaged_chunk_costs_only_its_own_items(tmp_path: Path, number: int) -
     # The time is that of what follows, or at the end of what came last.
     assert hole.ts_ns == _known_ns(found[2 * number + (1 if number < 2 else -1)])
     assert hole.message == (
-        f"{size} bytes of the log, from byte {offset} on, are damaged and left out"
+        f"{9 + size} bytes of the log, from byte {offset} on, are damaged and left out"
     )
     assert isinstance(error, DamageError)
     assert str(error).startswith(f"x.mcap: damaged at byte {offset}: a chunk ")
-    assert str(error).endswith(f"; {size} bytes of the log are left out, all else was read")
+    assert str(error).endswith(f"; {9 + size} bytes of the log are left out, all else was read")
 
 
 def test_adjacent_damaged_chunks_are_one_gap(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_damaged_profile_is_left_out_and_costs_nothing_else(tmp_path: Path) ->
         assert found == whole
         assert isinstance(error, DamageError)
         assert str(error).startswith(f"x.mcap: damaged at byte {offset}: ")
-        assert str(error).endswith(f"; {size} bytes of the log are left out, all else was read")
+        assert str(error).endswith(f"; {9 + size} bytes of the log are left out, all else was read")
 
 
 def test_damage_between_the_records_of_items_costs_none(tmp_path: Path) -> None:
@@ -208,14 +208,112 @@ def test_a_damaged_and_truncated_log_reports_both(tmp_path: Path) -> None:
     assert f"; before that, damaged at byte {first[0]}: a chunk" in str(error)
 
 
-def test_a_log_with_a_damaged_length_ends_there_with_an_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize("at", range(9))
+def test_a_chunk_with_a_damaged_opcode_or_length_is_read_all_the_same(
+    tmp_path: Path, at: int
+) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)
-    offset, _ = records_of(data, Opcode.CHUNK)[1]
-    found, error = read(changed(data, offset + 8))
-    assert found == whole[:2]
+    for offset, _ in records_of(data, Opcode.CHUNK):
+        for bit in range(8):
+            changed_bit = bytes([data[offset + at] ^ 1 << bit])
+            found, error = read(data[: offset + at] + changed_bit + data[offset + at + 1 :])
+            assert found == whole
+            assert str(error) == f"x.mcap: damaged at byte {offset}: the head of a record"
+
+
+def test_a_log_with_a_zeroed_sector_goes_on_at_the_next_chunk(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    _, (second, size), (third, _) = records_of(data, Opcode.CHUNK)
+    begin = second + size - 100
+    found, error = read(data[:begin] + bytes(third - begin) + data[third:])
+    assert [_is_hole(item) for item in found] == [False, False, True, False, False]
+    assert [item for item in found if not _is_hole(item)] == whole[:2] + whole[4:]
+    assert f"{third - second} bytes of the log are left out" in str(error)
+
+
+def test_a_log_without_its_data_end_is_read_up_to_the_footer(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    summary_at = int.from_bytes(data[-FOOTER_SIZE + 9 : -FOOTER_SIZE + 17], "little")
+    found, error = read(data[: summary_at - DATA_END_SIZE] + bytes(13) + data[summary_at:])
+    assert [item for item in found if not _is_hole(item)] == whole
     assert isinstance(error, DamageError)
-    assert str(error).endswith("is the maximum, and the rest is lost")
+
+
+def test_damage_in_the_summary_is_told_and_costs_nothing(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    summary_at = int.from_bytes(data[-FOOTER_SIZE + 9 : -FOOTER_SIZE + 17], "little")
+    for at in range(summary_at, len(data), 7):
+        found, error = read(changed(data, at))
+        assert found == whole
+        assert isinstance(error, DamageError)
+    assert "the summary, which repeats what is in the log; all else was read" in str(
+        read(changed(data, summary_at + 30))[1]
+    )
+
+
+def test_a_header_with_a_changed_name_is_known_by_its_library(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    found, error = read(data.replace(b"\6\0\0\0mbtool", b"\6\0\0\0mbtonl", 1))
+    assert found == whole
+    assert "the CRC of the data section does not match" in str(error)
+
+
+def test_text_that_is_not_utf8_in_a_chunk_without_a_crc_costs_one_message(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream, enable_crcs=False, compression=CompressionType.NONE)
+    writer.start(profile="mbtool")
+    schema = writer.register_schema("mbtool.Chunk", "jsonschema", b"{}")
+    channel = writer.register_channel("/rs485/chunks", "json", schema)
+    for number in range(3):
+        message = b'{"ts_ns":%d,"link":"rs485","data":"AQ=="}' % (number + 1)
+        writer.add_message(channel, number + 1, message, number + 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    data = stream.getvalue()
+    second = data.index(b'"rs485"', data.index(b'"ts_ns":2'))
+    found, error = read(data[:second] + b'"rs\xff85"' + data[second + 7 :])
+    assert [item.ts_ns for item in found if isinstance(item, Chunk)] == [1, 3]
+    assert [_is_hole(item) for item in found] == [False, True, False]
+    assert "no mbtool.Chunk" in str(error)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        b'{"ts_ns":1,"link":"a","data":""},{"ts_ns":1,"link":"a","data":""}',
+        b'{"ts_ns":1,"link":"a","data":"","x":' + b"[" * 100_000,
+        b'{"ts_ns":' + b"9" * 10_000 + b',"link":"a","data":""}',
+    ],
+    ids=["two values", "deep", "long number"],
+)
+def test_a_message_of_another_form_is_damage_and_not_an_exception(message: bytes) -> None:
+    found, error = read(stock_log([message]))
+    assert found == []
+    assert "no mbtool.Chunk" in str(error)
+
+
+def test_a_chunk_of_many_messages_is_given_in_parts_and_in_order() -> None:
+    count = 2 * BATCH + 5
+    messages = [b'{"ts_ns":%d,"link":"a","data":""}' % number for number in range(1, count + 1)]
+    data = stock_log(messages, chunk_size=1 << 24)
+    assert len(records_of(data, Opcode.CHUNK)) == 1
+    found, error = read(data)
+    assert error is None
+    assert [item.ts_ns for item in found if isinstance(item, Chunk)] == list(range(1, count + 1))
+
+
+def test_transactions_are_given_in_lists_without_the_gaps_between(tmp_path: Path) -> None:
+    data = some_chunks(tmp_path / "x.mcap").read_bytes()
+    whole, _ = read(data)
+    offset, size = records_of(data, Opcode.CHUNK)[1]
+    log = LogReader(io.BytesIO(changed(data, offset + 9 + size - 20)), "x.mcap")
+    batches, error = given_by(log.transaction_batches())
+    assert batches == [[whole[1]], [whole[5]]]
+    assert isinstance(error, DamageError)
 
 
 def test_following_goes_on_behind_damage(tmp_path: Path) -> None:
@@ -269,17 +367,24 @@ def test_a_log_that_the_stock_writer_made_is_read() -> None:
     assert [item.data for item in found if hasattr(item, "data")] == [b"\x01"]
 
 
+def stock_log(messages: list[bytes], chunk_size: int = 1024) -> bytes:
+    """A log of chunks that the stock writer made."""
+    stream = io.BytesIO()
+    writer = Writer(stream, chunk_size=chunk_size)
+    writer.start(profile="mbtool")
+    schema = writer.register_schema("mbtool.Chunk", "jsonschema", b"{}")
+    channel = writer.register_channel("/a/chunks", "json", schema)
+    for message in messages:
+        writer.add_message(channel, 1, message, 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize(
     "message", [b"", b"{}", b'{"ts_ns":null,"link":"a","data":""}', b'{"ts_ns":1', b"\xff"]
 )
 def test_an_invalid_message_is_damage(message: bytes) -> None:
-    stream = io.BytesIO()
-    writer = Writer(stream)
-    writer.start(profile="mbtool")
-    schema = writer.register_schema("mbtool.Chunk", "jsonschema", b"{}")
-    writer.add_message(writer.register_channel("/a/chunks", "json", schema), 1, message, 1)
-    writer.finish()  # type: ignore[no-untyped-call]
-    found, error = read(stream.getvalue())
+    found, error = read(stock_log([message]))
     assert found == []
     assert "no mbtool.Chunk" in str(error)
 
@@ -378,9 +483,9 @@ def read(data: bytes) -> tuple[list[LogItem], InputError | None]:
     return found, error
 
 
-def given_by(items: Iterator[LogItem]) -> tuple[list[LogItem], InputError | None]:
+def given_by(items: Iterator[T]) -> tuple[list[T], InputError | None]:
     """What is given, and the error that it ends with."""
-    found: list[LogItem] = []
+    found: list[T] = []
     try:
         for item in items:
             found.append(item)

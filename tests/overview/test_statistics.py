@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.core import CONNECTION_OPENED, EventKind, SerialFormat, WireEvent
 from mbtool.modbus import Outcome, Transport
 from mbtool.overview import statistics as module
 from mbtool.overview.statistics import Statistics
@@ -98,7 +98,7 @@ def test_what_comes_later_than_the_window_is_counted_but_has_no_period() -> None
 
 
 def test_no_period_reaches_from_one_capture_into_the_next() -> None:
-    statistics = Statistics()
+    statistics = Statistics(lambda _: LINE)
     for begin_ms in (0, 86_400_000):
         statistics.begin_capture()
         for at in range(3):
@@ -112,7 +112,7 @@ def test_no_period_reaches_from_one_capture_into_the_next() -> None:
 
 
 def test_a_capture_of_an_earlier_day_may_come_second() -> None:
-    statistics = Statistics()
+    statistics = Statistics(lambda _: LINE)
     for begin_ms in (86_400_000, 0):
         statistics.begin_capture()
         for at in range(3):
@@ -241,7 +241,7 @@ def test_a_poll_that_is_given_up_still_counts_for_its_function(
 
 
 def test_the_figures_can_be_read_while_more_comes() -> None:
-    statistics = Statistics()
+    statistics = Statistics(lambda _: LINE)
     for at in range(100):
         statistics.add(request(at * 100))
         if at % 10 == 0:
@@ -250,6 +250,24 @@ def test_the_figures_can_be_read_while_more_comes() -> None:
     statistics.settle()
     assert statistics.late == 0
     assert only_link(statistics).polls[0].poll.period.count == 99
+
+
+def test_bytes_without_times_have_counts_but_no_rate_period_or_cycle() -> None:
+    link = only_link(counted(*(request(at * 100) for at in range(20)), with_line=False))
+    assert not link.has_times
+    assert (link.tally.transactions, link.rate(20), link.load) == (20, None, None)
+    assert link.polls[0].poll.period.count == 0
+    assert (link.masters, link.hours) == ([], [])
+
+
+def test_a_line_whose_settings_change_from_capture_to_capture_has_no_load() -> None:
+    formats = iter((LINE, SerialFormat(19200)))
+    statistics = Statistics(lambda _: next(formats))
+    for begin_ms in (0, 1000):
+        statistics.begin_capture()
+        statistics.add(request(begin_ms))
+    link = only_link(statistics)
+    assert (link.load, link.settings) == (None, None)
 
 
 def test_nothing_heard_has_no_links() -> None:

@@ -112,8 +112,7 @@ def test_macs_stand_with_their_makers() -> None:
     slave = SlaveRow(host="10.0.0.7", unit=1, macs=["00:30:de:01:02:03"], makers=["WAGO"])
     master = MasterRow(host="10.0.0.1", macs=["00:0c:29:01:02:03"], makers=["VMware"])
     lines = printed(InventoryDocument(format="", slaves=[slave], masters=[master]))
-    assert lines[0] == "host      unit  role   MAC"
-    assert lines[1] == "10.0.0.7     1  slave  00:30:de:01:02:03 WAGO"
+    assert "      MAC 00:30:de:01:02:03 WAGO" in lines
     assert lines[-1] == "      MAC 00:0c:29:01:02:03 VMware"
 
 

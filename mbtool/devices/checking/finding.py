@@ -19,7 +19,7 @@ class Finding:
 
     code: str
     message: str
-    """What happened, with figures, in one line. Does not contain the code."""
+    """A line that says what happened, with figures, but without the code."""
     ts_ns: int
     """When the first case happened, in ns since 1970."""
     link: str
@@ -32,7 +32,7 @@ class Finding:
     device: str | None = None
     """The name of the slave's profile; None if the slave has none."""
     count: int = 1
-    """Number of cases that the finding stands for."""
+    """Number of cases that the finding summarises."""
 
     @property
     def severity(self) -> Severity:

@@ -53,7 +53,7 @@ _UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
 
 _Connection = tuple[str, str | None]
-"""The link of a connection, and the master's HOST:PORT; the latter is None on a serial line."""
+"""The link of a connection, and the master's HOST:PORT (None on a serial line)."""
 _Request = tuple[_Connection, int, bytes]
 """The connection, unit and PDU of a request: a retry has the same as the request that it
 repeats."""

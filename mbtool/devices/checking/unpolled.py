@@ -35,7 +35,7 @@ MAX_ATTEMPTS = 4
 """So many repetitions of a request without a response are a poll; most retries end after three."""
 
 OPENED = 0
-"""Stands for the opening of a connection, in place of the hash of a request."""
+"""Used instead of the hash of a request for the opening of a connection."""
 
 _Scope = tuple[Hashable, ...]
 _Thing = tuple[_Scope, Hashable]
@@ -50,7 +50,7 @@ class _Attempts:
     is_answered: bool
     """True if the remembered request has a response."""
     text: str
-    """The thing, as an example in a message."""
+    """The thing as text, such as an address, for an example in a message."""
     finding: Finding
     number: int = 1
     """The number of requests so far."""

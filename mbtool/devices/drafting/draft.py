@@ -213,7 +213,7 @@ def _ranges_text(addresses: Sequence[int]) -> str:
 
 @dataclass(slots=True)
 class _Function:
-    """How the slave responded to the requests with one function."""
+    """A summary of the slave's responses to requests with one function."""
 
     ok: int = 0
     silent: int = 0

@@ -51,8 +51,8 @@ def make_points(
 ) -> list[RowPoint]:
     """Make the points of the rows, in the order of their tables and addresses.
 
-    `word_order` is that of the values for which the list names none. A row that cannot be a point
-    becomes a problem in the report.
+    `word_order` applies to values for which the list names no word order. A row that cannot be a
+    point becomes a problem in the report.
     """
     made: list[RowPoint] = []
     is_named = False

@@ -33,7 +33,7 @@ class TypeSpelling:
     is_switch: bool = False
     """True if the value is only off or on, in a table of bits or in a register of its own."""
     is_bits: bool = False
-    """True if each bit has a meaning of its own."""
+    """True if the value is a set of bits, each with its own meaning."""
 
 
 _LETTERS = {

@@ -60,7 +60,7 @@ class DeviceOutput:
 
 
 class Behaviour:
-    """A device that does what its profile says and nothing else."""
+    """A device that does only what its profile says; the base class of device families."""
 
     kept: tuple[tuple[Table, range], ...] = ()
     """The addresses whose values survive a restart."""
@@ -120,7 +120,7 @@ class Behaviour:
     def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
         """Return the values that a master reads from a range for which `is_live` is True.
 
-        `values` are those of the image.
+        `values` are the values in the image.
         """
         return values
 

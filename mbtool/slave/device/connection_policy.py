@@ -1,4 +1,4 @@
-"""Which TCP connections a device accepts, and how it supervises and ends them."""
+"""The rules of a device for TCP connections: how many, which one must leave, when one ends."""
 
 # The TCP shell (shells/tcp_shell.py) owns the sockets and the clock, and asks the device's policy:
 #
@@ -23,7 +23,7 @@ MAX_NOTES = 16
 
 
 class Loss(Enum):
-    """Why a connection ended."""
+    """The reason why a connection ended."""
 
     CLOSED = auto()
     """The master or the slave closed or reset the connection."""
@@ -39,7 +39,7 @@ class Peer:
 
     host: str
     heard_ns: int
-    """When the master last sent something, or connected, in ns. The shell updates this."""
+    """The time in ns when the master last sent bytes, or connected. The shell updates it."""
 
 
 @dataclass(frozen=True, slots=True)

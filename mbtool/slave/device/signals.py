@@ -107,7 +107,7 @@ class Walk:
     _random: Random = field(init=False, repr=False)
     _value: float = field(init=False, repr=False)
     _number: int = field(init=False, default=0, repr=False)
-    """How many steps have been made or left out so far."""
+    """Number of steps that were due so far, computed or left out."""
 
     def __post_init__(self) -> None:
         self._random = Random(self.seed)

@@ -1,4 +1,4 @@
-"""What every FA3 module does beyond its profile, and the outputs of the digital models."""
+"""The behaviour of every FA3 module beyond its profile, and the outputs of the digital models."""
 
 # Sources: the modules' manual, chapters 10.3 and 10.4. Assumed, as the manual leaves it open:
 #

@@ -62,7 +62,7 @@ _MS = 1_000_000
 
 
 class _Fa3Analog(Fa3):
-    """What both analog models have in common: the initial data setting."""
+    """The base class of both analog models: it handles the initial data setting."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
@@ -102,7 +102,7 @@ class _Fa3Analog(Fa3):
 
 @dataclass(frozen=True, slots=True)
 class _InputSetting:
-    """How one input is converted."""
+    """The settings for the conversion of one input."""
 
     process: int
     average: int

@@ -1,4 +1,4 @@
-"""A WAGO 750 coupler: its counters and commands, and what ties in process image and watchdog."""
+"""A WAGO 750 coupler: its counters, commands, connections, process image and watchdog."""
 
 # Sources: the two manuals that mbtool/devices/profiles/wago-750.toml was made from. The process
 # image is in wago_image.py, the watchdog in wago_watchdog.py.

@@ -39,7 +39,7 @@ _WORD = 0xFFFF
 
 
 class FaultKind(StrEnum):
-    """What a fault does to a response; docs/faults.md describes each kind."""
+    """The kind of change that a fault makes to a response; docs/faults.md describes each kind."""
 
     DELAY = "delay"
     NO_ANSWER = "no-answer"
@@ -78,7 +78,7 @@ class FaultCondition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """What a fault does to a response, and the requests that it is for."""
+    """A fault: its kind, the requests that it is for, and the parameters of its kind."""
 
     kind: FaultKind
     match: FaultCondition = field(default_factory=FaultCondition)
@@ -86,9 +86,11 @@ class Fault:
     code: int = 4
     """The exception code, for the kind EXCEPTION."""
     by: int = 1
-    """What WRONG_UNIT adds to the unit, WRONG_ID to the transaction id, OFFSET to the values."""
+    """The number that WRONG_UNIT adds to the unit, WRONG_ID to the transaction id, and OFFSET to
+    each value."""
     count: int = 1
-    """How many bytes TRUNCATED leaves out, or in how many pieces SPLIT sends the response."""
+    """The number of bytes that TRUNCATED leaves out, or of pieces in which SPLIT sends the
+    response."""
     extra: bytes = b""
 
 

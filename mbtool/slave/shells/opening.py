@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def slave_link(link: LinkSpec) -> SerialLink | TcpLink:
-    """Return the link itself. Raises UsageError if no slave can answer on such a link."""
+    """Return `link` if a slave can answer on it; otherwise raise UsageError."""
     if isinstance(link, SerialLink):
         link.demand_one_port()
     if isinstance(link, SerialLink | TcpLink):

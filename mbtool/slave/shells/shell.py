@@ -1,4 +1,4 @@
-"""What all shells of slaves share: a thread that answers on a link until it is stopped."""
+"""The base class of all shells: a thread that answers requests on a link until it is stopped."""
 
 # A shell owns the link and the clock; the responder decides what to answer. Only the shell's thread
 # may call the responder, so two shells never share one.
@@ -39,7 +39,7 @@ class Shell(ABC):
 
     @property
     def places(self) -> int:
-        """How many masters may be connected at once; a serial line has one."""
+        """The number of masters that may be connected at once; 1 on a serial line."""
         return 1
 
     def notes(self) -> list[str]:

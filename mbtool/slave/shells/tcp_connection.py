@@ -56,8 +56,8 @@ _GONE = frozenset({errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH})
 EHOSTUNREACH and ENETUNREACH come if a router reports that it cannot reach the master.
 """
 
-# The options that set TCP keep-alive. If a system lacks one, its own setting stays. macOS calls
-# TCP_KEEPALIVE what others call TCP_KEEPIDLE.
+# The socket options for TCP keep-alive. An option that the system lacks is not set. On macOS,
+# TCP_KEEPIDLE is called TCP_KEEPALIVE.
 _KEEP_START = getattr(socket, "TCP_KEEPIDLE", getattr(socket, "TCP_KEEPALIVE", None))
 _KEEP_INTERVAL = getattr(socket, "TCP_KEEPINTVL", None)
 _KEEP_COUNT = getattr(socket, "TCP_KEEPCNT", None)

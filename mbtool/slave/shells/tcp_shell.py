@@ -66,7 +66,7 @@ class TcpSlave(Shell):
     ) -> None:
         """`rules` decide which connections the played device accepts, and when it closes them.
 
-        None stands for a device without rules of its own: `bounds` then sets how many connections
+        None means a device without rules of its own: `bounds` then sets how many connections
         there may be, and how long one may be idle.
         """
         super().__init__()

@@ -1,4 +1,4 @@
-"""What one file among several gave, told to the user at the end."""
+"""The result of reading one file of several: its records and errors, for a table at the end."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class FileResult:
-    """How many records a file gave, and what is wrong with it."""
+    """The number of records that a file gave, and the error if it could not be read."""
 
     name: str
     transactions: int = 0
     events: int = 0
     error: InputError | None = None
-    """Why the file could not be read, or not to its end; None if nothing is wrong."""
+    """The error if the file could not be read, or not to its end; None if there was none."""
 
     def note(self, record: Record) -> None:
         """Count a record of this file."""
@@ -32,7 +32,7 @@ class FileResult:
 
     @property
     def remark(self) -> str:
-        """What is wrong or unusual, in one line; empty if nothing is."""
+        """A line that says what is wrong or unusual about the file; empty if nothing is."""
         if self.error is not None:
             why = str(self.error).removeprefix(f"{self.name}: ")
             is_read = isinstance(self.error, (CutError, DamageError))

@@ -28,10 +28,13 @@ class MissingParts:
         """Look at the next item of a source; only packets are counted."""
         if not isinstance(item, Packet) or item.original_length <= len(item.data):
             return
-        length = len(item.data)
-        self._shortest = min(self._shortest, length) if self._cut else length
-        self._longest = max(self._longest, length)
-        self._cut += 1
+        self.note_cut(1, len(item.data), len(item.data))
+
+    def note_cut(self, count: int, shortest: int, longest: int) -> None:
+        """Take some packets that are cut, and the bytes of the shortest and the longest."""
+        self._shortest = min(self._shortest, shortest) if self._cut else shortest
+        self._longest = max(self._longest, longest)
+        self._cut += count
 
     def noted(self, items: Iterator[_Item]) -> Iterator[_Item]:
         """Pass items on, and call `note_item` for each."""

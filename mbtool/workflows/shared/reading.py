@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.unreadable_lines import LineOf
 
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
-_UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
+UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
 
@@ -124,9 +124,9 @@ class Reading:
         self._broken: list[InputError] = []
         """The errors of files that are cut or damaged."""
         self._refused: dict[str, InputError] = {}
-        """Why files cannot be read at all, by path; others are read in spite of them."""
+        """The errors of files that cannot be read at all, by path; the other files are read."""
         self._results: dict[str, FileResult] = {}
-        """What each file gave that has been opened, by name."""
+        """The results of the files opened so far, by name."""
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
@@ -162,7 +162,7 @@ class Reading:
 
     @property
     def progress_text(self) -> str:
-        """Which file is being read, for a progress bar: `file 3 of 60`."""
+        """A text for a progress bar about the file that is being read: `file 3 of 60`."""
         number = min(self._files_read + 1, len(self._paths))
         return f"file {number} of {len(self._paths)}"
 
@@ -244,7 +244,7 @@ class Reading:
 
     @property
     def _file_results(self) -> list[FileResult]:
-        """What each file gave, and why one was not read, in the order of the names."""
+        """The results of all files, in the order in which the user named them."""
         results = []
         opened = iter(self._results.values())
         for path in self._paths:
@@ -280,7 +280,7 @@ class Reading:
             result = self._results.get(self.file)
             if result is not None:
                 result.note(record)
-            if isinstance(record, WireEvent) and record.kind in _UNDECODABLE_EVENTS:
+            if isinstance(record, WireEvent) and record.kind in UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
             else:
                 self._has_decoded = True

@@ -1,0 +1,383 @@
+"""Decodes blocks of packets: plain stretches of connections as arrays, all else by the Decoder."""
+
+# Every packet that is in no plain stretch is fed to the Decoder, in its place in the file. Where a
+# stretch begins, the Decoder says whether the connection is at rest there. If it is, the stretch's
+# transactions are read from the arrays, and the Decoder is told of them (plain_stretch.py). If it
+# is not, the packets up to the stretch's next request are fed, and it is asked again.
+#
+# So the Decoder owns what is known of connections, and its results are the same as if it had been
+# fed every packet. The results of a block are sorted by the packet that completed them.
+#
+# A block is fed to the Decoder packet by packet if times go back in it, or if a limit of the
+# reassembler (idle connections, their number) may be reached, since the order of all packets of all
+# connections counts there.
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
+from mbtool.columns.flows import UNKNOWN, FlowNumbers
+from mbtool.columns.headers import read_headers
+from mbtool.columns.packet_block import PacketBlock
+from mbtool.columns.stretches import find_stretches
+from mbtool.core import Connection, LinkAddresses
+from mbtool.decode.decoder import Record
+from mbtool.decode.plain_stretch import PlainStretch
+from mbtool.packets.link_addresses import link_addresses
+from mbtool.packets.plain_bytes import PlainBytes
+from mbtool.packets.segment import RST, SYN
+from mbtool.packets.stream import RECENT_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.columns.headers import Headers, Segments
+    from mbtool.columns.stretches import Stretches
+    from mbtool.decode.decoder import Decoder
+    from mbtool.packets.connection import TcpConnection
+
+_LINK_HEADER = np.dtype("V32")
+"""More bytes than the headers of the link layer have that headers.py reads."""
+_SMALLEST_ADU = 8
+_LAST_ADUS = RECENT_BYTES // _SMALLEST_ADU
+"""So many ADUs have RECENT_BYTES bytes at least."""
+
+
+@dataclass(slots=True)
+class PlainRows:
+    """Transactions that were read from arrays; an element of each array for each of them."""
+
+    block: PacketBlock
+    connections: list[Connection]
+    """The connection of each stretch."""
+    addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
+    """The addresses on the link layer of the first request and response of each stretch."""
+    connection: Int64s
+    """The index of its stretch in `connections`."""
+    has_addresses: Bools
+    """True if request and response have the same addresses as the first ones of their stretch."""
+    request_ip_at: Int64s
+    """The length of the header of the link layer of its request."""
+    response_ip_at: Int64s
+    request: Int64s
+    """The index of the request's packet in the block."""
+    response: Int64s
+    request_begin: Int64s
+    """Where its request's ADU begins in the data of the block."""
+    request_size: Int64s
+    response_begin: Int64s
+    response_size: Int64s
+    request_ns: Int64s
+    response_ns: Int64s
+    transaction_id: Int64s
+    unit: Int64s
+    code: Int64s
+    response_code: Int64s
+
+
+@dataclass(slots=True)
+class DecodedBlock:
+    """What the packets of a block completed."""
+
+    plain: PlainRows | None = None
+    records: list[tuple[int, Record]] = field(default_factory=list)
+    """What the Decoder gave, in order. The numbers say where it belongs among the plain rows: a
+    plain row has the number that `order_of` gives for its response's packet."""
+
+
+def order_of(packets: Int64s) -> Int64s:
+    """The places, in the order of a block's results, of what packets completed themselves."""
+    return 2 * packets + 1  # What the time of a packet completes elsewhere comes before.
+
+
+class ColumnDecoder:
+    """Takes the blocks of one capture in order."""
+
+    def __init__(self, decoder: Decoder, ports: Iterable[int]) -> None:
+        """`decoder` follows these TCP ports only, and across interfaces."""
+        self._decoder = decoder
+        self._ports = frozenset(ports)
+        self._flows = FlowNumbers()
+        self.plain_rows = 0
+        """How many transactions were read from arrays so far."""
+
+    def feed(self, block: PacketBlock) -> DecodedBlock:
+        headers = read_headers(block, self._ports)
+        segments = headers.segments
+        numbers = self._flows.numbers(segments.lower, segments.upper)
+        if not self._may_skip(block, headers, numbers):
+            return self._fed(block)
+        stretches = find_stretches(headers, numbers, block.data)
+        decoded = _BlockPass(self._decoder, self._flows, block, headers, numbers, stretches).run()
+        if decoded.plain is not None:
+            self.plain_rows += len(decoded.plain.request)
+        return decoded
+
+    def close(self) -> DecodedBlock:
+        return DecodedBlock(records=[(0, one) for one in self._decoder.close()])
+
+    def _may_skip(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> bool:
+        """True if the results do not depend on the order of packets of different connections."""
+        segments = headers.segments
+        if not len(segments.index):
+            return True
+        if (np.diff(segments.ts_ns) < 0).any() or (numbers == UNKNOWN).any():
+            return False
+        if (segments.flags & (SYN | RST) == SYN | RST).any():
+            return False
+        more = (
+            int(np.count_nonzero(np.bincount(numbers))) + len(headers.hidden) + len(headers.apart)
+        )
+        last_ns = int(block.ts_ns.max())
+        return not self._decoder.reassembler.may_drop(last_ns, more)
+
+    def _fed(self, block: PacketBlock) -> DecodedBlock:
+        decoded = DecodedBlock()
+        for index in range(len(block)):
+            for record in self._decoder.feed(block.packet(index)):
+                decoded.records.append((2 * index + 1, record))
+        return decoded
+
+
+class _BlockPass:
+    """One pass over a block: feeds packets, and takes the stretches of resting connections."""
+
+    def __init__(
+        self,
+        decoder: Decoder,
+        flows: FlowNumbers,
+        block: PacketBlock,
+        headers: Headers,
+        numbers: Int64s,
+        stretches: Stretches,
+    ) -> None:
+        self._decoder = decoder
+        self._flows = flows
+        self._block = block
+        self._headers = headers
+        self._segments = headers.segments
+        self._numbers = numbers
+        self._stretches = stretches
+        self._times: list[int] = self._segments.ts_ns.tolist()
+        self._rows = _TransactionArrays(stretches, self._segments)
+        self._passed = 0
+        """The segments before this one were fed, or the Decoder was told of their times."""
+        self._used = 0
+        """The connections of the segments before this one are in the order of their last use."""
+        self._decoded = DecodedBlock()
+        self._taken: list[tuple[int, int, Connection]] = []
+        """The first and the last transaction, exclusive, of each stretch that was taken."""
+        self._ends_ns: dict[TcpConnection, int] = {}
+        """When the last stretch of each connection ended."""
+
+    def run(self) -> DecodedBlock:
+        index = self._segments.index
+        begins = self._rows.request_packet[self._stretches.bounds[:-1]].tolist()
+        due = [(packet, number, -1) for number, packet in enumerate(begins)]
+        due += [(packet, -1, place) for packet, place in self._fed_segments()]
+        apart = {*self._headers.hidden.tolist(), *self._headers.apart.tolist()}
+        due += [(packet, -1, -1) for packet in apart]
+        heapq.heapify(due)
+        bounds = self._stretches.bounds.tolist()
+        while due:
+            packet, number, place = heapq.heappop(due)
+            if number < 0:
+                self._feed(packet, place)
+                continue
+            at = bounds[number] if place < 0 else place
+            if self._take(at, bounds[number + 1]):
+                continue
+            until = at + 1
+            for one in self._rows.packets(at, until, bounds[number + 1]):
+                heapq.heappush(due, (int(index[one]), -1, int(one)))
+            if until < bounds[number + 1]:
+                begin = int(self._rows.request_packet[until])
+                heapq.heappush(due, (begin, number, until))
+        self._pass_times(len(self._times))
+        self._note_used(len(self._times))
+        self._decoder.note_time(int(self._block.ts_ns.max()))
+        for connection, end_ns in self._ends_ns.items():
+            # Times of other connections, within the stretch, may have been told to it since.
+            connection.note_time(end_ns)
+        self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
+        return self._decoded
+
+    def _fed_segments(self) -> list[tuple[int, int]]:
+        """The segments in no stretch: their packets in the block, and their places."""
+        order, bounds = self._stretches.order, self._stretches.bounds
+        change = np.zeros(len(order) + 1, np.int64)
+        change[self._rows.request_place[bounds[:-1]]] += 1
+        change[self._rows.response_place[bounds[1:] - 1] + 1] -= 1
+        places = order[np.cumsum(change[:-1]) == 0]
+        packets = self._segments.index[places]
+        return list(zip(packets.tolist(), places.tolist(), strict=True))
+
+    def _feed(self, packet: int, place: int) -> None:
+        """Feed a packet; `place` is its place among the segments, or -1."""
+        if place < 0:
+            behind = int(np.searchsorted(self._segments.index, packet))
+            self._pass_times(behind)
+            self._note_used(behind)
+        else:
+            self._pass_times(place)
+            self._passed = place + 1
+        for record in self._decoder.feed(self._block.packet(packet)):
+            self._decoded.records.append((2 * packet + 1, record))
+
+    def _pass_times(self, until: int) -> None:
+        """Tell the Decoder of the times of segments that are not fed."""
+        if self._passed >= until:
+            return
+        found = self._decoder.pass_times(self._times, self._passed, until)
+        self._passed = until
+        for at, records in found:
+            packet = int(self._segments.index[at])
+            self._decoded.records += [(2 * packet, record) for record in records]
+
+    def _note_used(self, until: int) -> None:
+        """Bring the connections of the segments up to one into the order of their last use."""
+        some = self._numbers[self._used : until]
+        self._used = max(self._used, until)
+        last = np.full(len(self._flows.ends), -1)
+        last[some] = np.arange(len(some))  # Of equal indices the last one counts.
+        flows = np.flatnonzero(last >= 0)
+        last_used = flows[np.argsort(last[flows])].tolist()
+        self._decoder.reassembler.note_used(self._flows.ends[flow] for flow in last_used)
+
+    def _take(self, at: int, end: int) -> bool:
+        """Take the transactions from one on, if their connection is at rest there."""
+        rows = self._rows
+        place = int(self._stretches.order[rows.request_place[at]])
+        ends = self._flows.ends[int(self._numbers[place])]
+        resting = self._decoder.at_rest(ends, self._times[place])
+        if resting is None:
+            return False
+        sequences = self._segments.sequence[place], self._segments.acknowledged[place]
+        if sequences != (resting.place.request_sequence, resting.place.response_sequence):
+            return False
+        stretch = rows.stretch(self._block, at, end)
+        resting.pass_plain(stretch)
+        self._ends_ns[resting.connection] = stretch.responses.last_ns
+        self._taken.append((at, end, resting.connection.identity))
+        return True
+
+
+class _TransactionArrays:
+    """What is known of the transactions in all stretches of a block."""
+
+    def __init__(self, stretches: Stretches, segments: Segments) -> None:
+        found, order = stretches.transactions, stretches.order
+        self._found = found
+        self._order = order
+        self.request_place, self.response_place = found.request, found.response
+        """Where the segments of each are in the order of connections."""
+        requests, responses = order[found.request], order[found.response]
+        self.request_packet = segments.index[requests]
+        self._response_packet = segments.index[responses]
+        self._request_begin = segments.begin[requests]
+        self._response_begin = segments.begin[responses]
+        self._request_size = segments.size[requests]
+        self._response_size = segments.size[responses]
+        self._request_ip_at = segments.ip_at[requests]
+        self._response_ip_at = segments.ip_at[responses]
+        self._request_ns = segments.ts_ns[requests]
+        self._response_ns = segments.ts_ns[responses]
+
+    def packets(self, at: int, until: int, end: int) -> Int64s:
+        """The segments of a transaction, and up to `until`, the next one, unless that is `end`."""
+        stop = self.response_place[at] + 1 if until == end else self.request_place[until]
+        return self._order[self.request_place[at] : stop]
+
+    def stretch(self, block: PacketBlock, at: int, end: int) -> PlainStretch:
+        """The transactions of a stretch from one on, as the Decoder is told of them."""
+        some = slice(at, end)
+        first, last = int(self.request_place[at]), int(self.response_place[end - 1])
+        codes, latency_ns = self._found.code[some], self._response_ns[some] - self._request_ns[some]
+        latencies = {}
+        for code in [int(codes[0])] if (codes == codes[0]).all() else np.unique(codes).tolist():
+            latencies[code] = latency_ns[codes == code].tolist()
+        tail = slice(max(at, end - _LAST_ADUS), end)
+        return PlainStretch(
+            requests=PlainBytes(
+                int(self._request_size[some].sum()),
+                _tail(block, self._request_begin[tail], self._request_size[tail]),
+                int(self.request_place[end - 1]) - first + 1,
+                int(self._request_ns[end - 1]),
+            ),
+            responses=PlainBytes(
+                int(self._response_size[some].sum()),
+                _tail(block, self._response_begin[tail], self._response_size[tail]),
+                last - first + 1,
+                int(self._response_ns[end - 1]),
+            ),
+            last_response_size=int(self._response_size[end - 1]),
+            transaction_ids=self._found.transaction_id[some].tolist(),
+            latencies=latencies,
+        )
+
+    @staticmethod
+    def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
+        """The header of the link layer of each packet, zeros behind it, and its length."""
+        headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
+        headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
+        headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
+        headers[:, -1] = ip_at
+        return headers
+
+    def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
+        """The rows of the transactions that were taken, in the order of their responses."""
+        firsts = np.array([first for first, _, _ in taken])
+        sizes = np.array([end - first for first, end, _ in taken])
+        chosen = ranges(firsts, sizes)
+        connection = np.repeat(np.arange(len(taken)), sizes)
+        requests = self._link_headers(block, self.request_packet, self._request_ip_at)
+        responses = self._link_headers(block, self._response_packet, self._response_ip_at)
+        like = np.repeat(firsts, sizes)
+        has_addresses = (requests[chosen] == requests[like]).all(axis=1)
+        has_addresses &= (responses[chosen] == responses[like]).all(axis=1)
+        addresses = [
+            (
+                link_addresses_of(block, self.request_packet[first], self._request_ip_at[first]),
+                link_addresses_of(block, self._response_packet[first], self._response_ip_at[first]),
+            )
+            for first in firsts.tolist()
+        ]
+        order = np.argsort(self._response_packet[chosen], kind="stable")
+        chosen = chosen[order]
+        return PlainRows(
+            block=block,
+            connections=[one for _, _, one in taken],
+            addresses=addresses,
+            connection=connection[order],
+            has_addresses=has_addresses[order],
+            request_ip_at=self._request_ip_at[chosen],
+            response_ip_at=self._response_ip_at[chosen],
+            request=self.request_packet[chosen],
+            response=self._response_packet[chosen],
+            request_begin=self._request_begin[chosen],
+            request_size=self._request_size[chosen],
+            response_begin=self._response_begin[chosen],
+            response_size=self._response_size[chosen],
+            request_ns=self._request_ns[chosen],
+            response_ns=self._response_ns[chosen],
+            transaction_id=self._found.transaction_id[chosen],
+            unit=self._found.unit[chosen],
+            code=self._found.code[chosen],
+            response_code=self._found.response_code[chosen],
+        )
+
+
+def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:
+    """The addresses in the header of the link layer of a packet, which has `ip_at` bytes."""
+    start = int(block.starts[packet])
+    _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]
+    return link_addresses(link_type, block.data[start : start + ip_at].tobytes())
+
+
+def _tail(block: PacketBlock, begins: Int64s, sizes: Int64s) -> bytes:
+    return pieces(block.data, begins, sizes)[-RECENT_BYTES:].tobytes()

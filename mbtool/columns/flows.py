@@ -1,0 +1,83 @@
+"""Numbers the flows of a capture: the pairs of ends between which segments were sent."""
+
+# A flow is found by a hash of its two ends, and the ends are compared. Of two flows with one hash
+# the first has a number, and the segments of the other are not read as arrays.
+#
+# Memory: at most MAX_FLOWS flows are known; beyond that all are forgotten, and numbered anew.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mbtool.columns.arrays import Int64s, Uint64s
+    from mbtool.packets.reassembler import FlowEnds
+
+MAX_FLOWS = 65_536
+UNKNOWN = -1
+
+_FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F)
+_SHIFT = np.uint64(29)
+
+
+class FlowNumbers:
+    """Gives each flow a number, counted from 0."""
+
+    def __init__(self) -> None:
+        self._forget()
+
+    def numbers(self, lower: Uint64s, upper: Uint64s) -> Int64s:
+        """The number of each segment's flow, from its ends; UNKNOWN where two flows collide."""
+        if len(self.ends) > MAX_FLOWS:
+            self._forget()
+        hashes = _hash(lower, upper)
+        found = self._find(hashes, lower, upper)
+        missing = np.flatnonzero(found == UNKNOWN)
+        if len(missing):
+            self._learn(hashes[missing], lower[missing], upper[missing])
+            found[missing] = self._find(hashes[missing], lower[missing], upper[missing])
+        return found
+
+    def _forget(self) -> None:
+        self.ends: list[FlowEnds] = []
+        """The ends of each flow, by its number, as the reassembler knows them."""
+        self._hashes = np.zeros(0, np.uint64)
+        """In order; the next three are in the same order."""
+        self._numbers = np.zeros(0, np.int64)
+        self._lower = np.zeros(0, np.uint64)
+        self._upper = np.zeros(0, np.uint64)
+
+    def _find(self, hashes: Uint64s, lower: Uint64s, upper: Uint64s) -> Int64s:
+        if not len(self._hashes):
+            return np.full(len(hashes), UNKNOWN, np.int64)
+        at = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
+        is_same = (self._lower[at] == lower) & (self._upper[at] == upper)
+        return np.where(is_same, self._numbers[at], UNKNOWN)
+
+    def _learn(self, hashes: Uint64s, lower: Uint64s, upper: Uint64s) -> None:
+        _, first = np.unique(hashes, return_index=True)
+        first = first[~np.isin(hashes[first], self._hashes)]
+        count = len(self.ends)
+        self.ends += [
+            (*_end(low), *_end(high))
+            for low, high in zip(lower[first].tolist(), upper[first].tolist(), strict=True)
+        ]
+        hashes = np.concatenate([self._hashes, hashes[first]])
+        numbers = np.concatenate([self._numbers, np.arange(count, len(self.ends))])
+        order = np.argsort(hashes, kind="stable")
+        self._hashes, self._numbers = hashes[order], numbers[order]
+        self._lower = np.concatenate([self._lower, lower[first]])[order]
+        self._upper = np.concatenate([self._upper, upper[first]])[order]
+
+
+def _hash(lower: Uint64s, upper: Uint64s) -> Uint64s:
+    mixed: Uint64s = lower * _FIRST
+    mixed ^= mixed >> _SHIFT
+    mixed += upper * _SECOND
+    return mixed
+
+
+def _end(end: int) -> tuple[bytes, int]:
+    return (end & 0xFFFFFFFF).to_bytes(4, "big"), end >> 32

@@ -1,0 +1,220 @@
+"""Reads the headers of all packets of a block at once: link layer, IPv4 and TCP."""
+
+# Each packet is one of these:
+#
+#     plain      a whole TCP segment in IPv4 between a port that is followed and one that is not
+#     odd        a segment of a followed connection that is not plain: cut, or malformed
+#     hidden     a packet that may carry a segment where this module does not look: fragments,
+#                tunnels, headers before IP that are not VLAN tags, unknown link types
+#     apart      a segment in IPv6: never of a connection in IPv4, and not plain
+#     other      everything else, of which the decoder takes no notice
+#
+# The rules are those of packets/link_layer.py, segment.py and tunnels.py; in doubt a packet is
+# hidden. Only plain packets may be read as arrays; the decoder is fed all but the others.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbtool.columns.arrays import Bools, Int64s, Uint64s, gather
+from mbtool.packets.segment import TCP
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.columns.packet_block import PacketBlock
+
+_IP_PLACES = {1: (12, 14), 113: (14, 16), 276: (0, 20)}
+"""By link type, where the EtherType and the IP header are."""
+_RAW_TYPES = frozenset((12, 14, 101, 228, 229))
+"""Link types of packets that begin with the IP header."""
+_VLAN = (0x8100, 0x88A8, 0x9100)
+_IPV4, _IPV6 = 0x0800, 0x86DD
+_BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
+"""HSR, PPPoE and MPLS, and a third VLAN tag."""
+_TUNNELS = (4, 41, 47)
+_UDP, _ICMPV6 = 17, 58
+_VXLAN_PORT = 4789
+_MAX_TAGS = 2
+
+_IPV4_HEADER = np.dtype(
+    [
+        ("first", "u1"), ("tos", "u1"), ("total", ">u2"), ("id", ">u2"), ("fragment", ">u2"),
+        ("ttl", "u1"), ("protocol", "u1"), ("sum", ">u2"), ("source", ">u4"), ("target", ">u4"),
+    ]
+)  # fmt: skip
+_TCP_HEADER = np.dtype(
+    [
+        ("source", ">u2"), ("target", ">u2"), ("sequence", ">u4"), ("acknowledged", ">u4"),
+        ("offset", "u1"), ("flags", "u1"), ("rest", "V6"),
+    ]
+)  # fmt: skip
+_PORTS = np.dtype([("source", ">u2"), ("target", ">u2")])
+_PAIR = np.dtype(">u2")
+
+
+@dataclass(slots=True)
+class Segments:
+    """The segments of followed connections in a block, one element for each, in their order."""
+
+    index: Int64s
+    """The indices of their packets in the block."""
+    is_plain: Bools
+    lower: Uint64s
+    """The lower end of the connection: its port, then its address (port << 32 | address)."""
+    upper: Uint64s
+    from_lower: Bools
+    from_master: Bools
+    """True if the destination's port is followed. Where both ports are, a segment is not plain."""
+    sequence: Int64s
+    acknowledged: Int64s
+    flags: Int64s
+    ip_at: Int64s
+    """The length of the header of the link layer, in front of the IP header."""
+    begin: Int64s
+    """Where in the data of the block the payload begins."""
+    size: Int64s
+    """The bytes of the payload; 0 in a segment that is not plain."""
+    ts_ns: Int64s
+
+
+@dataclass(slots=True)
+class Headers:
+    """What the headers of a block say."""
+
+    segments: Segments
+    hidden: Int64s
+    """The indices of hidden packets."""
+    apart: Int64s
+    """The indices of packets in IPv6 that may be of followed connections."""
+
+
+def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
+    """Sort the packets of a block by what they are; `ports` are those that are followed."""
+    is_followed = np.zeros(1 << 16, np.bool_)
+    is_followed[list(ports)] = True
+    kinds, at, hidden = _network(block)
+    data, captured = block.data, block.captured
+    version = data[at] >> 4
+    is_ip = (kinds == _IPV4) | (kinds == _IPV6)
+    is_v4 = is_ip & (version == 4)
+    hidden |= is_ip & ~is_v4 & (version != 6)
+    relative = at - block.starts
+    hidden |= is_ip & (captured < relative + 20)
+    apart = _ipv6(block, at, is_ip & (version == 6) & ~hidden, hidden, is_followed)
+    four = np.flatnonzero(is_v4 & ~hidden)
+    segments = _ipv4(block, four, at[four], hidden, is_followed)
+    return Headers(segments, np.flatnonzero(hidden), np.flatnonzero(apart & ~hidden))
+
+
+def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
+    """The EtherType of each packet, where its IP header is, and which packets are hidden."""
+    hidden = np.zeros(len(block), np.bool_)
+    kind_at, at = np.zeros(len(block), np.int64), np.zeros(len(block), np.int64)
+    is_raw = np.zeros(len(block), np.bool_)
+    for number, (_, link_type) in enumerate(block.links):
+        chosen = slice(None) if block.interfaces is None else block.interfaces == number
+        if link_type in _IP_PLACES:
+            kind_at[chosen], at[chosen] = _IP_PLACES[link_type]
+        elif link_type in _RAW_TYPES:
+            is_raw[chosen] = True
+        else:
+            hidden[chosen] = True
+    too_short = ~is_raw & (block.captured < np.maximum(kind_at + 2, at))
+    hidden |= too_short
+    # A header behind the end of the data is not read: such a packet is hidden.
+    kinds = _pairs(block, kind_at, hidden)
+    for _ in range(_MAX_TAGS):
+        tagged = np.flatnonzero(_is_one_of(kinds, _VLAN) & ~is_raw & ~hidden)
+        if not len(tagged):
+            break
+        at[tagged] += 4
+        hidden[tagged] |= block.captured[tagged] < at[tagged]
+        kinds[tagged] = _pairs(block, at - 2, hidden)[tagged]
+    kinds[is_raw] = _IPV4
+    kinds[hidden] = 0
+    hidden |= _is_one_of(kinds, _BEFORE_IP)
+    return kinds, block.starts + np.where(hidden, 0, at), hidden
+
+
+def _pairs(block: PacketBlock, at: Int64s, hidden: Bools) -> Int64s:
+    """The two bytes at an offset of each packet; those of a hidden packet have no meaning."""
+    places = block.starts + np.where(hidden, 0, at)
+    return gather(block.data, places, _PAIR).astype(np.int64)
+
+
+def _is_one_of(values: Int64s, known: tuple[int, ...]) -> Bools:
+    return np.isin(values, known)
+
+
+def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed: Bools) -> Bools:
+    """Mark as hidden the IPv6 packets with other headers than these; find those of TCP."""
+    apart = np.zeros(len(block), np.bool_)
+    some = np.flatnonzero(six)
+    if not len(some):
+        return apart
+    whole = block.captured[some] >= at[some] - block.starts[some] + 44
+    hidden[some[~whole]] = True
+    some = some[whole]
+    following = block.data[at[some] + 6]
+    ports = gather(block.data, at[some] + 40, _PORTS)
+    is_tcp = following == TCP
+    apart[some[is_tcp & (is_followed[ports["source"]] | is_followed[ports["target"]])]] = True
+    is_udp = (following == _UDP) & (ports["target"] != _VXLAN_PORT)
+    hidden[some[~(is_tcp | is_udp | (following == _ICMPV6))]] = True
+    return apart
+
+
+def _ipv4(
+    block: PacketBlock, some: Int64s, at: Int64s, hidden: Bools, is_followed: Bools
+) -> Segments:
+    """Read IPv4 packets that begin at `at`; mark as hidden those that may carry others."""
+    headers = gather(block.data, at, _IPV4_HEADER)
+    header = (headers["first"] & 0x0F).astype(np.int64) * 4
+    total = headers["total"].astype(np.int64)
+    protocol = headers["protocol"]
+    relative = at - block.starts[some]
+    captured = block.captured[some]
+    is_odd = (header < 20) | ((headers["fragment"] & 0x3FFF) != 0)
+    is_tcp = protocol == TCP
+    start = at + header
+    # Without these bytes the ports, or the kind of packet, cannot be told.
+    is_odd |= is_tcp & ((captured < relative + header + 20) | (total < header))
+    is_odd |= _is_one_of(protocol.astype(np.int64), _TUNNELS)
+    is_udp = np.flatnonzero((protocol == _UDP) & ~is_odd & (captured >= relative + header + 4))
+    target = gather(block.data, start[is_udp] + 2, _PAIR)
+    is_odd[is_udp[target == _VXLAN_PORT]] = True
+    hidden[some[is_odd]] = True
+    chosen = np.flatnonzero(is_tcp & ~is_odd)
+    tcp = gather(block.data, start[chosen], _TCP_HEADER)
+    from_slave, to_slave = is_followed[tcp["source"]], is_followed[tcp["target"]]
+    wanted = np.flatnonzero(from_slave | to_slave)
+    chosen, tcp = chosen[wanted], tcp[wanted]
+    from_slave, to_slave = from_slave[wanted], to_slave[wanted]
+    size = (tcp["offset"] >> 4).astype(np.int64) * 4
+    begin, end = start[chosen] + size, at[chosen] + total[chosen]
+    index = some[chosen]
+    last = block.starts[index] + np.minimum(block.captured[index], block.original[index])
+    is_plain = (size >= 20) & (begin <= end) & (end <= last) & (from_slave != to_slave)
+    headers = headers[chosen]
+    source = tcp["source"].astype(np.uint64) << np.uint64(32) | headers["source"]
+    target_end = tcp["target"].astype(np.uint64) << np.uint64(32) | headers["target"]
+    from_lower = source < target_end
+    return Segments(
+        index=index,
+        is_plain=is_plain,
+        lower=np.where(from_lower, source, target_end),
+        upper=np.where(from_lower, target_end, source),
+        from_lower=from_lower,
+        from_master=~from_slave,
+        sequence=tcp["sequence"].astype(np.int64),
+        acknowledged=tcp["acknowledged"].astype(np.int64),
+        flags=tcp["flags"].astype(np.int64),
+        ip_at=relative[chosen],
+        begin=begin,
+        size=np.where(is_plain, end - begin, 0),
+        ts_ns=block.ts_ns[index],
+    )

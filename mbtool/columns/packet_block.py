@@ -1,0 +1,248 @@
+"""Reads capture files in blocks of many packets, as arrays. Opens no file."""
+
+# A block holds at most BLOCK_PACKETS packets, and about BLOCK_BYTES bytes of the file, so memory
+# does not grow with the file. The records of a pcap file are walked once: each tells where the next
+# one begins. What their headers say is then read from all at once. Files of other kinds are read
+# packet by packet, by the reader of packets/.
+#
+# Errors are those of packets/: all packets before a damaged place come first.
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from mbtool.columns.arrays import Int64s, Octets, gather
+from mbtool.core import InputError, Packet
+from mbtool.packets.capture import read_capture
+from mbtool.packets.pcap import (
+    MAX_CAPTURED,
+    PCAP_HEADER,
+    PCAP_MAGICS,
+    PcapForm,
+    cut_error,
+    read_pcap_form,
+    too_long_error,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+BLOCK_PACKETS = 65_536
+BLOCK_BYTES = 8 * 1024 * 1024
+
+SPARE = 64
+"""Zero bytes behind the data of a block, so that a header may be read where a packet is short."""
+
+_MAGIC = 4
+_NS_PER_SECOND = 1_000_000_000
+
+
+@dataclass(slots=True)
+class PacketBlock:
+    """Packets of a capture file. Each array has one element for each packet."""
+
+    data: Octets
+    """The bytes of all packets, and others between them; SPARE bytes follow the last packet."""
+    starts: Int64s
+    """Where in `data` each packet begins."""
+    captured: Int64s
+    """How many bytes of each packet the file has."""
+    original: Int64s
+    """How many bytes each packet had on the wire."""
+    ts_ns: Int64s
+    """When each was captured, in UTC ns."""
+    file: str
+    """The capture file, as the user named it."""
+    first_number: int
+    """The number of the first packet in its file, counted from 1."""
+    links: list[tuple[str, int]]
+    """The names and link types of the interfaces that captured them."""
+    interfaces: Int64s | None = None
+    """Of each packet the index of its interface in `links`; None if all have the first."""
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def packet(self, index: int) -> Packet:
+        """One packet, as the readers of packets/ give it."""
+        start, captured = int(self.starts[index]), int(self.captured[index])
+        link, link_type = self.links[0 if self.interfaces is None else self.interfaces[index]]
+        return Packet(
+            ts_ns=int(self.ts_ns[index]),
+            link=link,
+            link_type=link_type,
+            data=self.data[start : start + captured].tobytes(),
+            original_length=int(self.original[index]),
+            file=self.file,
+            number=self.first_number + index,
+        )
+
+
+def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
+    """Give the packets of a pcap or pcapng file, in order.
+
+    Raises InputError if the file is of another kind or damaged, CutError if it ends too early,
+    after the packets before that place.
+    """
+    source = _Source(stream)
+    magic = source.peek(_MAGIC)
+    if magic in PCAP_MAGICS:
+        form = read_pcap_form(magic, source.take(PCAP_HEADER)[_MAGIC:], name)
+        return _PcapBlocks(source, form, name).blocks()
+    return _packed(read_capture(source, name))  # type: ignore[arg-type]
+
+
+class _Source:
+    """A stream that is read in large pieces. An error waits until all before it was taken."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._held = b""
+        self._error: Exception | None = None
+        self._is_ended = False
+
+    def peek(self, size: int) -> bytes:
+        """The next bytes; fewer than `size` at the end, or in front of an error."""
+        if len(self._held) < size:
+            pieces = [self._held]
+            missing = size - len(self._held)
+            while missing > 0 and self._error is None and not self._is_ended:
+                piece = self._read(max(missing, BLOCK_BYTES))
+                pieces.append(piece)
+                missing -= len(piece)
+            self._held = b"".join(pieces)
+        return self._held[:size]
+
+    def take(self, size: int) -> bytes:
+        """Remove and return the next bytes; fewer at the end. Raises what reading raised."""
+        taken = self.peek(size)
+        if len(taken) < size and self._error is not None:
+            raise self._error
+        self._held = self._held[len(taken) :]
+        return taken
+
+    read = take
+
+    def drop(self, size: int) -> None:
+        """Remove bytes that were seen with `peek`."""
+        self._held = self._held[size:]
+
+    def raise_error(self) -> None:
+        """Raise what reading raised, if it did."""
+        if self._error is not None:
+            raise self._error
+
+    def _read(self, size: int) -> bytes:
+        try:
+            piece = self._stream.read1(size)  # type: ignore[attr-defined]
+        except (InputError, OSError) as error:
+            self._error = error
+            return b""
+        self._is_ended = not piece
+        return bytes(piece)
+
+
+class _PcapBlocks:
+    """Walks over the records of a pcap file."""
+
+    def __init__(self, source: _Source, form: PcapForm, name: str) -> None:
+        self._source = source
+        self._form = form
+        self._name = name
+        self._header = 16 + form.extra
+        self._record = np.dtype([(each, form.order + "u4") for each in ("s", "f", "cap", "len")])
+        self._number = 0
+        """The number of packets so far."""
+
+    def blocks(self) -> Iterator[PacketBlock]:
+        while data := self._source.peek(BLOCK_BYTES):
+            heads, at, too_long = self._walk(data)
+            if heads:
+                self._source.drop(at)
+                yield self._block(data[:at] + bytes(SPARE), heads)
+                self._number += len(heads)
+            elif too_long:
+                raise too_long_error(self._name, self._number, too_long)
+            else:
+                self._source.raise_error()
+                raise cut_error(self._name, self._number)
+        self._source.raise_error()
+
+    def _walk(self, data: bytes) -> tuple[list[int], int, int]:
+        """The places of whole records, the end of the last, and a length that is impossible."""
+        length_of = struct.Struct(self._form.order + "I").unpack_from
+        header, end = self._header, len(data)
+        places: list[int] = []
+        append = places.append
+        at = 0
+        for _ in range(BLOCK_PACKETS):
+            behind = at + header
+            if behind > end:
+                break
+            (captured,) = length_of(data, at + 8)
+            if captured > MAX_CAPTURED:
+                return places, at, captured
+            behind += captured
+            if behind > end:
+                break
+            append(at)
+            at = behind
+        return places, at, 0
+
+    def _block(self, data: bytes, heads: list[int]) -> PacketBlock:
+        octets = np.frombuffer(data, np.uint8)
+        places = np.array(heads, np.int64)
+        records = gather(octets, places, self._record)
+        captured = records["cap"].astype(np.int64)
+        seconds, fraction = records["s"].astype(np.int64), records["f"].astype(np.int64)
+        return PacketBlock(
+            data=octets,
+            starts=places + self._header,
+            captured=captured,
+            original=np.maximum(records["len"].astype(np.int64), captured),
+            ts_ns=seconds * _NS_PER_SECOND + fraction * self._form.unit_ns,
+            file=self._name,
+            first_number=self._number + 1,
+            links=[("if0", self._form.link_type)],
+        )
+
+
+def _packed(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
+    """Put packets into blocks; an error comes after the packets before it."""
+    error: Exception | None = None
+
+    def guarded() -> Iterator[Packet]:
+        nonlocal error
+        try:
+            yield from packets
+        except (InputError, OSError) as caught:
+            error = caught
+
+    items = guarded()
+    while some := list(islice(items, BLOCK_PACKETS)):
+        yield _block_of(some)
+    if error is not None:
+        raise error
+
+
+def _block_of(packets: list[Packet]) -> PacketBlock:
+    numbers: dict[tuple[str, int], int] = {}
+    interfaces = [numbers.setdefault((one.link, one.link_type), len(numbers)) for one in packets]
+    captured = np.array([len(one.data) for one in packets], np.int64)
+    data = b"".join([one.data for one in packets] + [bytes(SPARE)])
+    return PacketBlock(
+        data=np.frombuffer(data, np.uint8),
+        starts=np.cumsum(captured) - captured,
+        captured=captured,
+        original=np.array([one.original_length for one in packets], np.int64),
+        ts_ns=np.array([one.ts_ns for one in packets], np.int64),
+        file=packets[0].file,
+        first_number=packets[0].number,
+        links=[*numbers],
+        interfaces=np.array(interfaces, np.int64) if len(numbers) > 1 else None,
+    )

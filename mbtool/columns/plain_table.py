@@ -1,0 +1,292 @@
+"""Makes a table of columns from plain rows: transactions that are read from arrays."""
+
+# Rows of usual form are made from the arrays: reads and writes of registers and bits, whose request
+# has the form of its function, with a response that fits or an exception response. The row of every
+# other PDU is made as the decoder makes it (plain_transactions.py).
+#
+# The name of the function, the reference and the findings of a usual row depend on its function,
+# address and quantity alone. The first row of each of these is named as the decoder names it.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
+from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.row_table import row_table
+from mbtool.columns.schema import SCHEMA
+from mbtool.core import Origin
+from mbtool.decode.transactions import add_origins
+from mbtool.devices import NamedTransaction, Namer
+from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.functions import (
+    EXCEPTION_BIT,
+    READ_BITS,
+    READ_REGISTERS,
+    WRITE_ONE,
+    WRITE_SEVERAL,
+    exception_name,
+)
+from mbtool.modbus.layouts import COIL_VALUES
+from mbtool.modbus.transaction import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.columns.column_decoder import PlainRows
+    from mbtool.core import LinkAddresses
+
+_WRITE_COIL, _WRITE_COILS = 0x05, 0x0F
+_READ_WORDS = READ_REGISTERS - {0x17}
+_WRITE_WORD = WRITE_ONE - {_WRITE_COIL, 0x16}
+_WRITE_WORDS = WRITE_SEVERAL - {_WRITE_COILS}
+_FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])
+_PAIR = np.dtype(">u2")
+_FIXED = 5
+"""The bytes of a PDU that has a function code, an address, and a quantity or value."""
+_COUNTED = 6
+"""The bytes of a request to write several, up to its byte count."""
+
+
+class PlainTables:
+    """Makes the tables of plain rows, which have no device profile."""
+
+    def __init__(self) -> None:
+        self._namer = Namer()
+        self._names: dict[int, NamedTransaction] = {}
+        """By function, address and quantity, the first row of each, with its names."""
+
+    def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
+        """The table of some rows, and those transactions among them that are of unusual form."""
+        usual = _Usual(rows)
+        chosen = np.flatnonzero(usual.is_usual)
+        others = np.flatnonzero(~usual.is_usual).tolist()
+        made = [self._named(rows, index) for index in others]
+        parts = [self._usual_table(rows, usual, chosen)]
+        if not made:
+            return parts[0], made
+        parts.append(row_table(made))
+        order = np.argsort(np.concatenate([chosen, others]), kind="stable")
+        return pa.concat_tables(parts).take(pa.array(order)), made
+
+    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
+        return self._namer.name(plain_transaction(rows, index))
+
+    def _usual_table(self, rows: PlainRows, usual: _Usual, chosen: Int64s) -> pa.Table:
+        names, name = self._names_of(rows, usual, chosen)
+        ends = rows.connection[chosen]
+        connections = rows.connections
+        origins = [_origin_fields(*one) for one in rows.addresses]
+        source_macs, destination_macs, vlans = zip(*origins, strict=True)
+        exception = usual.exception[chosen]
+        is_exception = exception >= 0
+        codes = np.unique(exception[is_exception])
+        columns: dict[str, Any] = {
+            "link": _words([one.link for one in connections], ends),
+            "transport": _words([Transport.TCP.value], np.zeros(len(chosen), np.int64)),
+            "source": _words([str(one.master) for one in connections], ends),
+            "destination": _words([str(one.slave) for one in connections], ends),
+            "unit": rows.unit[chosen],
+            "transaction_id": rows.transaction_id[chosen],
+            "function": rows.code[chosen],
+            "function_name": _words([one.function_name for one in names], name),
+            "address": usual.address[chosen],
+            "quantity": usual.quantity[chosen],
+            "request_values": usual.request_values(chosen),
+            "response_values": usual.response_values(chosen),
+            "exception": pa.array(exception, mask=~is_exception).cast(pa.uint8()),
+            "exception_name": _words(
+                [exception_name(code) for code in codes.tolist()],
+                np.searchsorted(codes, exception),
+                ~is_exception,
+            ),
+            "outcome": _words(
+                [Outcome.OK.value, Outcome.EXCEPTION.value], is_exception.astype(np.int64)
+            ),
+            "request_ns": rows.request_ns[chosen],
+            "response_ns": rows.response_ns[chosen],
+            "latency_ns": (rows.response_ns - rows.request_ns)[chosen],
+            "retries": np.zeros(len(chosen), np.uint32),
+            "request_raw": _raw(rows, rows.request_begin[chosen], rows.request_size[chosen]),
+            "response_raw": _raw(rows, rows.response_begin[chosen], rows.response_size[chosen]),
+            "direction_by": _words([DirectionBy.PORT.value], np.zeros(len(chosen), np.int64)),
+            "confidence": np.ones(len(chosen)),
+            "reference": _words_or_none([one.reference for one in names], name),
+            "findings": _lists([one.findings for one in names], name),
+            "time": rows.request_ns[chosen],
+            "file": _words([rows.block.file], np.zeros(len(chosen), np.int64)),
+            "request_packet": rows.block.first_number + rows.request[chosen],
+            "response_packet": rows.block.first_number + rows.response[chosen],
+            "source_mac": _words_or_none(source_macs, ends),
+            "destination_mac": _words_or_none(destination_macs, ends),
+            "vlan": pa.array(vlans, pa.uint16()).take(pa.array(ends)),
+        }
+        return pa.Table.from_arrays(
+            [_column(field, columns.get(field.name), len(chosen)) for field in SCHEMA],
+            schema=SCHEMA,
+        )
+
+    def _names_of(
+        self, rows: PlainRows, usual: _Usual, chosen: Int64s
+    ) -> tuple[list[NamedTransaction], Int64s]:
+        """The first row of each function, address and quantity, and which of them a row is like."""
+        keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
+        kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
+        for key, index in zip(kinds.tolist(), chosen[first].tolist(), strict=True):
+            if key not in self._names:
+                self._names[key] = self._named(rows, index)
+        return [self._names[key] for key in kinds.tolist()], like
+
+
+class _Usual:
+    """Which rows are of usual form, and the fields of their PDUs."""
+
+    def __init__(self, rows: PlainRows) -> None:
+        self._data = data = rows.block.data
+        self._code = code = rows.code
+        self._request = rows.request_begin + MBAP_BYTES
+        self._response = rows.response_begin + MBAP_BYTES
+        self._request_size = request_size = rows.request_size - MBAP_BYTES
+        self._response_size = response_size = rows.response_size - MBAP_BYTES
+        fields = gather(data, self._request + 1, _FOUR_BYTES)
+        self.address = fields["address"].astype(np.int64)
+        self._value = fields["quantity"].astype(np.int64)
+        writes_one = np.isin(code, [_WRITE_COIL, *_WRITE_WORD])
+        self.quantity = np.where(writes_one, 1, self._value)
+        second, count = data[self._response + 1].astype(np.int64), data[self._request + 5]
+        self._reads_bits, self._reads_words = (
+            np.isin(code, [*READ_BITS]),
+            np.isin(code, [*_READ_WORDS]),
+        )
+        self._writes_words = np.isin(code, [*_WRITE_WORDS])
+        self._writes_bits = code == _WRITE_COILS
+        bit_bytes, reads = (self._value + 7) // 8, self._reads_bits | self._reads_words
+        written = np.where(self._writes_bits, bit_bytes, 2 * self._value)
+        read = np.where(self._reads_bits, bit_bytes, 2 * self._value)
+        writes_several = self._writes_bits | self._writes_words
+        is_coil_value = np.isin(self._value, [*COIL_VALUES])
+        has_form = (
+            (reads | writes_one & ((code != _WRITE_COIL) | is_coil_value))
+            & (request_size == _FIXED)
+        ) | (writes_several & (request_size == _COUNTED + written) & (count == written))
+        repeated = gather(data, self._response + 1, _FOUR_BYTES)
+        repeats = (
+            (response_size == _FIXED)
+            & (repeated["address"] == fields["address"])
+            & (repeated["quantity"] == fields["quantity"])
+        )
+        fits = np.where(reads, (second == read) & (response_size == 2 + read), repeats)
+        is_exception = rows.response_code == code | EXCEPTION_BIT
+        answered = np.where(is_exception, response_size == 2, fits)
+        is_whole = has_form & answered & rows.has_addresses
+        self.is_usual = is_whole & ~self._is_padded(is_exception)
+        self.exception = np.where(is_exception, second, -1)
+
+    def _is_padded(self, is_exception: Bools) -> Bools:
+        """True if bits behind the last value are set, which is a finding."""
+        used = self._value % 8
+        request_end = self._request + self._request_size - 1
+        response_end = self._response + self._response_size - 1
+        last = np.where(self._writes_bits, self._data[request_end], self._data[response_end])
+        has_bits = self._writes_bits | self._reads_bits & ~is_exception
+        is_padded: Bools = has_bits & (used > 0) & (last.astype(np.int64) >> used > 0)
+        return is_padded
+
+    def request_values(self, chosen: Int64s) -> pa.Array:
+        """What the requests write; null for reads."""
+        code, value = self._code[chosen], self._value[chosen]
+        words, bits = self._writes_words[chosen], self._writes_bits[chosen]
+        single = np.isin(code, [_WRITE_COIL, *_WRITE_WORD])
+        begin = self._request[chosen] + np.where(single, 3, _COUNTED)
+        words = words | single
+        counts = np.where(single, 1, value)
+        values = self._values(begin, counts, words, bits)
+        if (code == _WRITE_COIL).any():
+            numbers, offsets = values
+            coils = offsets[:-1][code == _WRITE_COIL]
+            numbers[coils] = numbers[coils] != 0  # FF00H is 1 (layouts.COIL_VALUES).
+        return _list(*values, ~(words | bits))
+
+    def response_values(self, chosen: Int64s) -> pa.Array:
+        """What the responses bring; null for writes and exception responses."""
+        is_ok = self.exception[chosen] < 0
+        words, bits = self._reads_words[chosen] & is_ok, self._reads_bits[chosen] & is_ok
+        begin = self._response[chosen] + 2
+        return _list(*self._values(begin, self._value[chosen], words, bits), ~(words | bits))
+
+    def _values(
+        self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
+    ) -> tuple[Any, Int64s]:
+        """The registers and bits of rows behind each other, and where those of each row begin."""
+        counts = np.where(words | bits, counts, 0)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        if not bits.any():
+            places = ranges(begin[words], 2 * counts[words])
+            return self._data[places].view(_PAIR).astype(np.uint16), offsets
+        numbers = np.zeros(int(offsets[-1]), np.uint16)
+        for chosen, is_bits in ((words, False), (bits, True)):
+            row = np.flatnonzero(chosen)
+            inside = ranges(np.zeros(len(row), np.int64), counts[row])
+            starts = np.repeat(begin[row], counts[row])
+            targets = np.repeat(offsets[row], counts[row]) + inside
+            if is_bits:
+                numbers[targets] = self._data[starts + inside // 8] >> (inside % 8) & 1
+            else:
+                numbers[targets] = gather(self._data, starts + 2 * inside, _PAIR)
+        return numbers, offsets
+
+
+def _origin_fields(
+    request: LinkAddresses | None, response: LinkAddresses | None
+) -> tuple[str | None, str | None, int | None]:
+    """The MAC addresses of master and slave, and the VLAN, as a transaction has them."""
+    fields: dict[str, Any] = {}
+    add_origins(fields, Origin("", 0, request), Origin("", 0, response))
+    return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
+
+
+def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
+    if values is None:
+        if pa.types.is_list(field.type):
+            return pa.array([[]] * count, field.type)
+        return pa.nulls(count, field.type)
+    if isinstance(values, np.ndarray):
+        return pa.array(values).cast(field.type)
+    return values
+
+
+def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
+    """A column of texts, each named by its index."""
+    index = pa.array(
+        np.where(missing, 0, indices) if missing is not None else indices, mask=missing
+    )
+    return pa.DictionaryArray.from_arrays(index.cast(pa.int32()), pa.array(texts, pa.string()))
+
+
+def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
+    """A column of texts, each named by its index; null where the text is None."""
+    missing = np.array([text is None for text in texts], np.bool_)
+    return _words([text or "" for text in texts], indices, missing[indices])
+
+
+def _raw(rows: PlainRows, begins: Int64s, sizes: Int64s) -> pa.Array:
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
+    data: Octets = pieces(rows.block.data, begins, sizes)
+    buffers = [None, pa.py_buffer(offsets), pa.py_buffer(data)]
+    return pa.Array.from_buffers(pa.binary(), len(sizes), buffers)
+
+
+def _list(numbers: Any, offsets: Int64s, missing: Bools) -> pa.Array:
+    return pa.ListArray.from_arrays(
+        pa.array(offsets.astype(np.int32)), pa.array(numbers), mask=pa.array(missing)
+    )
+
+
+def _lists(texts: list[list[str]], indices: Int64s) -> pa.Array:
+    if not any(texts):
+        return None
+    return pa.array(texts, pa.list_(pa.string())).take(pa.array(indices))

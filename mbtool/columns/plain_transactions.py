@@ -1,0 +1,73 @@
+"""Makes the transaction of one plain row as the decoder makes it, for PDUs of unusual form."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.columns.column_decoder import link_addresses_of
+from mbtool.core import Direction, Origin
+from mbtool.decode.transactions import Ends, with_response
+from mbtool.modbus.adu import Adu, DirectionBy, Transport
+from mbtool.modbus.adu_bytes import MBAP_BYTES
+
+if TYPE_CHECKING:
+    from mbtool.columns.arrays import Int64s
+    from mbtool.columns.column_decoder import PlainRows
+    from mbtool.modbus.transaction import Transaction
+
+
+def plain_transaction(rows: PlainRows, index: int) -> Transaction:
+    """The transaction of the row at an index."""
+    identity = rows.connections[rows.connection[index]]
+    ends = Ends(identity.link, str(identity.master), str(identity.slave))
+    request = _adu(
+        rows,
+        Direction.REQUEST,
+        index,
+        _Half(
+            rows.request, rows.request_ip_at, rows.request_begin, rows.request_size, rows.request_ns
+        ),
+    )
+    response = _adu(
+        rows,
+        Direction.RESPONSE,
+        index,
+        _Half(
+            rows.response,
+            rows.response_ip_at,
+            rows.response_begin,
+            rows.response_size,
+            rows.response_ns,
+        ),
+    )
+    return with_response(ends, request, response, 0, ())
+
+
+class _Half(NamedTuple):
+    """The arrays of the requests, or of the responses."""
+
+    packet: Int64s
+    ip_at: Int64s
+    begin: Int64s
+    size: Int64s
+    ts_ns: Int64s
+
+
+def _adu(rows: PlainRows, direction: Direction, index: int, half: _Half) -> Adu:
+    packet, ip_at, begin, size, ts_ns = (int(values[index]) for values in half)
+    block = rows.block
+    raw = block.data[begin : begin + size].tobytes()
+    addresses = link_addresses_of(block, packet, ip_at)
+    return Adu(
+        start_ns=ts_ns,
+        end_ns=ts_ns,
+        transport=Transport.TCP,
+        direction=direction,
+        direction_by=DirectionBy.PORT,
+        confidence=1.0,
+        unit=raw[6],
+        pdu=raw[MBAP_BYTES:],
+        raw=raw,
+        transaction_id=raw[0] << 8 | raw[1],
+        origin=Origin(block.file, block.first_number + packet, addresses),
+    )

@@ -1,0 +1,43 @@
+"""Makes a table of columns from transactions that were decoded one by one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pyarrow as pa
+
+from mbtool.columns.schema import SCHEMA
+from mbtool.core import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.devices import NamedTransaction
+
+
+def row_table(transactions: Sequence[NamedTransaction]) -> pa.Table:
+    """The table of some transactions.
+
+    Raises InputError for numbers that no transaction has, which another program may have written to
+    a log.
+    """
+    rows = [_row(one) for one in transactions]
+    columns = [_column(field, [row[field.name] for row in rows]) for field in SCHEMA]
+    return pa.Table.from_arrays(columns, schema=SCHEMA)
+
+
+def _row(transaction: NamedTransaction) -> dict[str, Any]:
+    row = msgspec.structs.asdict(transaction)
+    row["time"] = transaction.start_ns
+    row["points"] = [msgspec.structs.asdict(point) for point in transaction.points]
+    return row
+
+
+def _column(field: pa.Field, values: list[Any]) -> pa.Array:
+    try:
+        if pa.types.is_dictionary(field.type):
+            return pa.array(values, pa.string()).dictionary_encode()
+        return pa.array(values, field.type)
+    except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError) as error:
+        raise InputError(f"{field.name}: a value does not fit its column: {error}") from error

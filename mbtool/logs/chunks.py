@@ -1,0 +1,147 @@
+"""Unpacks an MCAP chunk, even if its header is damaged, and walks over its records."""
+
+# Content of a chunk record, as mbtool writes it (MCAP specification, section Chunk):
+#
+#     start time   end time   unpacked size   CRC       compression   data length   data
+#     8 bytes      8 bytes    8 bytes         4 bytes   4 + 4 bytes   8 bytes       a zstd frame
+#
+# A chunk without compression has no bytes in its field "compression", so its data begin 4 bytes
+# earlier. The CRC is that of the unpacked data, and a zstd frame states its own unpacked size. So
+# a chunk whose CRC matches is whole, whatever its header and the header of its record say. A CRC
+# that differs from the right one by one bit is damaged itself: a changed byte of the data gives
+# such a CRC in 32 of 4,294,967,296 cases.
+#
+# Limits: a chunk has at most MAX_RECORD bytes, unpacked. All chunks of a log together may have
+# MAX_RECORD bytes and MAX_RATIO times the bytes of the log up to there, so a small file cannot
+# cost hours. Polling that repeats the same values is packed to a 60th.
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import TYPE_CHECKING
+
+import zstandard
+
+from mbtool.logs.layout import MAX_RECORD, RECORD_HEAD
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MAX_RATIO = 400
+
+CHUNK_HEAD = struct.Struct("<QQQII")
+"""Start time, end time, unpacked size, CRC, length of the field "compression"."""
+DATA_LENGTH = struct.Struct("<Q")
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_DATA_AT = CHUNK_HEAD.size + 4 + DATA_LENGTH.size
+PLAIN_DATA_AT = CHUNK_HEAD.size + DATA_LENGTH.size
+
+
+class Unpacker:
+    """Unpacks the chunks of one log, within its limits."""
+
+    def __init__(self) -> None:
+        self._zstd = zstandard.ZstdDecompressor()
+        self._left = MAX_RECORD
+        """How many bytes may still be unpacked."""
+
+    def allow(self, size: int) -> None:
+        """Raise the limit, as the reader has gone `size` bytes forward in the log."""
+        self._left += MAX_RATIO * size
+
+    def spend(self, size: int) -> bool:
+        """Lower the limit by `size` bytes; False if that is more than is left."""
+        if size > self._left:
+            return False
+        self._left -= size
+        return True
+
+    def unpack(self, content: bytes) -> bytes:
+        """Return the records of a chunk, of which `content` is all that follows its length.
+
+        Raises ValueError, with what is wrong for the user, if they are not whole.
+        """
+        if len(content) < PLAIN_DATA_AT:
+            raise ValueError("a record that ends too early")
+        size, crc, packed = _fields(content)
+        if packed:
+            records = self._unpacked(content, size)
+        elif size > MAX_RECORD or not self.spend(len(content)):
+            raise ValueError(f"a chunk that cannot be unpacked: {MAX_RECORD} is the maximum")
+        else:
+            records = content[PLAIN_DATA_AT:]
+        if crc and (crc ^ zlib.crc32(records)).bit_count() > 1:
+            raise ValueError("a chunk whose CRC does not match")
+        return records
+
+    def _unpacked(self, content: bytes, size: int) -> bytes:
+        frame = content[ZSTD_DATA_AT:]
+        try:
+            # zstd unpacks a frame that states its own size to that size, regardless of the limit.
+            stated = zstandard.get_frame_parameters(frame).content_size
+            if stated in (0, zstandard.CONTENTSIZE_UNKNOWN):
+                stated = size
+            if stated > MAX_RECORD or not self.spend(stated + len(frame)):
+                raise ValueError(f"a chunk of {stated} bytes from {len(frame)}, which is too many")
+            return self._zstd.decompress(frame, max_output_size=stated)
+        except zstandard.ZstdError as error:
+            raise ValueError(f"a chunk that cannot be unpacked: {error}") from None
+
+
+def data_length(content: bytes) -> int | None:
+    """The length of a chunk's content by the length of its data; None if it is no chunk.
+
+    `content` is its beginning, ZSTD_DATA_AT + 4 bytes if there are so many.
+    """
+    if len(content) < PLAIN_DATA_AT:
+        return None
+    at = ZSTD_DATA_AT if is_zstd(content) else PLAIN_DATA_AT
+    if at == PLAIN_DATA_AT and CHUNK_HEAD.unpack_from(content)[4]:
+        return None
+    (length,) = DATA_LENGTH.unpack_from(content, at - DATA_LENGTH.size)
+    return at + int(length)
+
+
+def is_zstd(content: bytes) -> bool:
+    return content.startswith(ZSTD_MAGIC, ZSTD_DATA_AT)
+
+
+def chunk_times(content: bytes) -> tuple[int, int]:
+    """The log times (ns) of the first and the last message, as the chunk's header says."""
+    start_ns, end_ns, *_ = CHUNK_HEAD.unpack_from(content)
+    return start_ns, end_ns
+
+
+def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Give the opcode, the begin and the end of the content of each record in an unpacked chunk.
+
+    Raises ValueError after the last whole record if the data end inside one.
+    """
+    at = 0
+    while at < len(data):
+        body = at + RECORD_HEAD.size
+        if body > len(data):
+            raise ValueError("a chunk that ends inside a record")
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        at = body + length
+        if at > len(data):
+            raise ValueError("a chunk that ends inside a record")
+        yield opcode, body, at
+
+
+def _fields(content: bytes) -> tuple[int, int, bool]:
+    """The unpacked size and the CRC that a chunk states, and True if it is packed with zstd.
+
+    Raises ValueError if it is packed in another way.
+    """
+    _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(content)
+    if is_zstd(content):
+        return size, crc, True
+    name = content[CHUNK_HEAD.size : CHUNK_HEAD.size + min(name_length, 8)]
+    if name == b"zstd":
+        raise ValueError("a chunk that cannot be unpacked: its data are no zstd frame")
+    if name:
+        text = name.decode(errors="replace")
+        raise ValueError(f"a chunk that cannot be unpacked: its compression is {text!r}, not zstd")
+    return size, crc, False

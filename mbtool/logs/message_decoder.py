@@ -1,0 +1,206 @@
+"""Decodes the messages of a log's chunks into items, many at once."""
+
+# One walk over the records of a chunk collects the bytes of the wanted messages by their schema,
+# and the order of the schemas. The messages of a schema are then decoded by one call, as one JSON
+# array, and put back in order. If that fails, they are decoded one by one, so that a message that
+# is damaged costs itself alone.
+#
+# A chunk of more than BATCH messages gives several lists.
+#
+# Memory: BATCH messages, and the schema of each channel (at most 65,535).
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from mcap.records import Channel, Schema
+
+from mbtool.core import DamageError
+from mbtool.devices import NamedTransaction
+from mbtool.logs import schemas
+from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode
+from mbtool.logs.messages import ChunkMessage, EventMessage
+from mbtool.logs.records import McapRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.logs.damage import Damage
+    from mbtool.logs.messages import LogItem
+    from mbtool.logs.records import RecordStream
+
+BATCH = 4096
+
+_TYPES: dict[str, Any] = {
+    schemas.CHUNK: ChunkMessage,
+    schemas.TRANSACTION: NamedTransaction,
+    schemas.WIRE_EVENT: EventMessage,
+}
+# Making a decoder takes longer than reading a small log, so all readers share these.
+_DECODERS = {name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()}
+_LIST_DECODERS = {name: msgspec.json.Decoder(list[type_]) for name, type_ in _TYPES.items()}  # type: ignore[valid-type]
+_NOT_DECODABLE = (msgspec.MsgspecError, ValueError, RecursionError)
+"""What msgspec raises for bytes that are no message; ValueError for text that is not UTF-8."""
+
+_MESSAGE = struct.Struct("<BQH4xQ")
+"""The head of a record and of the message in it: opcode, length, channel, log time."""
+_HEAD = RECORD_HEAD.size
+_DATA_AT = _HEAD + MESSAGE_HEAD.size
+_IS_MESSAGE = int(Opcode.MESSAGE)
+
+
+class MessageDecoder:
+    """Knows the channels of a log, and decodes its messages."""
+
+    def __init__(self, records: RecordStream, damage: Damage) -> None:
+        self._records = records
+        self._damage = damage
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, str] = {}
+        self.end_ns = 0
+        """The log time (ns) of the last item that was decoded; 0 before the first."""
+
+    def batches(self, record: McapRecord, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
+        """Give the items of the wanted schemas in a chunk, or in a record outside of chunks.
+
+        What cannot be decoded is left out and counted as damage. A GAP event stands in its place,
+        in a list of its own.
+        """
+        data = record.content
+        if record.opcode != Opcode.CHUNK:
+            data = RECORD_HEAD.pack(record.opcode, len(data)) + data
+        at = 0
+        while at < len(data):
+            batch = _Batch(record.offset)
+            at = self._walk(data, at, wanted, batch)
+            if batch.raw:
+                yield from self._decoded(batch)
+
+    def _walk(self, data: bytes, at: int, wanted: frozenset[str], batch: _Batch) -> int:
+        """Collect up to BATCH wanted messages; returns where to go on."""
+        # Half of the time of reading a log is spent in this loop.
+        end = len(data)
+        padded = data + bytes(_MESSAGE.size)  # So that each head can be unpacked whole.
+        unpack, schema_of = _MESSAGE.unpack_from, self._channels.get
+        add, add_schema = batch.raw.append, batch.order.append
+        left = BATCH
+        last_ns = 0
+        while at < end and left:
+            opcode, length, channel, log_ns = unpack(padded, at)
+            to = at + _HEAD + length
+            if to > end:
+                self._hole(batch.offset, "a chunk that ends inside a record", end - at)
+                at = end
+                break
+            if opcode == _IS_MESSAGE:
+                schema = schema_of(channel)
+                if schema is None:
+                    schema = self._unknown(channel, batch.offset, data[at + _DATA_AT : to])
+                if schema in wanted:
+                    if left == BATCH:
+                        batch.begin_ns = log_ns
+                    left -= 1
+                    last_ns = log_ns
+                    add(data[at + _DATA_AT : to])
+                    add_schema(schema)
+            else:
+                self._learn(opcode, batch.offset, data[at + _HEAD : to])
+            at = to
+        batch.end_ns = last_ns
+        return at
+
+    def _decoded(self, batch: _Batch) -> Iterator[list[LogItem]]:
+        """The items of a batch, after a GAP event if something is missing before them."""
+        if gap := self._damage.take_gap(batch.begin_ns):
+            yield [*gap]
+        try:
+            items = self._decoded_at_once(batch)
+        except _NOT_DECODABLE:
+            yield from self._decoded_singly(batch)
+        else:
+            self.end_ns = batch.end_ns
+            yield items
+
+    def _decoded_at_once(self, batch: _Batch) -> list[LogItem]:
+        order, raw = batch.order, batch.raw
+        kinds = set(order)
+        if len(kinds) == 1:
+            return self._decoded_alike(order[0], raw)
+        found = {}
+        for kind in kinds:
+            alike = [data for schema, data in zip(order, raw, strict=True) if schema == kind]
+            found[kind] = iter(self._decoded_alike(kind, alike))
+        return [next(found[schema]) for schema in order]
+
+    def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[LogItem]:
+        """Decode messages of one schema. Raises one of _NOT_DECODABLE if one is damaged."""
+        found: list[Any] = _LIST_DECODERS[schema].decode(b"[" + b",".join(raw) + b"]")
+        if len(found) != len(raw):
+            raise ValueError("a message that is not one JSON value")
+        return found if schema == schemas.TRANSACTION else [message.item() for message in found]
+
+    def _decoded_singly(self, batch: _Batch) -> Iterator[list[LogItem]]:
+        for schema, data in zip(batch.order, batch.raw, strict=True):
+            try:
+                message: Any = _DECODERS[schema].decode(data)
+                item = message if schema == schemas.TRANSACTION else message.item()
+            except _NOT_DECODABLE as error:
+                self._hole(batch.offset, f"no {schema}: {error}", len(data))
+                continue
+            if gap := self._damage.take_gap(self.end_ns):
+                yield [*gap]
+            self.end_ns = batch.end_ns
+            yield [item]
+
+    def _learn(self, opcode: int, offset: int, content: bytes) -> None:
+        record = McapRecord(offset, opcode, content)
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = self._records.parse(record, Schema.read)
+                self._schemas[schema.id] = schema.name
+            elif opcode == Opcode.CHANNEL:
+                channel = self._records.parse(record, Channel.read)
+                name = self._schemas.get(channel.schema_id)
+                if name is not None or not channel.schema_id:
+                    self._channels[channel.id] = name or ""
+        except DamageError as error:
+            self._damage.add_hole(error, offset, len(content))
+
+    def _unknown(self, channel: int, offset: int, data: bytes) -> str:
+        """Find the schema of a channel that was defined in a chunk that is left out."""
+        if not self._damage:
+            what = f"a message of an unknown channel ({channel})"
+            self._damage.add(self._records.damaged(offset, what))
+        schema = self._channels[channel] = self._schema_of(data)
+        return schema
+
+    def _schema_of(self, data: bytes) -> str:
+        """The schema of a message; "" if it is no item.
+
+        Each type of item has required fields that no other has, so decoding finds the type.
+        """
+        for schema, decoder in _DECODERS.items():
+            with suppress(*_NOT_DECODABLE):
+                decoder.decode(data)
+                return schema
+        return ""
+
+    def _hole(self, offset: int, what: str, size: int) -> None:
+        self._damage.add_hole(self._records.damaged(offset, what), offset, size)
+
+
+class _Batch:
+    """Messages that were collected and are to be decoded."""
+
+    def __init__(self, offset: int) -> None:
+        self.offset = offset
+        """The file offset of the chunk."""
+        self.order: list[str] = []
+        """The schema of each message."""
+        self.raw: list[bytes] = []
+        self.begin_ns = 0
+        """The log time (ns) of the first message."""
+        self.end_ns = 0

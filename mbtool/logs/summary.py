@@ -1,0 +1,131 @@
+"""Reads the summary at the end of a log, which says what the log holds and where."""
+
+# The summary is used where the log before it is damaged: for the channels of messages whose own
+# definition is lost, and to tell what was lost. It is believed only if its CRC matches.
+#
+# Memory: the summary's bytes, at most MAX_RECORD (two chunks a second for a week: 130 MB are not
+# read), and a few numbers for each chunk.
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from bisect import bisect_left
+from typing import TYPE_CHECKING, NamedTuple
+
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from mbtool.core import InputError
+from mbtool.logs.layout import FOOTER_SIZE, MAGIC, MAX_RECORD, RECORD_HEAD, Opcode
+from mbtool.logs.records import RecordStream
+
+if TYPE_CHECKING:
+    from typing import BinaryIO
+
+_FOOTER = struct.Struct("<QQI")
+_CRC_SIZE = 4
+
+
+class ChunkPlace(NamedTuple):
+    """Where a chunk begins in the file, and the log times (ns) of its messages."""
+
+    offset: int
+    begin_ns: int
+    end_ns: int
+
+
+class LogSummary:
+    """What the summary of a log says."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.chunks: list[ChunkPlace] = []
+        """In the order of their offsets."""
+        self.other_offsets: list[int] = []
+        """The file offsets of attachments and metadata, in order."""
+        self.messages: int | None = None
+        """How many messages the log holds."""
+
+    def chunks_in(self, begin: int, end: int) -> list[ChunkPlace]:
+        """The chunks that begin in a range of file offsets."""
+        first, last = (bisect_left(self.chunks, (offset,)) for offset in (begin, end))
+        return self.chunks[first:last]
+
+    def has_record_in(self, begin: int, end: int) -> bool:
+        """True if a chunk, an attachment or metadata begins in a range of file offsets."""
+        first, last = (bisect_left(self.other_offsets, offset) for offset in (begin, end))
+        return first < last or bool(self.chunks_in(begin, end))
+
+
+def read_summary(stream: BinaryIO, name: str) -> LogSummary | None:
+    """Read the summary of a log, and go back to where the stream stands.
+
+    Returns None if the stream cannot seek, or if there is no whole summary.
+    """
+    try:
+        if not stream.seekable():
+            return None
+        before = stream.tell()
+        try:
+            return _read(stream, name)
+        finally:
+            stream.seek(before)
+    except (OSError, InputError):
+        return None
+
+
+def _read(stream: BinaryIO, name: str) -> LogSummary | None:
+    size = stream.seek(0, os.SEEK_END)
+    if size < FOOTER_SIZE:
+        return None
+    stream.seek(size - FOOTER_SIZE)
+    footer = stream.read(FOOTER_SIZE)
+    opcode, length = RECORD_HEAD.unpack_from(footer)
+    start, _, crc = _FOOTER.unpack_from(footer, RECORD_HEAD.size)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size or footer[-len(MAGIC) :] != MAGIC:
+        return None
+    if not 0 < start <= size - FOOTER_SIZE or size - start > MAX_RECORD or not crc:
+        return None
+    stream.seek(start)
+    data = stream.read(size - len(MAGIC) - _CRC_SIZE - start)
+    return _parsed(data, name) if zlib.crc32(data) == crc else None
+
+
+def _parsed(data: bytes, name: str) -> LogSummary:
+    """Parse the records of a summary; raises DamageError if one is too short."""
+    summary = LogSummary()
+    records = RecordStream(io.BytesIO(data), name)
+    while (record := records.look_at_record()) is not None:
+        records.take(RECORD_HEAD.size + len(record.content))
+        match record.opcode:
+            case Opcode.SCHEMA:
+                schema = records.parse(record, Schema.read)
+                summary.schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                channel = records.parse(record, Channel.read)
+                summary.channels[channel.id] = channel
+            case Opcode.CHUNK_INDEX:
+                chunk = records.parse(record, ChunkIndex.read)
+                times = chunk.message_start_time, chunk.message_end_time
+                summary.chunks.append(ChunkPlace(chunk.chunk_start_offset, *times))
+            case Opcode.ATTACHMENT_INDEX:
+                attachment = records.parse(record, AttachmentIndex.read)
+                summary.other_offsets.append(attachment.offset)
+            case Opcode.METADATA_INDEX:
+                metadata = records.parse(record, MetadataIndex.read)
+                summary.other_offsets.append(metadata.offset)
+            case Opcode.STATISTICS:
+                summary.messages = records.parse(record, Statistics.read).message_count
+    summary.chunks.sort()
+    summary.other_offsets.sort()
+    return summary

@@ -1,0 +1,28 @@
+"""Bytes of a connection that came in order and were read elsewhere, without a `Stream`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class PlainBytes(NamedTuple):
+    """Bytes of one direction: whole segments, in order, without a gap or a copy."""
+
+    size: int
+    tail: bytes
+    """The last of these bytes: stream.RECENT_BYTES of them, or all if there are fewer."""
+    last_segment: int
+    """Which segment of the stretch brought the last byte, counted from 1 over both directions."""
+    last_ns: int
+    """The time of that segment, in UTC ns."""
+
+
+class RestPlace(NamedTuple):
+    """Where a connection stands that waits for nothing and holds nothing."""
+
+    request_sequence: int
+    """The sequence number of the next byte of a request."""
+    response_sequence: int
+    request_position: int
+    """The position of that byte in its direction, as in a StreamPlace."""
+    response_position: int

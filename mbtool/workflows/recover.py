@@ -1,0 +1,81 @@
+"""Copies the undamaged parts of a damaged log to a new log."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import InputError, UsageError
+from mbtool.core.errors import reason_of
+from mbtool.logs.opening import check_log_path
+from mbtool.logs.recovery import LogLoss, Recovered, Recovery
+from mbtool.sources.files import STANDARD_INPUT, CaptureFile, CaptureKind, open_capture
+from mbtool.views.cells import clock_time, day
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_SIGN = b"mbtool.capture"
+"""The name of the first metadata record of each log; a file with it is a log of mbtool."""
+_SIGN_WITHIN = 64 * 1024
+
+
+def recover(
+    broken: str, good: str, report: Callable[[LogLoss], None], *, replace: bool = False
+) -> Recovered:
+    """Copy the undamaged parts of the log `broken` to the new log `good`.
+
+    `report` is called for each part that is lost. Raises UsageError if the new log cannot be
+    created there, InputError if the file is no log or cannot be read, OutputError if the new log
+    cannot be written.
+    """
+    check_log_path(good, overwrite=replace)
+    with suppress(OSError, ValueError):
+        if os.path.samefile(broken, good):
+            raise UsageError(f"{good}: the damaged log itself; give the new one another name")
+    with _opened(broken) as capture:
+        if capture.kind is not CaptureKind.MCAP:
+            raise InputError(f"{capture.name}: a capture, not a log (.mcap)")
+        return Recovery(capture.stream, capture.name, report).run(Path(good), replace=replace)
+
+
+def loss_text(loss: LogLoss) -> str:
+    """A loss in one line: its position in the file, its bytes and times, and the damage."""
+    size = loss.end - loss.offset
+    return f"lost: bytes {loss.offset} to {loss.end} ({size:,} bytes), {_times(loss)}: {loss.what}"
+
+
+def _times(loss: LogLoss) -> str:
+    begin = "" if loss.begin_ns is None else _time(loss.begin_ns)
+    end = "" if loss.end_ns is None else _time(loss.end_ns)
+    if begin and end:
+        return f"{begin} to {end} UTC"
+    if begin:
+        return f"from {begin} UTC on"
+    return f"up to {end} UTC" if end else "of unknown time"
+
+
+def _time(ts_ns: int) -> str:
+    return f"{day(ts_ns)} {clock_time(ts_ns)}"
+
+
+def _opened(path: str) -> CaptureFile:
+    """Open a log, even if damage to its first bytes hides that it is a log."""
+    try:
+        return open_capture(path)
+    except InputError:
+        if path == STANDARD_INPUT or not _has_sign(path):
+            raise
+    try:
+        file = open(path, "rb")  # noqa: SIM115 - the capture closes it
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
+    return CaptureFile(path, CaptureKind.MCAP, file, file)
+
+
+def _has_sign(path: str) -> bool:
+    with suppress(OSError, ValueError), open(path, "rb") as file:
+        return _SIGN in file.read(_SIGN_WITHIN)
+    return False

@@ -1,0 +1,147 @@
+"""Decodes a capture both ways: packet by packet, and with plain stretches read as arrays.
+
+`python -m tests.columns.both_ways --captures 1000` compares the two on so many generated captures,
+cut in blocks of several sizes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import random
+from typing import TYPE_CHECKING, NamedTuple
+from unittest.mock import patch
+
+import pyarrow as pa
+
+from mbtool.columns import packet_block
+from mbtool.columns.block_table import BlockTables
+from mbtool.columns.column_decoder import ColumnDecoder
+from mbtool.columns.packet_block import read_blocks
+from mbtool.columns.row_table import row_table
+from mbtool.core import InputError, WireEvent
+from mbtool.decode.decoder import Decoder
+from mbtool.devices import Namer
+from mbtool.packets import read_capture
+from tests.adversary.network import ALL_LOSSES, MASTERS, simulate
+from tests.packets.building import pcap
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import BinaryIO
+
+    from mbtool.decode.decoder import Record
+
+PORTS = (502,)
+NAME = "a.pcap"
+
+
+class Outcome(NamedTuple):
+    """What one way made of a capture."""
+
+    table: pa.Table
+    events: list[WireEvent]
+    error: str | None
+    plain: int = 0
+    """How many transactions were read as arrays."""
+
+
+def packet_by_packet(capture: bytes) -> Outcome:
+    decoder = Decoder(Namer(), ports=PORTS, across=True)
+    records: list[Record] = []
+    error = None
+    try:
+        for packet in read_capture(io.BytesIO(capture), NAME):
+            records += decoder.feed(packet)
+    except InputError as one:
+        error = str(one)
+    records += decoder.close()
+    rows = [one for one in records if not isinstance(one, WireEvent)]
+    events = [one for one in records if isinstance(one, WireEvent)]
+    return Outcome(without_dictionaries(row_table(rows)), events, error)
+
+
+def as_arrays(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> Outcome:
+    decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
+    tables = BlockTables()
+    batches = []
+    error = None
+    stream: BinaryIO = io.BufferedReader(io.BytesIO(capture))
+    with patch.object(packet_block, "BLOCK_PACKETS", block_packets):
+        try:
+            for block in read_blocks(stream, NAME):
+                batches.append(tables.batch(decoder.feed(block)))
+        except InputError as one:
+            error = str(one)
+    batches.append(tables.batch(decoder.close()))
+    table = pa.concat_tables([without_dictionaries(one.table) for one in batches])
+    records = [record for batch in batches for record in batch.records]
+    events = [one for one in records if isinstance(one, WireEvent)]
+    return Outcome(table.combine_chunks(), events, error, decoder.plain_rows)
+
+
+def without_dictionaries(table: pa.Table) -> pa.Table:
+    fields = [
+        (one.name, pa.string() if pa.types.is_dictionary(one.type) else one.type)
+        for one in table.schema
+    ]
+    return table.cast(pa.schema(fields)).combine_chunks()
+
+
+def differences(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> list[str]:
+    """What the two ways make differently of a capture, a line for each column."""
+    one, other = packet_by_packet(capture), as_arrays(capture, block_packets)
+    found = []
+    if one.error != other.error:
+        found.append(f"errors: {one.error} and {other.error}")
+    if one.events != other.events:
+        found.append(f"events: {len(one.events)} and {len(other.events)}")
+    if one.table.num_rows != other.table.num_rows:
+        found.append(f"rows: {one.table.num_rows} and {other.table.num_rows}")
+    return found + [
+        f"column {name}"
+        for name in one.table.schema.names
+        if not one.table[name].equals(other.table[name])
+    ]
+
+
+def generated(number: int, requests: int = 60) -> bytes:
+    """A simulated plant's capture: every kind of master and of loss in turn."""
+    rng = random.Random(number)
+    master, losses = MASTERS[number % len(MASTERS)], rng.choice(ALL_LOSSES)
+    return pcap(simulate(master, losses, number, requests).packets)
+
+
+def damaged(capture: bytes, rng: random.Random) -> bytes:
+    """A capture without some of its beginning or end, or with some bytes changed."""
+    changed = bytearray(capture)
+    for _ in range(rng.choice((0, 0, 1, 5))):
+        changed[rng.randrange(24, len(changed))] = rng.randrange(256)
+    return bytes(changed[: rng.randrange(24, len(changed))] if rng.random() < 0.3 else changed)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--captures", type=int, default=1000, help="how many captures to compare")
+    parser.add_argument("--first", type=int, default=0, help="the seed of the first one")
+    options = parser.parse_args()
+    plain = rows = differing = 0
+    for number in range(options.first, options.first + options.captures):
+        rng = random.Random(f"cut {number}")
+        capture = damaged(generated(number), rng)
+        size = rng.choice((3, 17, 100, 65_536))
+        found: Sequence[str] = differences(capture, size)
+        read = as_arrays(capture, size)
+        plain, rows = plain + read.plain, rows + read.table.num_rows
+        differing += bool(found)
+        if found:
+            print(f"capture {number}, blocks of {size}: {'; '.join(found)}")
+    print(
+        f"{options.captures} captures, {rows} transactions, {plain} of them read as arrays: ",
+        end="",
+    )
+    print(f"{differing} captures differ")
+
+
+if __name__ == "__main__":
+    main()

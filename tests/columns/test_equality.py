@@ -1,0 +1,184 @@
+"""Reading plain stretches as arrays gives what the decoder gives packet by packet."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbtool.core import Direction
+from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
+from tests.captures import public_folder
+from tests.columns.both_ways import as_arrays, damaged, differences, generated
+from tests.packets.building import Pcapng, Talk, pcap
+
+if TYPE_CHECKING:
+    from mbtool.core import Packet
+
+MOST_BYTES = 60_000
+"""Longer captures of others take too long here."""
+
+READ = encode_pdu(0x03, Direction.REQUEST, address=107, quantity=3)
+VALUES = encode_pdu(0x03, Direction.RESPONSE, values=(1, 2, 3))
+
+
+def poll(
+    talk: Talk, transactions: int, request: bytes = READ, response: bytes = VALUES
+) -> list[Packet]:
+    packets = []
+    for number in range(transactions):
+        packets.append(talk.request(mbap_adu(number, 17, request)))
+        packets.append(talk.response(mbap_adu(number, 17, response)))
+    return packets
+
+
+def test_a_clean_poll_is_read_as_arrays_but_for_its_beginning() -> None:
+    talk = Talk()
+    capture = pcap([*talk.handshake(), *poll(talk, 50), *talk.goodbye()])
+    assert differences(capture) == []
+    assert as_arrays(capture).plain == 49
+
+
+MASKS = {"address": 7, "and_mask": 1, "or_mask": 2}
+ELEVEN = (1, 0, 1, 1, 0, 0, 0, 1, 1, 0, 1, 0, 0, 0, 0, 0)
+PADDED = (1, 0, 1, 1, 0, 0, 0, 1, 1, 0, 1, 1, 0, 0, 0, 0)
+FORMS: tuple[tuple[int, dict[str, Any], dict[str, Any]], ...] = (
+    (0x01, {"address": 3, "quantity": 11}, {"values": ELEVEN}),
+    (0x01, {"address": 3, "quantity": 11}, {"values": PADDED}),
+    (0x02, {"address": 0, "quantity": 8}, {"values": (1,) * 8}),
+    (0x03, {"address": 107, "quantity": 2}, {"values": (1, 2, 3)}),
+    (0x04, {"address": 65535, "quantity": 2}, {"values": (65535, 0)}),
+    (0x03, {"address": 0, "quantity": 0}, {"values": ()}),
+    (0x05, {"address": 1, "value": 0xFF00}, {"address": 1, "value": 0xFF00}),
+    (0x05, {"address": 1, "value": 0}, {"address": 1, "value": 0}),
+    (0x05, {"address": 1, "value": 1}, {"address": 1, "value": 1}),
+    (0x06, {"address": 1, "value": 4660}, {"address": 1, "value": 4660}),
+    (0x06, {"address": 1, "value": 4660}, {"address": 2, "value": 4660}),
+    (0x07, {}, {"status": 3}),
+    (0x0F, {"address": 7, "values": (1, 0, 1)}, {"address": 7, "quantity": 3}),
+    (0x0F, {"address": 7, "values": (1,) * 9}, {"address": 7, "quantity": 8}),
+    (0x10, {"address": 7, "values": (1, 2)}, {"address": 7, "quantity": 2}),
+    (0x16, MASKS, MASKS),
+    (0x17, {"address": 1, "quantity": 1, "write_address": 3, "values": (4, 5)}, {"values": (9,)}),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+@pytest.mark.parametrize("refused", [False, True])
+def test_each_form_of_pdu_gives_equal_columns(
+    form: tuple[int, dict[str, Any], dict[str, Any]], refused: bool
+) -> None:
+    code, asked, answered = form
+    request = encode_pdu(code, Direction.REQUEST, **asked)
+    response = encode_pdu(code, Direction.RESPONSE, **answered)
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 3)]
+    packets += poll(talk, 4, request, exception_pdu(code, 2) if refused else response)
+    packets += [*poll(talk, 3), *talk.goodbye()]
+    assert differences(pcap(packets)) == []
+    assert as_arrays(pcap(packets)).plain == 9
+
+
+@pytest.mark.parametrize(
+    "request_",
+    ["03 006b", "03 006b 0003 00", "0f 0001 0008 02 ff", "10 0001 0002 03 000102", "41 00"],
+)
+def test_a_request_of_a_wrong_form_gives_equal_columns(request_: str) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 3), *poll(talk, 3, bytes.fromhex(request_), VALUES)]
+    packets += poll(talk, 2, bytes.fromhex(request_), bytes([bytes.fromhex(request_)[0], 1, 2]))
+    assert differences(pcap(packets)) == []
+
+
+@pytest.mark.parametrize("number", range(28))
+def test_simulated_plants_give_equal_results(number: int) -> None:
+    rng = random.Random(number)
+    capture = damaged(generated(number), rng)
+    assert differences(capture, rng.choice((3, 17, 100, 65_536))) == []
+
+
+def test_a_connection_is_told_the_time_while_its_stretch_goes_on() -> None:
+    assert differences(damaged(generated(742), random.Random("cut 742"))) == []
+
+
+@settings(max_examples=40)
+@given(data=st.data())
+def test_a_poll_that_is_disturbed_anywhere_gives_equal_results(data: st.DataObject) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 12), *talk.goodbye()]
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(packets) - 2))
+        match data.draw(st.sampled_from(["lose", "repeat", "swap", "late", "cut"])):
+            case "lose":
+                del packets[at]
+            case "repeat":
+                packets.insert(data.draw(st.integers(at, len(packets))), packets[at])
+            case "swap":
+                packets[at : at + 2] = packets[at : at + 2][::-1]
+            case "late":
+                packets[at:] = [moved(one, 70_000_000_000) for one in packets[at:]]
+            case _:
+                packets[at] = shortened(packets[at])
+    assert differences(pcap(packets), data.draw(st.sampled_from([2, 5, 65_536]))) == []
+
+
+def moved(packet: Packet, by_ns: int) -> Packet:
+    return replace(packet, ts_ns=packet.ts_ns + by_ns)
+
+
+def shortened(packet: Packet) -> Packet:
+    return replace(packet, data=packet.data[:-5])
+
+
+def test_two_connections_at_once_give_equal_results_in_order() -> None:
+    one, other = Talk(), Talk()
+    other.master.port += 1
+    pairs = zip(
+        [*one.handshake(), *poll(one, 20)], [*other.handshake(), *poll(other, 20)], strict=True
+    )
+    packets = [packet for pair in pairs for packet in pair]
+    del packets[31]
+    assert differences(pcap(packets)) == []
+    assert as_arrays(pcap(packets)).plain > 30
+
+
+def test_an_address_that_changes_within_a_connection_is_in_its_row() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 20)]
+    moved_ = [replace(one, data=b"\2" + one.data[1:]) for one in packets[20:24]]
+    assert differences(pcap([*packets[:20], *moved_, *packets[24:]])) == []
+
+
+def test_a_pcapng_file_gives_equal_results() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 20)]
+    blocks = Pcapng()
+    file = blocks.section() + blocks.interface()
+    file += b"".join(blocks.enhanced(one.data, one.ts_ns // 1000) for one in packets)
+    assert differences(file, 7) == []
+    assert as_arrays(file).plain == 19
+
+
+OWN = Path(__file__).resolve().parents[2] / "captures"
+
+
+@pytest.mark.parametrize("path", sorted(OWN.glob("**/*.pcap")), ids=lambda one: one.name)
+def test_the_captures_of_the_repository_give_equal_results(path: Path) -> None:
+    assert differences(path.read_bytes()) == []
+
+
+@pytest.mark.public_captures
+def test_captures_made_by_others_give_equal_results(public_captures: Path) -> None:
+    assert public_captures == public_folder()
+    differing = {}
+    for path in sorted(public_captures.glob("**/*.pcap*")):
+        if path.suffix in (".pcap", ".pcapng") and path.stat().st_size <= MOST_BYTES:
+            found = differences(path.read_bytes(), 97)
+            if found:
+                differing[path.name] = found
+    assert differing == {}

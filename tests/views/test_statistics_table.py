@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.modbus import Outcome, Transport
+from mbtool.overview.statistics import Statistics
+from mbtool.overview.statistics_report import LinkReport, report
+from mbtool.views.statistics_document import statistics_document
+from mbtool.views.statistics_table import statistics_lines
+from tests.overview.masters import START_NS, Master, Task
+from tests.overview.requests import LINE, request, requests_of, unanswered
+
+if TYPE_CHECKING:
+    from mbtool.devices.named_transaction import NamedTransaction
+
+
+def counted(*records: NamedTransaction | WireEvent) -> list[LinkReport]:
+    statistics = Statistics(lambda _: LINE)
+    for one in records:
+        statistics.add(one)
+    statistics.settle()
+    return report(statistics)
+
+
+def lines_of(*records: NamedTransaction | WireEvent, top: int | None = None) -> list[str]:
+    return [line.text for line in statistics_lines(counted(*records), width=80, top=top)]
+
+
+@pytest.fixture(scope="module")
+def plant() -> list[LinkReport]:
+    """Two lists with a dead unit and writes, of which every section has something to say."""
+    master = Master(
+        tasks=[Task(polls="abcdab", period_ms=1000), Task(polls="efgh", period_ms=7000)],
+        writes={"W": 3000}, loss=0.02, retries=1, dead=frozenset("g"),
+    )  # fmt: skip
+    return counted(*requests_of(master.run(120)))
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("height", [24, 40])
+def test_all_fits_the_terminal(plant: list[LinkReport], width: int, height: int) -> None:
+    lines = statistics_lines(plant, width=width, height=height)
+    assert len(lines) < height
+    assert max(len(line.text) for line in lines) <= width
+
+
+def test_a_small_terminal_says_what_has_no_room(plant: list[LinkReport]) -> None:
+    last = statistics_lines(plant, width=80, height=20)[-1].text
+    assert last.startswith("left out: ")
+    assert last.endswith("--top 10 shows all")
+
+
+def test_a_pipe_has_all_sections(plant: list[LinkReport]) -> None:
+    text = "\n".join(line.text for line in statistics_lines(plant, width=None))
+    for title in ("line: busy", "polls, slowest first", "poll cycles", "latency of all"):
+        assert title in text
+    assert "in no cycle: 1 03 " in text
+    assert "more than once a cycle: 1 03 " in text
+    assert "the master waits 29" in text
+    assert "left out" not in text
+
+
+def test_the_worst_comes_right_after_the_sum() -> None:
+    lines = lines_of(
+        *(request(at * 100) for at in range(10)), unanswered(2000, unit=5), request(3000),
+        request(3100, outcome=Outcome.EXCEPTION, exception=2, exception_name="busy"),
+        request(3200, outcome=Outcome.NOT_CAPTURED),
+    )  # fmt: skip
+    assert lines[0].startswith("rtu line 9600-8E1, 2 units: 14 requests in ")
+    assert lines[1] == "! unit 5 never answered"
+    assert lines[2].startswith("! 1 answer missing: 1 of unit 5")
+    assert lines[3] == "! 1 exception: 1 x 02 busy"
+    assert lines[4] == "! 1 not captured whole: the capture's loss, not a device's fault"
+
+
+def test_a_slow_unit_is_named() -> None:
+    lines = lines_of(
+        *(request(at * 100) for at in range(10)),
+        *(request(at * 100 + 50, unit=7, latency_ns=40_000_000) for at in range(3)),
+    )
+    assert "! unit 7 is slow: p50 40.0 ms, of all 5.0 ms" in lines
+
+
+def test_hours_are_told_where_answers_are_missing_in_some_of_them() -> None:
+    hour_ms = 3_600_000
+    lines = lines_of(request(0), unanswered(hour_ms), request(hour_ms + 10))
+    at = lines.index("answers missing, by hour (UTC)")
+    assert lines[at + 1] == "  2026-01-01 01:00         1 of 2"
+
+
+def test_connections_are_told_where_there_is_something_to_tell() -> None:
+    source, destination = "10.0.0.1:5001", "10.0.0.9:502"
+
+    def event(kind: EventKind, message: str) -> WireEvent:
+        return WireEvent(
+            ts_ns=START_NS, link="10.0.0.9", kind=kind, message=message,
+            source=source, destination=destination,
+        )  # fmt: skip
+
+    asked = request(
+        0, link="10.0.0.9", transport=Transport.TCP, source=source, destination=destination
+    )
+    opened = event(EventKind.OPENED, CONNECTION_OPENED)
+    assert not any("10.0.0.1 to" in line for line in lines_of(opened, asked))
+    reset = event(
+        EventKind.CLOSED, "connection closed: reset, 4 keep-alive probes, the last 3 unanswered"
+    )
+    lines = lines_of(opened, asked, reset)
+    assert "! connection: 1 reset" in lines
+    (row,) = (line for line in lines if line.startswith("10.0.0.1 to 10.0.0.9"))
+    assert row.split()[3:] == ["1", "1", "1", "4", "(-3)"]
+
+
+def test_top_limits_the_rows_of_each_section(plant: list[LinkReport]) -> None:
+    lines = [line.text for line in statistics_lines(plant, width=80, height=24, top=2)]
+    assert any(line.endswith("more polls; --top shows them") for line in lines)
+    assert not any(line.startswith("left out") for line in lines)
+
+
+def test_nothing_heard_is_said() -> None:
+    assert lines_of() == ["no transactions so far"]
+
+
+def test_a_document_is_one_of_plain_ascii_whatever_a_log_says() -> None:
+    statistics = Statistics(lambda _: LINE)
+    statistics.add(request(0, reference="\x1b[2J=cmd|'/C calc'!A0 \u202e"))
+    statistics.settle()
+    text = statistics_document(statistics, report(statistics), sources=["x"], where=None)
+    assert text.isascii()
+    assert "\x1b" not in text
+    assert json.loads(text)["links"][0]["polls"][0]["reference"].startswith("\x1b[2J")
