@@ -93,6 +93,7 @@ def _root(
 
 def main() -> None:
     """Run the command line and exit with its code."""
+    _open_standard_descriptors()
     # If a stream was closed before the program began, it is None; its output is dropped.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
@@ -115,6 +116,18 @@ def main() -> None:
     sys.exit(code)
 
 
+def _open_standard_descriptors() -> None:
+    """Open the null device in place of standard streams that are closed.
+
+    Otherwise the first files or child processes that are opened would get their descriptors.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # Takes the lowest descriptor that is free.
+
+
 def run(arguments: list[str]) -> int:
     """Run one command; returns its exit code."""
     code = _told(arguments)
@@ -125,8 +138,8 @@ def run(arguments: list[str]) -> int:
         # ends, and fail again.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            return code or _fail(f"standard output: {error.strerror}", exit_codes.UNREADABLE)
+        if not isinstance(error, BrokenPipeError) and code != exit_codes.UNREADABLE:
+            return _refused(error)
     return code
 
 
@@ -148,6 +161,8 @@ def _told(arguments: list[str]) -> int:
         return exit_codes.INTERRUPTED
     except BrokenPipeError:
         return exit_codes.DONE  # The reader of the output, such as head, has closed it.
+    except OSError as error:
+        return _refused(error)
     return exit_codes.DONE
 
 
@@ -157,6 +172,12 @@ def _usage(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "mbtool"
     return f"{message}; see {where} --help"
+
+
+def _refused(error: OSError) -> int:
+    """Say what the system refused: writing to standard output, unless the error names a file."""
+    what = error.filename or "standard output: cannot be written"
+    return _fail(f"{what}: {error.strerror or error}", exit_codes.UNREADABLE)
 
 
 def _fail(message: str, code: int) -> int:

@@ -11,6 +11,9 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
+import typer
+
+from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.printers import ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.talk import say
@@ -345,6 +348,20 @@ def told_as_lost(name: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def verdict_kept(is_no: Callable[[], bool]) -> Iterator[None]:
+    """If the reader of the output, such as head, closes it, still exit with 1 if the answer is no.
+
+    `is_no` tells if there are findings or differences so far.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        if not is_no():
+            raise
+        raise typer.Exit(exit_codes.NO) from None
 
 
 @dataclass(slots=True)

@@ -378,6 +378,43 @@ def test_a_full_disk_is_one_line(capture: Path, format_: str) -> None:
     assert ran.stderr == "mbtool: standard output: cannot be written: No space left on device\n"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("command", ["devices", "links", "--help", "--version"])
+def test_a_full_disk_is_one_line_for_what_reads_no_file(command: str) -> None:
+    ran = _said_through("> /dev/full", command)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: standard output: cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["decode"], ["check"], ["diff"], ["devices", "--match"], ["devices", "draft"], ["replay"]],
+)
+def test_a_closed_standard_input_is_no_error_where_files_are_named(
+    capture: Path, arguments: list[str]
+) -> None:
+    files = [capture, capture] if arguments == ["diff"] else [capture]
+    more = ["--as-slave", "--on", "nonsense"] if arguments == ["replay"] else []
+    ran = _said_through("<&-", *arguments, *files, *more)
+    assert ran.returncode == (exit_codes.USAGE if more else exit_codes.DONE)
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("arguments", [["decode", "-"], ["devices", "import", "-"]])
+def test_a_closed_standard_input_is_one_line_where_it_is_to_be_read(arguments: list[str]) -> None:
+    ran = _said_through("<&-", *arguments)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: standard input: closed; name a file\n"
+
+
+@pytest.mark.parametrize("more", [[], ["--all"]])
+def test_a_reader_that_leaves_does_not_change_the_answer_of_check(more: list[str]) -> None:
+    path = Path(__file__).resolve().parents[2] / "captures" / "findings" / "MB-103.pcap"
+    ran = _said_through("| true; exit ${PIPESTATUS[0]}", "check", path, *more)
+    assert ran.returncode == exit_codes.NO
+    assert "Traceback" not in ran.stderr
+
+
 def test_a_terminal_without_unicode_is_shown_what_it_can_show(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     write_log(log, [transaction(reference="27 \u2103")])
