@@ -192,14 +192,16 @@ def open_output(
     is_kept: bool = False,
     table: TableOptions | None = None,
     order: SortKey | None = None,
+    overwrite: bool = False,
 ) -> Iterator[RecordOutput]:
     """Open an output. When its context ends, it is flushed and a summary is printed.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
-    records are held, and printed in that order when the context ends. Raises UsageError if
-    the file cannot be written or options contradict each other, and OutputError if standard output
-    is closed and no log keeps the records.
+    records are held, and printed in that order when the context ends. A file that exists is
+    replaced only with `overwrite`. Raises UsageError if the file cannot be written or options
+    contradict each other, and OutputError if standard output is closed and no log keeps the
+    records.
     """
     path = named_file(path)
     chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
@@ -212,7 +214,7 @@ def open_output(
         if path is None:
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
-    with opened(path, demand_inputs, is_kept=is_kept) as (file, name):
+    with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite) as (file, name):
         with told_as_lost(name):
             printer = printer_for(chosen, file, profile_for, table)
         output = RecordOutput(file, name, printer, shown, wanted, limit, order)
@@ -256,16 +258,25 @@ def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F
 
 @contextmanager
 def opened(
-    path: str | None, demand_inputs: Callable[[], None], *, is_kept: bool = False
+    path: str | None,
+    demand_inputs: Callable[[], None],
+    *,
+    is_kept: bool = False,
+    overwrite: bool = True,
 ) -> Iterator[tuple[TextIO, str]]:
     """Open a file or standard output; yield it with its name for messages.
 
-    The arguments are those of `open_output`. Raises UsageError if the file cannot be written,
-    OutputError if standard output is closed, and the errors of `demand_inputs`.
+    The arguments are those of `open_output`. Raises UsageError if the file cannot be written, or
+    exists and may not be overwritten, OutputError if standard output is closed, and what
+    `demand_inputs` raises.
     """
     if path is None and not is_kept:
         _demand_standard_output()
     demand_inputs()
+    if path is not None and not overwrite and os.path.isfile(path):
+        raise UsageError(
+            f"{path}: the file exists; name another, remove it, or replace it with --overwrite"
+        )
     with _open_file(path) as file:
         yield file, path or _STANDARD_OUTPUT_NAME
 
