@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -37,6 +38,9 @@ from mbtool.cli.sniff import sniff
 from mbtool.cli.stats import stats
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
+
+_WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
+"""Why the system refuses to write to a file that is open."""
 
 
 class _InOrder(TyperGroup):
@@ -175,9 +179,14 @@ def _usage(error: typer.TyperException) -> str:
 
 
 def _refused(error: OSError) -> int:
-    """Say what the system refused: writing to standard output, unless the error names a file."""
-    what = error.filename or "standard output: cannot be written"
-    return _fail(f"{what}: {error.strerror or error}", exit_codes.UNREADABLE)
+    """Say what the system refused: as a rule, to write to standard output."""
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        message = "too many files are open; allow more with `ulimit -n 1024`"
+    elif error.filename is not None or error.errno not in _WRITE_ERRORS:
+        message = str(error)
+    else:
+        message = f"standard output: cannot be written: {error.strerror}"
+    return _fail(message, exit_codes.UNREADABLE)
 
 
 def _fail(message: str, code: int) -> int:

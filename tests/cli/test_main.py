@@ -317,11 +317,23 @@ def test_a_log_that_is_there_is_not_written_over(
     assert path.read_text() == "mine"
 
 
-def _said_through(redirection: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+def _said_through(
+    redirection: str, *arguments: object, limit: str = ""
+) -> subprocess.CompletedProcess[str]:
     """Run a command by a shell that does something to its streams."""
     code = "from mbtool.cli.main import main; main()"
     return subprocess.run(
-        ["bash", "-o", "pipefail", "-c", f'"$@" {redirection}', "bash", sys.executable, "-c", code]
+        [
+            "bash",
+            "-o",
+            "pipefail",
+            "-c",
+            f'{limit}"$@" {redirection}',
+            "bash",
+            sys.executable,
+            "-c",
+            code,
+        ]
         + [str(one) for one in arguments],
         capture_output=True,
         text=True,
@@ -405,6 +417,12 @@ def test_a_closed_standard_input_is_one_line_where_it_is_to_be_read(arguments: l
     ran = _said_through("<&-", *arguments)
     assert ran.returncode == exit_codes.UNREADABLE
     assert ran.stderr == "mbtool: standard input: closed; name a file\n"
+
+
+def test_too_few_files_that_may_be_open_is_one_line() -> None:
+    ran = _said_through("", "line", "/nowhere/vl0", limit="ulimit -n 6; ")
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: too many files are open; allow more with `ulimit -n 1024`\n"
 
 
 @pytest.mark.parametrize("more", [[], ["--all"]])
