@@ -121,15 +121,15 @@ def main() -> None:
 
 
 def _open_standard_descriptors() -> None:
-    """Open the null device in place of standard streams that are closed.
+    """Open the null device for each standard stream that is closed.
 
-    Otherwise the first files or child processes that are opened would get their descriptors.
+    Otherwise the next file that is opened would get the descriptor 0, 1 or 2 of that stream.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # Takes the lowest descriptor that is free.
+            os.open(os.devnull, os.O_RDWR)  # The system uses the lowest free descriptor.
 
 
 def run(arguments: list[str]) -> int:
@@ -179,7 +179,7 @@ def _usage(error: typer.TyperException) -> str:
 
 
 def _refused(error: OSError) -> int:
-    """Say what the system refused: as a rule, to write to standard output."""
+    """Print an error of the operating system, usually of writing to standard output."""
     if error.errno in (errno.EMFILE, errno.ENFILE):
         message = "too many files are open; allow more with `ulimit -n 1024`"
     elif error.filename is not None or error.errno not in _WRITE_ERRORS:

@@ -267,8 +267,8 @@ def opened(
     """Open a file or standard output; yield it with its name for messages.
 
     The arguments are those of `open_output`. Raises UsageError if the file cannot be written, or
-    exists and may not be overwritten, OutputError if standard output is closed, and what
-    `demand_inputs` raises.
+    exists and may not be overwritten, OutputError if standard output is closed, and the errors of
+    `demand_inputs`.
     """
     if path is None and not is_kept:
         _demand_standard_output()
@@ -363,9 +363,9 @@ def told_as_lost(name: str) -> Iterator[None]:
 
 @contextmanager
 def verdict_kept(is_no: Callable[[], bool]) -> Iterator[None]:
-    """If the reader of the output, such as head, closes it, still exit with 1 if the answer is no.
+    """Keep exit code 1 for findings or differences, even if the reader closes the output.
 
-    `is_no` tells if there are findings or differences so far.
+    A reader such as head closes it early. `is_no` is True if there are findings or differences.
     """
     try:
         yield

@@ -1,7 +1,7 @@
-"""Reads the moments that a user writes: dates with times, and times since a beginning."""
+"""Reads the times that a user writes: dates with times of day, and times since the beginning."""
 
 #     2026-11-22T09:14:03.201Z    a date and a time as ISO 8601; UTC if no zone is given
-#     2026-11-22 09:14            the same; the time may be left out, then the day begins
+#     2026-11-22 09:14            the same; without a time of day, 00:00
 #     90, 2.5, 90s, 1h30m, 250ms  a time since the beginning; without a unit, seconds
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class Moment(NamedTuple):
-    """A time that a user named."""
+    """A time that the user gave in an option."""
 
     ns: int
-    """UTC ns; if `is_absolute` is False, ns since the beginning."""
+    """The time in UTC ns if `is_absolute`; otherwise in ns since the beginning of the capture."""
     is_absolute: bool
 
 
@@ -51,14 +51,14 @@ def parse_moment(text: str, option: str) -> Moment:
 
 
 def parse_iso(text: str) -> int | None:
-    """A moment in ISO 8601 as UTC ns; None if the text is none."""
+    """Convert a time in ISO 8601 to UTC ns; None if the text has another form."""
     match = _ISO.fullmatch(text.strip())
     if match is None:
         return None
     text = match["whole"] if ":" in match["whole"] else f"{match['whole']}T00:00"
     try:
         whole = datetime.fromisoformat(text + (match["zone"] or "Z"))
-    except ValueError:  # A 13th month.
+    except ValueError:  # The date does not exist, as in a 13th month.
         return None
     since = whole - _EPOCH
     ns = int((match["fraction"] or "").ljust(9, "0"))
@@ -66,7 +66,7 @@ def parse_iso(text: str) -> int | None:
 
 
 def _duration_ns(text: str) -> int | None:
-    """The ns of `90`, `2.5` or `1h30m`; None for other texts."""
+    """Convert a duration such as `90`, `2.5` or `1h30m` to ns; None for other texts."""
     if _PLAIN.fullmatch(text):
         return int(Decimal(text) * _NS_PER_S)
     match = _DURATION.fullmatch(text) if len(text) <= 40 else None

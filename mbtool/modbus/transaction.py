@@ -9,7 +9,8 @@ import msgspec
 
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
 
-# What a number can be. Only reading JSON checks these: a log may have been made by anyone.
+# The ranges of numbers. They are checked only when JSON is read, as any program may have written
+# it.
 Byte = Annotated[int, msgspec.Meta(ge=0, le=0xFF)]
 Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -86,14 +87,14 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     response_file: str | None = None
     """The capture file of the response, if it is another one than `file`."""
     request_packet: Count | None = None
-    """The number of the packet in the file that brought the last byte of the request. Packets are
-    counted from 1, as Wireshark does."""
+    """The number, in the file, of the packet with the last byte of the request. Packets are counted
+    from 1, as in Wireshark."""
     response_packet: Count | None = None
-    """The same of the response."""
+    """The number, in its file, of the packet with the last byte of the response."""
     request_offset: Count | None = None
     """In a file of the bytes of a serial line, the number of bytes before the request."""
     response_offset: Count | None = None
-    """The same of the response."""
+    """In a file of the bytes of a serial line, the number of bytes before the response."""
     source_mac: str | None = None
     """The MAC address that the master's packets have, as `00:0a:e4:01:02:03`."""
     destination_mac: str | None = None

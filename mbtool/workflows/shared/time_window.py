@@ -1,10 +1,10 @@
-"""The part of a capture that --start and --end name."""
+"""The part of a capture between --start and --end."""
 
-# A time since the beginning counts from the capture's first request, as with `replay`. Transactions
-# come when they are complete, so the first one to come need not be the first one to begin. So
-# records are held until HOLD_NS of the capture have gone by, or MAX_HELD records have come; a
-# request may wait that long for its response. What begins before the first request found so is
-# taken for the beginning.
+# A time since the beginning counts from the capture's first request, as with `replay`. A
+# transaction is decoded when it is complete, so the first transaction decoded need not be the first
+# that began. So records are held until HOLD_NS of the capture have passed (a request may wait that
+# long for its response), or until MAX_HELD records are held. The earliest request among these is
+# taken as the first. A record that began before it counts as being at the beginning.
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_HELD = 100_000
 
 @dataclass(slots=True)
 class TimeWindow:
-    """A part of a capture; what begins exactly at its end is not in it."""
+    """A part of a capture. A record that begins exactly at the end is outside."""
 
     start: Moment | None
     end: Moment | None
@@ -46,14 +46,14 @@ class TimeWindow:
 
     @property
     def is_whole(self) -> bool:
-        """True if everything is in it."""
+        """True if the window is the whole capture."""
         return self.start is None and self.end is None
 
     def begun(self, records: Iterable[Record], *, at_once: bool = False) -> Iterator[Record]:
-        """Give all records, once the first request among them is known.
+        """Yield all records, but hold them back until the first request is known.
 
-        With `at_once`, the first transaction that comes counts as the first request, as nobody
-        wants to wait for a live capture.
+        With `at_once`, no record is held back, for live captures: the first transaction that is
+        decoded counts as the first request.
         """
         if not any(one is not None and not one.is_absolute for one in (self.start, self.end)):
             yield from records
@@ -72,7 +72,7 @@ class TimeWindow:
         yield from held or ()
 
     def __contains__(self, record: Record) -> bool:
-        """True if a record begins in the window. `begun` has given the record."""
+        """True if a record begins in the window. Only for records that `begun` has yielded."""
         ts_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
         since_ns = max(ts_ns - (self._first_ns or 0), 0)
         start, end = self.start, self.end
