@@ -112,7 +112,7 @@ class TcpPorts(NamedTuple):
     rtu_ports: list[int]
     """Ports of RTU over TCP."""
     any_port: bool
-    """True to look for both on all other ports, too."""
+    """True to look for Modbus/TCP and RTU over TCP on all other ports, too."""
 
 
 @dataclass(frozen=True, slots=True)
