@@ -97,6 +97,7 @@ def check(
         opened,
         say_if_empty,
         told_as_lost,
+        verdict_kept,
     )
     from mbtool.cli.talk import interruptible
     from mbtool.devices.checking.security_limits import SecurityLimits
@@ -110,6 +111,7 @@ def check(
     path = named_file(output)
     chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
     with (
+        verdict_kept(lambda: bool(run.counts)),
         opened(path, run.reading.demand_files) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,

@@ -12,12 +12,14 @@ import typer
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
+    EndOption,
     EventsOption,
     Format,
     RawOption,
     SilenceOptions,
     SortKey,
     SourceOptions,
+    StartOption,
     TableOptionGroup,
     WhereOption,
 )
@@ -62,6 +64,11 @@ def decode(
             "--output", "-o", metavar="OUT", help="Write to a file: .jsonl, .csv, .parquet or .txt."
         ),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
+    ] = False,
+    start: StartOption = None,
+    end: EndOption = None,
     limit: Annotated[
         int | None,
         typer.Option("--limit", metavar="N", min=1, help="Stop after so many transactions."),
@@ -83,18 +90,21 @@ def decode(
     from mbtool.cli.options import condition
     from mbtool.cli.output import demand_other_file, open_output, say_if_empty
     from mbtool.cli.talk import interruptible, say
-    from mbtool.core import UsageError
+    from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
     if follow and (raw or source.link is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw or --link")
     demand_other_file(files, output)
-    wanted = condition(where)
+    window = TimeWindow.parse(start, end)
+    fits = condition(where)
+    wanted = fits if window.is_whole else lambda one: one in window and fits(one)
     options = source.read(device, raw=raw, silences=silences)
-    is_whole = where is None and limit is None and sort is None and not follow
+    is_whole = where is None and window.is_whole and limit is None and sort is None and not follow
     columns = _columns(files, options) if is_whole and _is_parquet(format_, output) else None
     reading = columns or Reading(files, options)
     hints = ModelHints(reading.profile_for)
@@ -110,6 +120,7 @@ def decode(
             reading.demand_files,
             table=table.read(),
             order=sort,
+            overwrite=overwrite,
         ) as out,
         interruptible() as interrupt,
     ):
@@ -137,9 +148,12 @@ def decode(
                 for record in batch.records:
                     note(record)
                 out.add_table(batch.table)
-        for record in records if follow or out.on_terminal else with_progress(reading, records):
+        if not (follow or out.on_terminal):
+            records = with_progress(reading, records)
+        for record in window.begun(records, at_once=follow or is_live):
             note(record)
-            out.add(record)
+            if not isinstance(record, WireEvent) or record in window:
+                out.add(record)
             if is_live:
                 out.wait()
             if out.is_full:

@@ -244,6 +244,8 @@ def _read(file: str) -> bytes:
 
     try:
         if file == _STANDARD:
+            if sys.stdin is None:
+                raise InputError("standard input: closed; name a file")
             return sys.stdin.buffer.read(MAX_BYTES + 1)
         with Path(file).open("rb") as stream:
             return stream.read(MAX_BYTES + 1)

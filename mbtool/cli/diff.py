@@ -48,6 +48,7 @@ def diff(
     from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
     from mbtool.cli.options import condition
+    from mbtool.cli.output import verdict_kept
     from mbtool.cli.talk import say
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.diff import DiffOptions, compare
@@ -59,10 +60,11 @@ def diff(
         latency=latency,
     )
     compared = compare(a, b, options, say)
-    if format_ == "json":
-        typer.echo(msgspec.json.format(msgspec.json.encode(compared), indent=2).decode())
-    else:
-        print_differences(PipeConsole(), compared.differences)
+    with verdict_kept(lambda: bool(compared.differences)):
+        if format_ == "json":
+            typer.echo(msgspec.json.format(msgspec.json.encode(compared), indent=2).decode())
+        else:
+            print_differences(PipeConsole(), compared.differences)
     if not compared.is_whole:
         say("mbtool: there is more than can be compared at once; choose a part with --where")
     say(

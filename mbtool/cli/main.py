@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -37,6 +38,9 @@ from mbtool.cli.sniff import sniff
 from mbtool.cli.stats import stats
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
+
+_WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
+"""Why the system refuses to write to a file that is open."""
 
 
 class _InOrder(TyperGroup):
@@ -93,6 +97,7 @@ def _root(
 
 def main() -> None:
     """Run the command line and exit with its code."""
+    _open_standard_descriptors()
     # If a stream was closed before the program began, it is None; its output is dropped.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
@@ -115,6 +120,18 @@ def main() -> None:
     sys.exit(code)
 
 
+def _open_standard_descriptors() -> None:
+    """Open the null device for each standard stream that is closed.
+
+    Otherwise the next file that is opened would get the descriptor 0, 1 or 2 of that stream.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # The system uses the lowest free descriptor.
+
+
 def run(arguments: list[str]) -> int:
     """Run one command; returns its exit code."""
     code = _told(arguments)
@@ -125,8 +142,8 @@ def run(arguments: list[str]) -> int:
         # ends, and fail again.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            return code or _fail(f"standard output: {error.strerror}", exit_codes.UNREADABLE)
+        if not isinstance(error, BrokenPipeError) and code != exit_codes.UNREADABLE:
+            return _refused(error)
     return code
 
 
@@ -148,6 +165,8 @@ def _told(arguments: list[str]) -> int:
         return exit_codes.INTERRUPTED
     except BrokenPipeError:
         return exit_codes.DONE  # The reader of the output, such as head, has closed it.
+    except OSError as error:
+        return _refused(error)
     return exit_codes.DONE
 
 
@@ -157,6 +176,17 @@ def _usage(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "mbtool"
     return f"{message}; see {where} --help"
+
+
+def _refused(error: OSError) -> int:
+    """Print an error of the operating system, usually of writing to standard output."""
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        message = "too many files are open; allow more with `ulimit -n 1024`"
+    elif error.filename is not None or error.errno not in _WRITE_ERRORS:
+        message = str(error)
+    else:
+        message = f"standard output: cannot be written: {error.strerror}"
+    return _fail(message, exit_codes.UNREADABLE)
 
 
 def _fail(message: str, code: int) -> int:

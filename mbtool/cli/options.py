@@ -80,6 +80,15 @@ WhereOption = Annotated[
         "'unit == 5 and latency_ms > 10'. The answer to an unknown name lists all names.",
     ),
 ]
+_MOMENT = "2.5 or 1h30m since the first request, or 2026-11-22T09:14:03 (UTC)"
+StartOption = Annotated[
+    str | None,
+    typer.Option("--start", metavar="WHEN", help=f"Take what begins then or later: {_MOMENT}."),
+]
+EndOption = Annotated[
+    str | None,
+    typer.Option("--end", metavar="WHEN", help="Take what begins before then, as with --start."),
+]
 RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
@@ -103,7 +112,7 @@ class TcpPorts(NamedTuple):
     rtu_ports: list[int]
     """Ports of RTU over TCP."""
     any_port: bool
-    """True to look for both on all other ports, too."""
+    """True to look for Modbus/TCP and RTU over TCP on all other ports, too."""
 
 
 @dataclass(frozen=True, slots=True)

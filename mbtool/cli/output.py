@@ -11,6 +11,9 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
+import typer
+
+from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.printers import ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.talk import say
@@ -189,14 +192,16 @@ def open_output(
     is_kept: bool = False,
     table: TableOptions | None = None,
     order: SortKey | None = None,
+    overwrite: bool = False,
 ) -> Iterator[RecordOutput]:
     """Open an output. When its context ends, it is flushed and a summary is printed.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
-    records are held, and printed in that order when the context ends. Raises UsageError if
-    the file cannot be written or options contradict each other, and OutputError if standard output
-    is closed and no log keeps the records.
+    records are held, and printed in that order when the context ends. A file that exists is
+    replaced only with `overwrite`. Raises UsageError if the file cannot be written or options
+    contradict each other, and OutputError if standard output is closed and no log keeps the
+    records.
     """
     path = named_file(path)
     chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
@@ -209,7 +214,7 @@ def open_output(
         if path is None:
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
-    with opened(path, demand_inputs, is_kept=is_kept) as (file, name):
+    with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite) as (file, name):
         with told_as_lost(name):
             printer = printer_for(chosen, file, profile_for, table)
         output = RecordOutput(file, name, printer, shown, wanted, limit, order)
@@ -253,16 +258,25 @@ def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F
 
 @contextmanager
 def opened(
-    path: str | None, demand_inputs: Callable[[], None], *, is_kept: bool = False
+    path: str | None,
+    demand_inputs: Callable[[], None],
+    *,
+    is_kept: bool = False,
+    overwrite: bool = True,
 ) -> Iterator[tuple[TextIO, str]]:
     """Open a file or standard output; yield it with its name for messages.
 
-    The arguments are those of `open_output`. Raises UsageError if the file cannot be written,
-    OutputError if standard output is closed, and the errors of `demand_inputs`.
+    The arguments are those of `open_output`. Raises UsageError if the file cannot be written, or
+    exists and may not be overwritten, OutputError if standard output is closed, and the errors of
+    `demand_inputs`.
     """
     if path is None and not is_kept:
         _demand_standard_output()
     demand_inputs()
+    if path is not None and not overwrite and os.path.isfile(path):
+        raise UsageError(
+            f"{path}: the file exists; name another, remove it, or replace it with --overwrite"
+        )
     with _open_file(path) as file:
         yield file, path or _STANDARD_OUTPUT_NAME
 
@@ -345,6 +359,20 @@ def told_as_lost(name: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def verdict_kept(is_no: Callable[[], bool]) -> Iterator[None]:
+    """Keep exit code 1 for findings or differences, even if the reader closes the output.
+
+    A reader such as head closes it early. `is_no` is True if there are findings or differences.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        if not is_no():
+            raise
+        raise typer.Exit(exit_codes.NO) from None
 
 
 @dataclass(slots=True)

@@ -51,7 +51,7 @@ class LinkError(MbtoolError):
 
 
 class OutputError(MbtoolError):
-    """An output file could not be written, or nobody reads the output any more."""
+    """An output could not be written, as with a full disk or a closed standard output."""
 
 
 def reason_of(error: OSError | ValueError) -> str:

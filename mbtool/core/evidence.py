@@ -86,7 +86,7 @@ class StreamPlace(NamedTuple):
     """The position, in bytes, of a TCP segment in its connection, or of serial bytes in a file."""
 
     position: int
-    """The number of bytes before the first one, in the same direction of the connection."""
+    """The number of bytes before these in the same direction of the connection, or in the file."""
     acknowledged: int | None
     """The position in the other direction up to which the sender had received all bytes when it
     sent the segment; None if unknown."""

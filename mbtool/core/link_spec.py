@@ -51,7 +51,7 @@ _OWN_ADDRESSES = {
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }
-"""For an address at which a tap listens, other addresses and names that reach the same listener."""
+"""Other addresses and names that reach a tap, by the address at which it listens."""
 
 
 @dataclass(frozen=True, slots=True)

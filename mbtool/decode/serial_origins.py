@@ -30,6 +30,11 @@ class SerialOrigins:
         self._fed = 0
         self._given = 0
 
+    @property
+    def held(self) -> int:
+        """How many reads are remembered."""
+        return len(self._marks)
+
     def note(self, size: int, place: StreamPlace | None) -> None:
         """Note that `size` bytes are fed, which come from a place."""
         if size:

@@ -88,8 +88,8 @@ class Assignment:
 def parse_assignment(text: str) -> Assignment:
     """Read WHO=PROFILE and load the profile.
 
-    Raises UsageError if the text has another form or no profile has that name, and what
-    load_profile() raises for a file.
+    Raises UsageError if the text has another form or no profile has that name, and the errors of
+    load_profile() for a file.
     """
     who, equals, profile = text.partition("=")
     if not equals or not who or not profile:

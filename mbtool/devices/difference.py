@@ -43,7 +43,7 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     reference: str | None = None
     """The addresses that differ, in the vendor's notation."""
     name: str | None = None
-    """The name of these addresses in the device's manual."""
+    """The name that the device's manual has for the addresses in `reference`."""
     what: str
     """What differs: `read` or `written` values, the function with this name, or the `slave`."""
     a: Side

@@ -146,7 +146,7 @@ class _Vocabulary:
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
     ) -> list[str]:
         if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
-            return []  # An ambiguous frame may really be another one.
+            return []  # An ambiguous frame may have been misread.
         # Without a request, no rule about requests can be broken.
         has_request = (
             transaction.outcome not in _WITHOUT_REQUEST or transaction.request_ns is not None
@@ -283,7 +283,7 @@ def _answer_point(answer: AnswerWord, function: int) -> PointInstance:
         name=answer.name,
         table=Table.HOLDING_REGISTERS,  # Any table: the word has no address.
         address=0,
-        type=PointType.HEX16 if answer.texts else PointType.UINT16,  # 0099H, if it has no text
+        type=PointType.HEX16 if answer.texts else PointType.UINT16,  # 0099H if it has no text
         texts=answer.texts,
     )
     return PointInstance(point, 0, f"{function:02X}H")

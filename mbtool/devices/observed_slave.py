@@ -45,7 +45,7 @@ class ObservedRequest:
     function: int
     table: Table | None
     address: int | None
-    """None if the function has no address, or if there is only a response."""
+    """The first address; None if the function has none, or if there is only a response."""
     quantity: int
     writes: bool
 

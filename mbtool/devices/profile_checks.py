@@ -70,7 +70,7 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
             return f"the manual fixes them{data}"
         case _:
             name = exception_name(number) if profile is None else profile.exception_name(number)
-            # An exception code without a name would be called `exception NN`, a repetition.
+            # If the code has no name, `name` is `exception NN`, which the text already says.
             named = "" if name.startswith("exception ") else f" ({name})"
             return f"exception {number:02X}{named} is not documented"
 

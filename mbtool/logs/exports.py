@@ -8,10 +8,15 @@
 # Bytes are lower-case hex; times are UTC nanoseconds as integers, and `time` repeats the first of
 # them as ISO 8601. A field that does not apply is absent in jsonl and empty in CSV. In CSV the
 # values of a list are separated by spaces, and a line end inside a text becomes a space.
+#
+# A log may hold any text, and someone may show the lines in a terminal or open the CSV in a
+# spreadsheet. So characters that cannot be printed are escaped in jsonl and become ? in CSV, and a
+# CSV text that a spreadsheet would take for a formula gets an apostrophe in front.
 
 from __future__ import annotations
 
 import csv
+import json
 from datetime import datetime, timedelta
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
@@ -27,6 +32,8 @@ if TYPE_CHECKING:
 _encode = msgspec.json.Encoder().encode
 
 _EPOCH = datetime(1970, 1, 1)
+_FORMULA = ("=", "+", "-", "@")
+"""What a text begins with that a spreadsheet takes for a formula."""
 _ONE_LINE = str.maketrans("\r\n", "  ")
 
 CSV_COLUMNS = (
@@ -131,8 +138,18 @@ def _line(message: msgspec.Struct, ts_ns: int, *bytes_fields: str) -> bytes:
     # msgspec.structs.replace checks no types, so it can put hex strings into fields of type bytes.
     hexes = {name: raw.hex() for name in bytes_fields if (raw := getattr(message, name))}
     line = _encode(msgspec.structs.replace(message, **hexes))
+    if not line.isascii():
+        line = _escaped(line)
     time = iso_time(ts_ns)
     return line + b"\n" if time is None else b'%b,"time":"%b"}\n' % (line[:-1], time.encode())
+
+
+def _escaped(line: bytes) -> bytes:
+    """A JSON text in which characters that cannot be printed are written as JSON escapes."""
+    text = line.decode()
+    if text.isprintable():
+        return line
+    return "".join(one if one.isprintable() else json.dumps(one)[1:-1] for one in text).encode()
 
 
 def _with_hex(message: msgspec.Struct) -> dict[str, Any]:
@@ -149,5 +166,10 @@ def _cell(value: object) -> str:
             return ""
         case list():
             return _cell(" ".join(map(str, value)))
+        case str():
+            text = value.translate(_ONE_LINE)
+            if not text.isprintable():
+                text = "".join(one if one.isprintable() else "?" for one in text)
+            return f"'{text}" if text.startswith(_FORMULA) else text
         case _:
-            return str(value).translate(_ONE_LINE)
+            return str(value)

@@ -21,6 +21,7 @@ from mcap.records import Channel, Schema
 from mbtool.core import DamageError
 from mbtool.devices import NamedTransaction
 from mbtool.logs import schemas
+from mbtool.logs.impossible import ImpossibleItems
 from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode
 from mbtool.logs.messages import ChunkMessage, EventMessage
 from mbtool.logs.records import McapRecord
@@ -62,6 +63,8 @@ class MessageDecoder:
         self._channels: dict[int, str] = {}
         self.end_ns = 0
         """The log time (ns) of the last item that was decoded; 0 before the first."""
+        self.impossible = ImpossibleItems()
+        """The items that were left out because a number in them is impossible."""
 
     def batches(self, record: McapRecord, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
         """Give the items of the wanted schemas in a chunk, or in a record outside of chunks.
@@ -148,6 +151,8 @@ class MessageDecoder:
                 message: Any = _DECODERS[schema].decode(data)
                 item = message if schema == schemas.TRANSACTION else message.item()
             except _NOT_DECODABLE as error:
+                if self.impossible.note(error, data):
+                    continue
                 self._hole(batch.offset, f"no {schema}: {error}", len(data))
                 continue
             if gap := self._damage.take_gap(self.end_ns):

@@ -12,6 +12,9 @@
 # CRC, so no wrong item is returned. Damage that costs no item is reported as well: the CRC of the
 # data section and that of the summary show it at the end.
 #
+# Values that nothing on a wire can have, such as unit -5: the item is left out, and one UNREADABLE
+# event at the end counts such items.
+#
 # The log of a recorder that was killed is complete, and only `closed` shows that it was.
 
 from __future__ import annotations
@@ -245,6 +248,8 @@ class LogReader(ClosesOnExit):
             raise damage.error()
 
     def _last_gap(self) -> Iterator[list[LogItem]]:
+        if left_out := [*self._messages.impossible.events(self._messages.end_ns)]:
+            yield [*left_out]
         if gap := self._damage.take_gap(self._messages.end_ns):
             yield [*gap]
 

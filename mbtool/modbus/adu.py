@@ -43,16 +43,16 @@ class DirectionBy(StrEnum):
     IDLE = "idle"
     """No request is pending, and the ADU has the form of a request."""
     FORM = "form"
-    """The form of the ADU fits one direction only."""
+    """Only a request, or only a response, can have the form of the ADU."""
     TIMING = "timing"
     """The form of the ADU fits both directions, and the silence before the ADU decided."""
 
 
 class Verdict(StrEnum):
-    """Something noticed about a frame, or about the transaction that contains it."""
+    """A remarkable property of a frame, or of the transaction that contains it."""
 
     GLUED = "glued"
-    """In the capture, no silence parts the frame from the one before or after it."""
+    """In the capture, no silence separates the frame from the frame before or after it."""
     SPLIT = "split"
     """The frame contains a silence of t3.5 or longer."""
     RESYNCHRONISED = "resynchronised"

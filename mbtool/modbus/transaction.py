@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
 import msgspec
 
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
+
+# The ranges of numbers. They are checked only when JSON is read, as any program may have written
+# it.
+Byte = Annotated[int, msgspec.Meta(ge=0, le=0xFF)]
+Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 
 
 class Outcome(StrEnum):
@@ -40,33 +48,33 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     """The master's address and port on a network; None on a serial line."""
     destination: str | None = None
     """The slave's address and port on a network; None on a serial line."""
-    unit: int
-    transaction_id: int | None = None
-    function: int
+    unit: Byte
+    transaction_id: Word | None = None
+    function: Byte
     """The function code, without the bit that marks an exception response."""
     function_name: str
-    sub_function: int | None = None
+    sub_function: Word | None = None
     """The sub-function of diagnostics (08), or the MEI type of 2B."""
-    address: int | None = None
+    address: Word | None = None
     """The first address on the wire, 0-based; for function 17H the first that it reads."""
-    quantity: int | None = None
-    write_address: int | None = None
+    quantity: Word | None = None
+    write_address: Word | None = None
     """The first address that function 17H writes."""
-    write_quantity: int | None = None
+    write_quantity: Word | None = None
     """The number of registers that function 17H writes, from the request's quantity field; a
     malformed request may have another number of values."""
-    request_values: list[int] | None = None
-    response_values: list[int] | None = None
-    exception: int | None = None
+    request_values: list[Word] | None = None
+    response_values: list[Word] | None = None
+    exception: Byte | None = None
     exception_name: str | None = None
     outcome: Outcome
-    request_ns: int | None = None
+    request_ns: Nanoseconds | None = None
     """When the last byte of the request was on the wire, in UTC ns."""
-    response_ns: int | None = None
+    response_ns: Nanoseconds | None = None
     """When the last byte of the response was on the wire, in UTC ns."""
-    latency_ns: int | None = None
+    latency_ns: Nanoseconds | None = None
     """The time from the end of the request to the start of the response, in ns."""
-    retries: int
+    retries: Count
     """Number of equal requests directly before this one that got no response."""
     request_raw: bytes | None = None
     response_raw: bytes | None = None
@@ -78,20 +86,20 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     it; None in a live capture."""
     response_file: str | None = None
     """The capture file of the response, if it is another one than `file`."""
-    request_packet: int | None = None
-    """The number of the packet in the file that brought the last byte of the request. Packets are
-    counted from 1, as Wireshark does."""
-    response_packet: int | None = None
-    """The same of the response."""
-    request_offset: int | None = None
+    request_packet: Count | None = None
+    """The number, in the file, of the packet with the last byte of the request. Packets are counted
+    from 1, as in Wireshark."""
+    response_packet: Count | None = None
+    """The number, in its file, of the packet with the last byte of the response."""
+    request_offset: Count | None = None
     """In a file of the bytes of a serial line, the number of bytes before the request."""
-    response_offset: int | None = None
-    """The same of the response."""
+    response_offset: Count | None = None
+    """In a file of the bytes of a serial line, the number of bytes before the response."""
     source_mac: str | None = None
     """The MAC address that the master's packets have, as `00:0a:e4:01:02:03`."""
     destination_mac: str | None = None
     """The MAC address that the slave's packets have."""
-    vlan: int | None = None
+    vlan: Word | None = None
     """The VLAN of the packets: the id of the innermost tag."""
 
     @property

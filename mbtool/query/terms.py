@@ -1,12 +1,14 @@
 """Defines the names of the --where language, and rejects comparisons that are never true."""
 
-# Each name has a kind (number, text, list), and some names a fixed set of texts. A comparison of
-# different kinds, or with a text that the name never has, would select nothing without a word; so
-# it is an error when the expression is parsed. A text may be searched in a text
-# (`"HR4" in reference`); there any part will do.
+# Each name has a kind (number, text, list, moment), and some names a fixed set of texts or a range
+# of numbers. A comparison of different kinds, or with a text or number that the name never has,
+# would select nothing without a word; so it is an error when the expression is parsed. A text may
+# be searched in a text (`"HR4" in reference`); there any part will do. A text that is compared with
+# a moment is read as ISO 8601.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,6 +18,8 @@ from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import Transport, Verdict
 
+_WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
+
 
 class ValueKind(StrEnum):
     """The kind of a term; only terms of one kind can be compared."""
@@ -23,6 +27,7 @@ class ValueKind(StrEnum):
     NUMBER = "a number"
     TEXT = "a text"
     LIST = "a list"
+    MOMENT = "a moment"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +41,14 @@ class Term:
     kind: ValueKind
     choices: tuple[str, ...] = ()
     """All texts that a name can have; empty if it can be any text."""
+    allowed: range | None = None
+    """The numbers that a name can have; None if it can be any number."""
+    number: float | None = None
+    """The number itself, if the term is a number; else None."""
+    is_endpoint: bool = False
+    """True for an address with a port, which equals a text without port if the addresses do."""
+    is_host: bool = False
+    """True for an address, which has no port."""
     constant: str | None = None
     """The text itself, if the term is a text in quotes; else None."""
     items: tuple[Term, ...] = ()
@@ -62,6 +75,32 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
     return f"{right.described}, and in looks into a list: unit in (1, 2)"
 
 
+def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
+    """Say why a comparison of a name with a number never holds, or holds for no number alone.
+
+    `compare` is the operator: `==`, `!=`, `in`, `not in`, `<`, `<=`, `>` or `>=`.
+    """
+    if compare in ("in", "not in"):
+        return _first(why_out_of_range(left, item, "==") for item in right.items)
+    if left.number is not None:
+        left, right = right, left
+        compare = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}.get(compare, compare)
+    allowed, number = left.allowed, right.number
+    if allowed is None or number is None:
+        return None
+    least, most = allowed[0], allowed[-1]
+    holds = {
+        "<": least < number,
+        "<=": least <= number,
+        ">": most > number,
+        ">=": most >= number,
+    }.get(compare, number in allowed)
+    if holds:
+        return None
+    never = "" if compare in ("==", "!=") else f"{compare} "
+    return f"{left.text} is never {never}{right.text}; it is a number from {least} to {most}"
+
+
 def _why_never_equal(left: Term, right: Term) -> str | None:
     if left.kind is ValueKind.LIST and right.kind is ValueKind.LIST:
         return _first(_why_never_equal(one, other) for one in left.items for other in right.items)
@@ -71,6 +110,9 @@ def _why_never_equal(left: Term, right: Term) -> str | None:
             return _unlike(left, right, f"write {other.text} in {one.text}" if fits else None)
         if one.choices and other.constant is not None and other.constant not in one.choices:
             return f"{one.text} is never {other.text}; it is {_either(one.choices)}"
+        if one.is_host and other.constant is not None and _WITH_PORT.fullmatch(other.constant):
+            whole = "source" if one.text == "master" else "destination"
+            return f"{one.text} has no port; write {whole} == {other.text}"
     return None if left.kind is right.kind else _unlike(left, right)
 
 
@@ -87,8 +129,32 @@ def _either(choices: tuple[str, ...]) -> str:
     return f"{', '.join(choices[:-1])} or {choices[-1]}"
 
 
-def _number(name: str, value: Callable[[NamedTransaction], Any]) -> Term:
-    return Term(text=name, value=value, kind=ValueKind.NUMBER)
+def host_of(endpoint: str | None) -> str | None:
+    """The address of `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
+    if endpoint is None:
+        return None
+    if endpoint.startswith("["):
+        return endpoint[1:].partition("]")[0]
+    return endpoint.rpartition(":")[0] or endpoint
+
+
+def is_at(endpoint: str, text: str) -> bool:
+    """True if an endpoint equals a text, or its address does."""
+    return endpoint == text or host_of(endpoint) == text.strip("[]")
+
+
+def _number(
+    name: str, value: Callable[[NamedTransaction], Any], allowed: range | None = None
+) -> Term:
+    return Term(text=name, value=value, kind=ValueKind.NUMBER, allowed=allowed)
+
+
+def _endpoint(name: str, value: Callable[[NamedTransaction], Any]) -> Term:
+    return Term(text=name, value=value, kind=ValueKind.TEXT, is_endpoint=True)
+
+
+def _host(name: str, value: Callable[[NamedTransaction], Any]) -> Term:
+    return Term(text=name, value=value, kind=ValueKind.TEXT, is_host=True)
 
 
 def _text(name: str, value: Callable[[NamedTransaction], Any], choices: Iterable[str] = ()) -> Term:
@@ -100,28 +166,38 @@ def _list(
     value: Callable[[NamedTransaction], Any],
     kind: ValueKind,
     choices: Iterable[str] = (),
+    allowed: range | None = None,
 ) -> Term:
-    item = Term(text=f"one of {name}", value=value, kind=kind, choices=tuple(choices))
+    item = Term(
+        text=f"one of {name}", value=value, kind=kind, choices=tuple(choices), allowed=allowed
+    )
     return Term(text=name, value=value, kind=ValueKind.LIST, items=(item,))
 
+
+_BYTE, _WORD = range(0x100), range(0x10000)
 
 _TERMS = (
     _text("link", lambda one: one.link),
     _text("transport", lambda one: one.transport, Transport),
-    _text("source", lambda one: one.source),
-    _text("destination", lambda one: one.destination),
-    _number("unit", lambda one: one.unit),
-    _number("transaction_id", lambda one: one.transaction_id),
-    _number("function", lambda one: one.function),
-    _number("address", lambda one: one.address),
-    _number("quantity", lambda one: one.quantity),
+    _endpoint("source", lambda one: one.source),
+    _endpoint("destination", lambda one: one.destination),
+    _host("master", lambda one: host_of(one.source)),
+    _host("slave", lambda one: host_of(one.destination)),
+    _text("file", lambda one: one.file),
+    Term(text="time", value=lambda one: one.start_ns, kind=ValueKind.MOMENT),
+    _number("unit", lambda one: one.unit, _BYTE),
+    _number("transaction_id", lambda one: one.transaction_id, _WORD),
+    _number("function", lambda one: one.function, _BYTE),
+    _number("address", lambda one: one.address, _WORD),
+    _number("quantity", lambda one: one.quantity, _WORD),
     _list(
         "values",
         lambda one: (one.request_values or []) + (one.response_values or []),
         ValueKind.NUMBER,
+        allowed=_WORD,
     ),
     _text("outcome", lambda one: one.outcome, Outcome),
-    _number("exception", lambda one: one.exception),
+    _number("exception", lambda one: one.exception, _BYTE),
     _number("latency_ms", lambda one: None if one.latency_ns is None else one.latency_ns / 1e6),
     _number("retries", lambda one: one.retries),
     _text("device", lambda one: one.device),

@@ -5,28 +5,46 @@
 #     unit == 5 and function in (3, 16)
 #     outcome == "exception" or latency_ms > 50
 #     40 <= address < 50 and 17 in values
+#     reference like "HR4*" or points matches "CH[1-4] "
+#     source == "10.0.0.66" and time >= "2026-11-22T09:14"
+#
+# Two operators are added to those of Python. `like` compares a whole text with wildcards: * for any
+# characters, ? for one. `matches` looks for a regular expression of Python anywhere in a text. Of a
+# list, one member must fit. An address with a port equals a text without one if the address does.
 #
 # A comparison is false if one of its names does not apply to the transaction. The expression is
 # parsed, never evaluated as Python. Everything that is not a comparison is an error, and so is a
 # comparison that can never be true, such as a number with a text (terms.py).
 #
-# Limits: MAX_LENGTH characters, and MAX_DEPTH levels of not, and, or and parentheses.
+# Limits: MAX_LENGTH characters, and MAX_DEPTH levels of not, and, or and parentheses. How long a
+# regular expression takes is up to the user who writes it.
 
 from __future__ import annotations
 
 import ast
 import operator
+import re
 import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import UsageError
-from mbtool.query.terms import NAMES, Term, ValueKind, why_never_true
+from mbtool.core.moments import parse_iso
+from mbtool.query.terms import (
+    NAMES,
+    Term,
+    ValueKind,
+    is_at,
+    why_never_true,
+    why_out_of_range,
+)
 
 if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
 
 Where = Callable[["NamedTransaction"], bool]
+
+_Compare = Callable[[Any, Any], bool]
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Eq: operator.eq,
@@ -38,6 +56,28 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.In: lambda item, group: item in group,
     ast.NotIn: lambda item, group: item not in group,
 }
+_ENDPOINT_COMPARISONS: dict[type[ast.cmpop], _Compare] = {
+    ast.Eq: is_at,
+    ast.NotEq: lambda one, text: not is_at(one, text),
+    ast.In: lambda one, texts: any(text is not None and is_at(one, text) for text in texts),
+    ast.NotIn: lambda one, texts: not any(text is not None and is_at(one, text) for text in texts),
+}
+"""The comparisons of an address that has a port with texts that need not have one."""
+_SIGNS: dict[type[ast.cmpop], str] = {
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+    ast.In: "in",
+    ast.NotIn: "not in",
+}
+
+_STRING = r"""(?:"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')"""
+_WORDS_AND_TEXTS = re.compile(
+    rf"\b(?P<word>like|matches)\s*(?P<pattern>r?{_STRING})|{_STRING}", re.DOTALL
+)
 
 MAX_LENGTH = 10_000
 MAX_DEPTH = 50
@@ -58,7 +98,7 @@ def parse_where(text: str) -> Where:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Python warns of "\d", which is a valid text here.
-            tree = ast.parse(text, mode="eval")
+            tree = ast.parse(_WORDS_AND_TEXTS.sub(_as_call, text), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise UsageError(f"--where {_short(text)!r} is not an expression; {_EXAMPLE}") from error
     return _Compiler(text).condition(tree.body, MAX_DEPTH)
@@ -83,6 +123,10 @@ class _Compiler:
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 part = self.condition(operand, depth - 1)
                 return lambda one: not part(one)
+            case ast.Compare(
+                left=left, ops=[(ast.In() | ast.NotIn()) as one], comparators=[ast.Call() as call]
+            ):
+                return self._fitting(left, call, negated=isinstance(one, ast.NotIn))
             case ast.Compare(left=left, ops=operators, comparators=rights):
                 return self._chain(left, operators, rights)
             case _:
@@ -99,10 +143,13 @@ class _Compiler:
             if compare is None:
                 raise self._refused("compare with == and !=, not with is")
             membership = isinstance(one_operator, ast.In | ast.NotIn)
-            why = why_never_true(terms[at], terms[at + 1], membership=membership)
+            self._read_moments(terms, at)
+            left_term, right_term = terms[at], terms[at + 1]
+            why = why_never_true(left_term, right_term, membership=membership)
+            why = why or why_out_of_range(left_term, right_term, _SIGNS[type(one_operator)])
             if why is not None:
                 raise self._wrong(why)
-            compares.append(compare)
+            compares.append(_of_endpoints(left_term, right_term, one_operator) or compare)
 
         def holds(one: NamedTransaction) -> bool:
             values = [term.value(one) for term in terms]
@@ -116,6 +163,60 @@ class _Compiler:
                 return False  # A name inside a list does not apply, so it cannot be ordered.
 
         return holds
+
+    def _read_moments(self, terms: list[Term], at: int) -> None:
+        """Read a text that is compared with a moment."""
+        for one, other in ((at, at + 1), (at + 1, at)):
+            text = terms[other].constant
+            if terms[one].kind is not ValueKind.MOMENT or text is None:
+                continue
+            ns = parse_iso(text)
+            if ns is None:
+                raise self._wrong(f"{text[:_SHOWN]!r} is no moment; write 2026-11-22T09:14:03")
+            terms[other] = _moment(repr(text), ns)
+
+    def _fitting(self, left: ast.expr, call: ast.Call, *, negated: bool) -> Where:
+        """Compile `left like "..."` or `left matches "..."`."""
+        match call:
+            case ast.Call(
+                func=ast.Name(id="like" | "matches" as word),
+                args=[ast.Constant(value=str() as pattern)],
+                keywords=[],
+            ):
+                fits = self._pattern(word, pattern)
+            case _:
+                raise self._refused(f"{self._source(call)!r} is not a name, a number or a text")
+        term = self._term(left)
+        of_texts = {item.kind for item in term.items} == {ValueKind.TEXT}
+        if term.kind is not ValueKind.TEXT and not of_texts:
+            raise self._wrong(f"{term.described}; {word} looks at texts")
+        choices = term.choices or tuple(one for item in term.items for one in item.choices)
+        if choices and not any(map(fits, choices)):
+            raise self._wrong(f"{term.text} never fits {pattern!r}; it is {', '.join(choices)}")
+
+        def holds(one: NamedTransaction) -> bool:
+            value = term.value(one)
+            if value is None:
+                return False
+            texts = [value] if isinstance(value, str) else value
+            return any(text is not None and fits(text) for text in texts) is not negated
+
+        return holds
+
+    def _pattern(self, word: str, pattern: str) -> Callable[[str], bool]:
+        if word == "like":
+            found = re.compile(_wildcards(pattern), re.DOTALL)
+            return lambda text: found.fullmatch(text) is not None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Of patterns that a later Python may read anew.
+                found = re.compile(pattern)
+        except re.error as error:
+            place = "" if error.pos is None else f" at character {error.pos + 1}"
+            raise self._wrong(f"the pattern {_short(pattern)!r}: {error.msg}{place}") from None
+        except (OverflowError, RecursionError) as error:
+            raise self._wrong(f"the pattern {_short(pattern)!r}: {error}") from None
+        return lambda text: found.search(text) is not None
 
     def _term(self, node: ast.expr) -> Term:
         match node:
@@ -153,7 +254,9 @@ class _Compiler:
                 )
 
     def _number(self, node: ast.expr, number: float) -> Term:
-        return Term(text=self._source(node), value=lambda _: number, kind=ValueKind.NUMBER)
+        return Term(
+            text=self._source(node), value=lambda _: number, kind=ValueKind.NUMBER, number=number
+        )
 
     def _refused(self, why: str) -> UsageError:
         return self._wrong(f"{why}; {_EXAMPLE}")
@@ -163,6 +266,41 @@ class _Compiler:
 
     def _source(self, node: ast.expr) -> str:
         return _short(ast.unparse(node))
+
+
+def _as_call(match: re.Match[str]) -> str:
+    """Turn `like "..."` into `in like("...")`, which Python can read; leave other texts alone."""
+    word, pattern = match["word"], match["pattern"]
+    if word is None:
+        return match[0]
+    # A backslash in a regular expression is for the expression, not for Python.
+    raw = "r" if word == "matches" and not pattern.startswith("r") else ""
+    return f"in {word}({raw}{pattern})"
+
+
+def _wildcards(pattern: str) -> str:
+    """The regular expression of a pattern in which * stands for any text and ? for a character."""
+    signs = {"*": ".*", "?": "."}
+    return "".join(signs.get(one) or re.escape(one) for one in pattern)
+
+
+def _of_endpoints(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
+    """The comparison of an address that has a port with texts that need not have one, if it is one.
+
+    `"10.0" in source` is none: there any part of the text will do.
+    """
+    is_equality = isinstance(sign, ast.Eq | ast.NotEq)
+    if right.is_endpoint and left.constant is not None and is_equality:
+        compare = _ENDPOINT_COMPARISONS[type(sign)]
+        return lambda text, one: compare(one, text)
+    is_listed = right.kind is ValueKind.LIST and isinstance(sign, ast.In | ast.NotIn)
+    if left.is_endpoint and (is_listed or (is_equality and right.constant is not None)):
+        return _ENDPOINT_COMPARISONS[type(sign)]
+    return None
+
+
+def _moment(text: str, ns: int) -> Term:
+    return Term(text=text, value=lambda _: ns, kind=ValueKind.MOMENT)
 
 
 def _short(text: str) -> str:

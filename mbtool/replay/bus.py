@@ -80,7 +80,7 @@ class BusPlayer:
 
     @property
     def passed_ns(self) -> int | None:
-        """When the port will have sent the last byte that it was given, in ns; None before that."""
+        """When the port will have sent all bytes given to it, in ns; None before the first byte."""
         return self._passed_ns
 
     def next_run(self, now_ns: int) -> ByteRun | None:

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
 
 ALIKE = 1.25
-"""Requests whose median latencies changed by factors that are equal within this factor are one
-difference."""
+"""If the median latencies of several requests changed by about the same factor, this is reported as
+one difference. Two factors are about the same if one is at most ALIKE times the other."""
 
 
 @dataclass(frozen=True, slots=True)

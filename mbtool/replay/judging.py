@@ -365,7 +365,7 @@ def _soonest(values: Iterable[float]) -> float:
 
 
 def _outcomes(result: _RequestResult) -> Iterable[Difference]:
-    """The differences of the outcomes of one request."""
+    """Yield a difference for each outcome of one request that was not as recorded."""
     for (recorded, outcome), count in result.outcomes.items():
         text = _with_count(outcome, count, result.count)
         yield _difference(result, Kind.OUTCOME, Side(text=recorded), Side(text=text, count=count))

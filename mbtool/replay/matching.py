@@ -61,7 +61,7 @@ class OnEnd(StrEnum):
     LAST = "last"
     """A request gets its last recorded answer again."""
     LOOP = "loop"
-    """The answers begin again with the first recorded one."""
+    """A request gets its first recorded answer again, then the second, and so on."""
     IMAGE = "image"
     """A request is answered with the last values of the registers."""
     SILENT = "silent"

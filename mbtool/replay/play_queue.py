@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class PlayItem(Protocol):
-    """A part of a recording, such as a request, to be played at `position_ns` ns from its start."""
+    """A part of a recording, such as a request; it is played `position_ns` after the beginning."""
 
     @property
     def position_ns(self) -> int: ...

@@ -55,7 +55,7 @@ _BAUDS = (
     250000, 460800, 500000, 921600, 1000000,
 )  # fmt: skip
 _TOLERANCE = 0.02
-"""A measured baud rate counts as a usual one if it differs from it by at most 2 %."""
+"""A measured baud rate is taken as a usual baud rate if they differ by at most 2 %."""
 _LENGTHS = (8, 11, 10)
 """The possible numbers of bits between start and end of a row: 8 data bits, or a character."""
 _SHOWN = 40

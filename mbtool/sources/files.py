@@ -115,7 +115,7 @@ class CaptureFile:
     @property
     def link(self) -> str:
         """The name of the serial line in the file: the file's name without its suffix."""
-        return "stdin" if self._file is sys.stdin.buffer else PurePath(self.name).stem
+        return "stdin" if _is_standard_input(self._file) else PurePath(self.name).stem
 
     def serial(self, line: LineSettings | None) -> SerialBytes:
         """Return the bytes of the serial line in the file, and the line's settings.
@@ -152,7 +152,7 @@ class CaptureFile:
         return min(self._file.tell() / self._size, 1.0)
 
     def close(self) -> None:
-        if self._file is not sys.stdin.buffer:
+        if not _is_standard_input(self._file):
             self._file.close()
 
     def __enter__(self) -> Self:
@@ -371,8 +371,12 @@ def _is_text(head: bytes) -> bool:
     return all(character.isprintable() or character in "\t\r\n" for character in text)
 
 
+def _is_standard_input(file: io.BufferedIOBase) -> bool:
+    return sys.stdin is not None and file is sys.stdin.buffer
+
+
 def _size(file: io.BufferedIOBase) -> int | None:
-    if file is sys.stdin.buffer:
+    if _is_standard_input(file):
         return None
     status = os.fstat(file.fileno())
     return status.st_size or None if stat.S_ISREG(status.st_mode) else None

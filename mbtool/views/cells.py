@@ -1,5 +1,7 @@
 """The texts of a transaction for tables: request, result, findings and time."""
 
+# The text of a read, for example, has function, reference and values:
+#
 #     03 read HR400001..400002 -> 4660, 22136
 
 from __future__ import annotations

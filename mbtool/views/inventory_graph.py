@@ -87,7 +87,7 @@ def _node(kind: str, name: str) -> str:
 
 
 def _label(lines: Sequence[str]) -> str:
-    """The lines as a string of Graphviz, which breaks a line at a backslash and n."""
+    """The lines as one string for Graphviz, separated by a backslash and the letter n."""
     return '"' + "\\n".join(_escaped(printable(line)) for line in lines) + '"'
 
 

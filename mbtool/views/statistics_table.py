@@ -48,7 +48,7 @@ _BAR = 30
 _EATERS = 3
 _LEAST_OF_HISTOGRAM = 20
 _FINEST_NS = 100_000
-"""The histogram shows all latencies below this time (ns) in one line."""
+"""The histogram shows all latencies below this limit, in ns, in one line."""
 
 _LATENCY = (
     StatisticsColumn("p50 ms", 6),

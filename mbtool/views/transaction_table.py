@@ -71,7 +71,7 @@ _TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
 _TEXT_TITLE = "request -> response"
 _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
 _PLACES = (TableColumn.LINK, TableColumn.MASTER, TableColumn.UNIT)
-"""The columns that a row has only if they often change."""
+"""Link, master and unit are columns only if they change often; otherwise the heading has them."""
 
 
 class _TableRow(NamedTuple):

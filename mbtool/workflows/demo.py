@@ -55,7 +55,7 @@ Exchange = tuple[int, bytes, bytes | None]
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
-"""The sniffer listens for so many ns longer, until the last bytes have reached it."""
+"""When the masters have ended, the sniffer listens for so many ns longer, for the last bytes."""
 
 _TIMEOUT_NS = 5_000_000_000
 """The longest wait for a response, in ns. The demo's slaves always respond, but a busy machine may

@@ -94,7 +94,7 @@ def _play(
 ) -> tuple[DeviceResponder, Responder]:
     """Return the device of a station, and the responder that answers requests to it.
 
-    They differ if values of the device change over time.
+    The responder is the device itself, or a DrivenDevice if values change over time.
     """
     profile = station.profile
     if isinstance(where, SerialLink) and where.ascii:

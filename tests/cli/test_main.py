@@ -317,11 +317,23 @@ def test_a_log_that_is_there_is_not_written_over(
     assert path.read_text() == "mine"
 
 
-def _said_through(redirection: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+def _said_through(
+    redirection: str, *arguments: object, limit: str = ""
+) -> subprocess.CompletedProcess[str]:
     """Run a command by a shell that does something to its streams."""
     code = "from mbtool.cli.main import main; main()"
     return subprocess.run(
-        ["bash", "-o", "pipefail", "-c", f'"$@" {redirection}', "bash", sys.executable, "-c", code]
+        [
+            "bash",
+            "-o",
+            "pipefail",
+            "-c",
+            f'{limit}"$@" {redirection}',
+            "bash",
+            sys.executable,
+            "-c",
+            code,
+        ]
         + [str(one) for one in arguments],
         capture_output=True,
         text=True,
@@ -376,6 +388,49 @@ def test_a_full_disk_is_one_line(capture: Path, format_: str) -> None:
     ran = _said_through("> /dev/full", "decode", capture, "--format", format_)
     assert ran.returncode == exit_codes.UNREADABLE
     assert ran.stderr == "mbtool: standard output: cannot be written: No space left on device\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("command", ["devices", "links", "--help", "--version"])
+def test_a_full_disk_is_one_line_for_what_reads_no_file(command: str) -> None:
+    ran = _said_through("> /dev/full", command)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: standard output: cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["decode"], ["check"], ["diff"], ["devices", "--match"], ["devices", "draft"], ["replay"]],
+)
+def test_a_closed_standard_input_is_no_error_where_files_are_named(
+    capture: Path, arguments: list[str]
+) -> None:
+    files = [capture, capture] if arguments == ["diff"] else [capture]
+    more = ["--as-slave", "--on", "nonsense"] if arguments == ["replay"] else []
+    ran = _said_through("<&-", *arguments, *files, *more)
+    assert ran.returncode == (exit_codes.USAGE if more else exit_codes.DONE)
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("arguments", [["decode", "-"], ["devices", "import", "-"]])
+def test_a_closed_standard_input_is_one_line_where_it_is_to_be_read(arguments: list[str]) -> None:
+    ran = _said_through("<&-", *arguments)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: standard input: closed; name a file\n"
+
+
+def test_too_few_files_that_may_be_open_is_one_line() -> None:
+    ran = _said_through("", "line", "/nowhere/vl0", limit="ulimit -n 6; ")
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == "mbtool: too many files are open; allow more with `ulimit -n 1024`\n"
+
+
+@pytest.mark.parametrize("more", [[], ["--all"]])
+def test_a_reader_that_leaves_does_not_change_the_answer_of_check(more: list[str]) -> None:
+    path = Path(__file__).resolve().parents[2] / "captures" / "findings" / "MB-103.pcap"
+    ran = _said_through("| true; exit ${PIPESTATUS[0]}", "check", path, *more)
+    assert ran.returncode == exit_codes.NO
+    assert "Traceback" not in ran.stderr
 
 
 def test_a_terminal_without_unicode_is_shown_what_it_can_show(tmp_path: Path) -> None:

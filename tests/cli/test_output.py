@@ -88,8 +88,22 @@ def test_a_disk_that_runs_full_leaves_what_there_was_room_for(capture: Path) -> 
 def test_a_file_that_was_there_stays_there_when_the_disk_is_full(capture: Path) -> None:
     path = capture.with_name("a.csv")
     path.touch()
-    assert _on_a_disk_with_room_for(0, "decode", capture, "-o", path).returncode == 3
+    ran = _on_a_disk_with_room_for(0, "decode", capture, "-o", path, "--overwrite")
+    assert ran.returncode == 3
     assert path.exists()
+
+
+def test_a_file_that_was_there_is_replaced_only_with_overwrite(
+    mbtool: CommandLine, capture: Path
+) -> None:
+    path = capture.with_name("a.csv")
+    path.write_text("older")
+    told = mbtool("decode", capture, "-o", path)
+    assert told.code == exit_codes.USAGE
+    assert "a.csv: the file exists" in told.err
+    assert path.read_text() == "older"
+    assert mbtool("decode", capture, "-o", path, "--overwrite").code == exit_codes.DONE
+    assert path.read_text().startswith("request_ns,")
 
 
 def test_an_input_that_brings_nothing_leaves_no_empty_file_behind(

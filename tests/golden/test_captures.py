@@ -20,8 +20,9 @@ SETUPS = sorted(path.name for path in CAPTURES if path.name.startswith("fa3-at1m
 BEFORE_THE_CUT = frozenset({"ok", "exception", "broadcast"})
 """How a transaction can have ended that a cut has not touched."""
 
-LATER = frozenset({"confidence", "write_quantity", "source_mac", "destination_mac", "vlan"})
-"""The confidence is that of the decoder that made the log; the log is older than the others."""
+LATER = frozenset({"confidence", "file", "write_quantity", "source_mac", "destination_mac", "vlan"})
+"""The confidence is that of the decoder that made the log; the log is older than most others. Only
+what is read as it was logged names the log as its file."""
 
 each_capture = pytest.mark.parametrize("capture", CAPTURES, ids=lambda path: path.name)
 

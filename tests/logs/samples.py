@@ -145,7 +145,9 @@ def stock_messages(path: Path) -> list[tuple[str, str, bytes]]:
 _times = st.integers(0, 2**63)
 _names = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 _raw = st.binary(max_size=40)
-_maybe_int = st.none() | st.integers(0, 2**63)
+_maybe_byte = st.none() | st.integers(0, 255)
+_maybe_word = st.none() | st.integers(0, 65535)
+_maybe_ns = st.none() | st.integers(0, 2**63 - 1)
 _values = st.none() | st.lists(st.integers(0, 65535), max_size=5)
 _endpoints = st.builds(Endpoint, _names, st.integers(0, 65535))
 _connections = st.builds(Connection, _endpoints, _endpoints, st.integers(0, 2**31))
@@ -194,21 +196,21 @@ transactions = st.builds(
     source=st.none() | _names,
     destination=st.none() | _names,
     unit=st.integers(0, 255),
-    transaction_id=_maybe_int,
+    transaction_id=_maybe_word,
     function=st.integers(0, 127),
     function_name=_names,
-    sub_function=_maybe_int,
-    address=_maybe_int,
-    quantity=_maybe_int,
-    write_address=_maybe_int,
+    sub_function=_maybe_word,
+    address=_maybe_word,
+    quantity=_maybe_word,
+    write_address=_maybe_word,
     request_values=_values,
     response_values=_values,
-    exception=_maybe_int,
+    exception=_maybe_byte,
     exception_name=st.none() | _names,
     outcome=st.sampled_from(Outcome),
-    request_ns=st.none() | _times,
-    response_ns=st.none() | _times,
-    latency_ns=_maybe_int,
+    request_ns=_maybe_ns,
+    response_ns=_maybe_ns,
+    latency_ns=_maybe_ns,
     retries=st.integers(0, 1000),
     request_raw=st.none() | _raw,
     response_raw=st.none() | _raw,

@@ -5,10 +5,18 @@ import io
 import json
 
 import msgspec
+import pytest
 from hypothesis import given
 
 from mbtool.devices import NamedTransaction
-from mbtool.logs.exports import CSV_COLUMNS, CsvWriter, event_to_jsonl, transaction_to_jsonl
+from mbtool.logs.exports import (
+    CSV_COLUMNS,
+    CsvWriter,
+    csv_row,
+    event_to_jsonl,
+    iso_time,
+    transaction_to_jsonl,
+)
 from tests.logs.samples import EVENT, NAMED, transaction, transactions
 
 
@@ -73,3 +81,32 @@ def test_a_csv_row_is_read_back_whatever_it_holds(item: NamedTransaction) -> Non
     stream.seek(0)
     _, row = csv.reader(stream)
     assert len(row) == len(CSV_COLUMNS)
+
+
+@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "@SUM(A1)", "+1", "-1", "=1"])
+def test_a_spreadsheet_takes_no_text_for_a_formula(text: str) -> None:
+    row = dict(zip(CSV_COLUMNS, csv_row(transaction(reference=text)), strict=True))
+    assert row["reference"] == f"'{text}"
+
+
+@pytest.mark.parametrize("sign", ["\x1b", "\x9b", "\x00", "\u202e", "\u2028"])
+def test_what_controls_a_terminal_is_escaped(sign: str) -> None:
+    item = transaction(reference=f"HR4{sign}[2J\u00e9")
+    row = dict(zip(CSV_COLUMNS, csv_row(item), strict=True))
+    assert row["reference"] == "HR4?[2J\u00e9"
+    line = transaction_to_jsonl(item).decode()
+    assert line[:-1].isprintable()
+    assert json.loads(line)["reference"] == f"HR4{sign}[2J\u00e9"
+
+
+@pytest.mark.parametrize(
+    ("ts_ns", "text"),
+    [
+        (0, "1970-01-01T00:00:00.000000000Z"),
+        (1_700_000_000_000_000_001, "2023-11-14T22:13:20.000000001Z"),
+        (-1, "1969-12-31T23:59:59.999999999Z"),
+        (10**20 * 10, None),
+    ],
+)
+def test_a_time_is_written_as_iso_8601(ts_ns: int, text: str | None) -> None:
+    assert iso_time(ts_ns) == text

@@ -492,3 +492,25 @@ def given_by(items: Iterator[T]) -> tuple[list[T], InputError | None]:
     except InputError as error:
         return found, error
     return found, None
+
+
+@pytest.mark.parametrize(
+    ("fields", "first"),
+    [
+        ({"unit": -5}, "unit -5, Expected `int` >= 0"),
+        ({"latency_ns": -1}, "latency_ns -1, Expected `int` >= 0"),
+        ({"response_values": [1, 70000]}, "response_values, Expected `int` <= 65535"),
+        ({"request_ns": 2**63}, "request_ns 9223372036854775808, Expected `int` <= "),
+    ],
+)
+def test_an_impossible_number_costs_its_message_and_is_counted(
+    tmp_path: Path, fields: dict[str, object], first: str
+) -> None:
+    wrong = transaction(1, **fields)
+    path = write_log(tmp_path / "x.mcap", [transaction(0), wrong, wrong, transaction(2)])
+    *items, event = read_log(path)
+    assert items == [transaction(0), transaction(2)]
+    assert isinstance(event, WireEvent)
+    assert event.kind is EventKind.UNREADABLE
+    assert event.message.startswith("2 messages of the log left out, ")
+    assert first in event.message

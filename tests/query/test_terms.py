@@ -21,7 +21,12 @@ EMPTY = transaction(
     response_values=None,
     latency_ns=None,
 )
-PYTHON = {ValueKind.NUMBER: int | float, ValueKind.TEXT: str, ValueKind.LIST: list}
+PYTHON = {
+    ValueKind.NUMBER: int | float,
+    ValueKind.TEXT: str,
+    ValueKind.LIST: list,
+    ValueKind.MOMENT: int,
+}
 
 
 @pytest.mark.parametrize("name", NAMES)

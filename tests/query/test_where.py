@@ -252,3 +252,65 @@ def test_any_text_is_an_expression_or_refused(text: Any) -> None:
     except UsageError:
         return
     assert wanted(READ) in (True, False)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'source == "10.0.0.66"',
+        '"10.0.0.66" == source',
+        'source in ("10.0.0.1", "10.0.0.66")',
+        'source == "10.0.0.66:50000"',
+        'destination == "fe80::1" and slave == "fe80::1"',
+        'master == "10.0.0.66"',
+        '"10.0" in source',
+        'reference like "HR4*"',
+        'reference like "HR40000?"',
+        'reference not like "HR3*"',
+        'reference not like "R4*"',
+        r'reference matches "^HR4\d+$"',
+        'not reference matches "IR"',
+        'file like "*.pcap"',
+        'findings like "FT1A-*"',
+        'time >= "2023-11-14" and time < "2023-11-14T23:13:20.5+01:00"',
+        "reference != \"x like 'y'\"",
+    ],
+)
+def test_an_endpoint_a_time_or_a_pattern_holds(text: str) -> None:
+    one = transaction(
+        source="10.0.0.66:50000",
+        destination="[fe80::1]:502",
+        reference="HR400001",
+        file="a.pcap",
+        findings=["FT1A-Q3"],
+    )
+    assert parse_where(text)(one)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("unit == 300", "unit is never 300; it is a number from 0 to 255"),
+        ("300 == unit", "unit is never 300; it is a number from 0 to 255"),
+        ("unit in (1, 300)", "unit is never 300"),
+        ("unit > 255", "unit is never > 255"),
+        ("70000 in values", "one of values is never 70000"),
+        ('reference matches "(a"', "the pattern '(a': missing ), unterminated subpattern at char"),
+        ('reference matches "a{99999999999}"', "the repetition number is too large"),
+        ('unit like "1"', "unit is a number; like looks at texts"),
+        ('outcome like "exep*"', "outcome never fits 'exep*'; it is ok, exception"),
+        ('time > "soon"', "'soon' is no moment; write 2026-11-22T09:14:03"),
+        ('master == "10.0.0.6:502"', "master has no port; write source == '10.0.0.6:502'"),
+        ("reference like 5", "is not an expression"),
+        ("reference like device", "is not an expression"),
+    ],
+)
+def test_what_can_never_hold_is_one_clear_line(text: str, why: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(why)) as told:
+        parse_where(text)
+    assert "\n" not in str(told.value)
+
+
+def test_limits_of_a_range_can_be_compared() -> None:
+    for text in ("unit <= 255", "unit < 300", "unit >= 0", "-1 < unit", "address < 65536"):
+        assert parse_where(text)(transaction())

@@ -1,11 +1,10 @@
 """The rules about hosts that are not the usual masters: a second writer, a late identification."""
 
 # SEC-101  a second master writes to a slave. Of two hosts that send requests to one slave, the
-# first
-#          master is the host that began earlier. The other host is the second master in two cases:
-#          it began when the first had already sent requests for at least the limit's time; or both
-#          write within that time. If both began at about the same time and only one writes, the
-#          capture does not show who is the usual master, and there is no finding.
+#          first master is the host that began earlier. The other host is the second master in two
+#          cases: it began when the first had already sent requests for at least the limit's time;
+#          or both write, less than that time apart. If both began at about the same time and only
+#          one writes, the capture does not show who is the usual master, and there is no finding.
 # SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
 #          modules), and sent nothing within the limit's time from the beginning of the capture. The
 #          usual masters of a plant do send something then; one that restarts later is still known.

@@ -109,7 +109,7 @@ class ResponseRules:
         if is_ambiguous and transaction.outcome in _UNPAIRED:
             self._forget(connection, transaction.unit)
         if transaction.outcome is Outcome.NOT_CAPTURED:
-            self._forget(connection, transaction.unit)  # Part of it is not in the capture.
+            self._forget(connection, transaction.unit)  # The capture lacks one half.
             return
         if transaction.outcome is Outcome.UNSOLICITED:
             if _is_surely_unsolicited(state, at_ns) and not is_ambiguous:

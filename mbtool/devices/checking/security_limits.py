@@ -82,7 +82,7 @@ _FIELDS = {
     "SEC-204": ("register_scan",),
     "SEC-205": ("identification",),
 }
-"""The fields of SecurityLimits that the limit of a code sets."""
+"""The fields of SecurityLimits that a user's limit sets, by the code of the rule."""
 
 
 def _parse(text: str) -> tuple[str, SecurityLimit]:

@@ -7,9 +7,9 @@
 #   float32       two registers whose values as floats, in one word order, are all 0 or within
 #                 MAGNITUDES; in addition, the floats have few decimal digits (32 random bits have
 #                 them in 1 of 500 cases), or the low word changes much more often than the high
-#                 one, or the two registers are requested alone, or they follow another float32
-#   32 bits       one register counts up when the other starts again from a lower value; or the two
-#                 registers are requested alone
+#                 one, or a request asks for just these two, or they follow another float32
+#   32 bits       one register goes up by one when the other starts again from a lower value; or a
+#                 request asks for just these two registers
 #   int16         values near 0 and near FFFFH
 #   uint16        everything else; this is not a guess, and the reason gives the sampled values
 

@@ -181,7 +181,8 @@ def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]
 def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float], list[str]]:
     """Return the keys for the range and the default, or notes if they would be ambiguous.
 
-    They are ambiguous for a scaled value: a list does not say if they are before or after scaling.
+    The range and the default of a scaled value are ambiguous: a list does not say whether they are
+    before or after scaling.
     """
     is_plain = kind.is_number and (row.scale, row.offset) == (1, 0)
     said = {"minimum": row.minimum, "maximum": row.maximum, "default": row.default}

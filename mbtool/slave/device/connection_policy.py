@@ -49,9 +49,9 @@ class Admission:
     peer: Peer | None
     """None if the connection is refused."""
     leaves: Peer | None = None
-    """The master whose connection is closed in favour of the new one; None if none is."""
+    """The master whose connection must be closed to make room for the new one; None if none."""
     is_full: bool = False
-    """True if it is refused because as many masters as allowed are connected."""
+    """True if the new connection is refused because too many masters are connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class ConnectionPolicy:
 
     @property
     def closed_until_ns(self) -> int | None:
-        """The time in ns until which no connection may be open; None while connections may be."""
+        """All connections must be closed until this time in ns; None if they may be open now."""
         return None
 
     def admit(self, host: str, now_ns: int) -> Admission:

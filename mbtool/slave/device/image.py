@@ -69,7 +69,7 @@ class RegisterImage:
         self._cells[table][width * address : width * (address + len(values))] = data
 
     def put(self, point: Point, address: int, values: Sequence[int]) -> None:
-        """Write the registers or the bit of a point, from `address`, one of its addresses, on.
+        """Write the registers or the bit of a point; `address` is the first one to write.
 
         Writes into the point's block, if it has one, else into the table. Raises ValueError as
         `set` does, and if the values extend beyond the end of the block.

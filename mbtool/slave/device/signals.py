@@ -77,7 +77,7 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """One value after the other, each for `every_ns`."""
+    """A signal that has each of several values for `every_ns`, in turn."""
 
     values: Sequence[float]
     every_ns: int

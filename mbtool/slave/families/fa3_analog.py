@@ -113,7 +113,7 @@ class _InputSetting:
 
 @dataclass(slots=True)
 class _InputChannel:
-    """One input and the value that a master reads."""
+    """The state of one input while it is converted, with the value that a master reads."""
 
     processing: Processing
     limits: tuple[int, int]

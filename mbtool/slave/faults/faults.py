@@ -125,7 +125,7 @@ class FaultySlave:
 
 
 class _Active:
-    """One fault, with a count of the requests that fitted it and of those that it acted on."""
+    """One fault at work: counts the requests that fit it, and decides for which it acts."""
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault

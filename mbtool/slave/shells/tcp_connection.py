@@ -227,7 +227,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if self._shell.on_exchange is not None:
                     self._shell.on_exchange(event, answer)
                 if (self._rules.closed_until_ns or 0) > now_ns:
-                    break  # Requests behind a remote reset are lost with their connection.
+                    break  # A remote reset closes the connection, so later requests are lost.
         self._is_in_pieces = not self._splitter.is_idle
         self._watch_parts(has_ended_one=bool(events))
 

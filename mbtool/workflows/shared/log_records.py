@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mbtool.core import Chunk, Packet, UsageError, WireEvent
 from mbtool.devices import Namer
 from mbtool.logs import follow
@@ -17,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def log_records(
-    items: Iterable[Record | Chunk | Packet], assignments: Assignments
+    items: Iterable[Record | Chunk | Packet], assignments: Assignments, file: str
 ) -> Iterator[Record]:
-    """The transactions and events among a log's items.
+    """The transactions and events among a log's items; `file` is the log, as the user named it.
 
     A transaction is named again if the user has assigned a profile to its device.
     """
@@ -28,7 +30,7 @@ def log_records(
         if isinstance(item, WireEvent):
             yield item
         elif not isinstance(item, Chunk | Packet):
-            yield namer.rename(item)
+            yield replace(namer.rename(item), file=file)
 
 
 def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> Iterator[Record]:
@@ -43,4 +45,4 @@ def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> I
     with open_capture(path) as capture:
         if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
             raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
-    yield from log_records(follow(path, wait), assignments)
+    yield from log_records(follow(path, wait), assignments, path)

@@ -462,7 +462,9 @@ class Reading:
             self.line_of = lines.get
             timing = LineTiming(self.assignments)
             self.format_of = lambda link: timing.format_of(lines[link]) if link in lines else None
-            yield from log_records(self._missing.noted(log.items()), self._options.assignments)
+            yield from log_records(
+                self._missing.noted(log.items()), self._options.assignments, capture.name
+            )
         if not log.closed:
             end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
             end = end if log.end_ns else "holds nothing"

@@ -15,6 +15,7 @@ from mbtool.logs.links import SPEC
 from mbtool.workflows.shared.capture_parts import BACK_NS, Part, Seam
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.packets.building import pcap
+from tests.records import without_origins
 from tests.workflows.evidence import LINE, READ, VALUES, captured, exchange, relayed
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ RTAC_SERIAL = 250
 
 
 def _read(paths: Iterable[Path], *, raw: bool = False) -> list[Record]:
-    return list(Reading([str(path) for path in paths], ReadingOptions(raw=raw)).records())
+    reading = Reading([str(path) for path in paths], ReadingOptions(raw=raw))
+    return without_origins(reading.records())
 
 
 def _outcomes(records: Iterable[Record]) -> list[str]:

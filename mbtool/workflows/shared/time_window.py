@@ -1,0 +1,90 @@
+"""The part of a capture between --start and --end."""
+
+# A time since the beginning counts from the capture's first request, as with `replay`. A
+# transaction is decoded when it is complete, so the first transaction decoded need not be the first
+# that began. So records are held until HOLD_NS of the capture have passed (a request may wait that
+# long for its response), or until MAX_HELD records are held. The earliest request among these is
+# taken as the first. A record that began before it counts as being at the beginning.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import UsageError, WireEvent
+from mbtool.core.moments import Moment, parse_moment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mbtool.decode.decoder import Record
+
+HOLD_NS = 60_000_000_000
+MAX_HELD = 100_000
+
+
+@dataclass(slots=True)
+class TimeWindow:
+    """A part of a capture. A record that begins exactly at the end is outside."""
+
+    start: Moment | None
+    end: Moment | None
+    _first_ns: int | None = field(default=None, init=False)
+
+    @classmethod
+    def parse(cls, start: str | None, end: str | None) -> TimeWindow:
+        """Read --start and --end.
+
+        Raises UsageError for a text that is no moment, and for an end that is not after the start.
+        """
+        first = None if start is None else parse_moment(start, "--start")
+        last = None if end is None else parse_moment(end, "--end")
+        alike = first is not None and last is not None and first.is_absolute is last.is_absolute
+        if first is not None and last is not None and alike and last.ns <= first.ns:
+            raise UsageError(f"--end {end}: is not after --start {start}")
+        return cls(first, last)
+
+    @property
+    def is_whole(self) -> bool:
+        """True if the window is the whole capture."""
+        return self.start is None and self.end is None
+
+    def begun(self, records: Iterable[Record], *, at_once: bool = False) -> Iterator[Record]:
+        """Yield all records, but hold them back until the first request is known.
+
+        With `at_once`, no record is held back, for live captures: the first transaction that is
+        decoded counts as the first request.
+        """
+        if not any(one is not None and not one.is_absolute for one in (self.start, self.end)):
+            yield from records
+            return
+        held: list[Record] | None = []
+        for record in records:
+            if held is None:
+                yield record
+                continue
+            held.append(record)
+            now_ns = self._note(record)
+            is_known = self._first_ns is not None and now_ns - self._first_ns >= HOLD_NS
+            if is_known or at_once or len(held) >= MAX_HELD:
+                yield from held
+                held = None
+        yield from held or ()
+
+    def __contains__(self, record: Record) -> bool:
+        """True if a record begins in the window. Only for records that `begun` has yielded."""
+        ts_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+        since_ns = max(ts_ns - (self._first_ns or 0), 0)
+        start, end = self.start, self.end
+        if start is not None and (ts_ns if start.is_absolute else since_ns) < start.ns:
+            return False
+        return end is None or (ts_ns if end.is_absolute else since_ns) < end.ns
+
+    def _note(self, record: Record) -> int:
+        """Note a record that comes before the first request is known; return its time in ns."""
+        if isinstance(record, WireEvent):
+            return record.ts_ns
+        start_ns = record.start_ns
+        if self._first_ns is None or start_ns < self._first_ns:
+            self._first_ns = start_ns
+        return start_ns

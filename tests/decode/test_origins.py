@@ -1,0 +1,134 @@
+"""Where transactions come from: packets, files of serial bytes, and addresses of the link layer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtool.core import EventKind, LinkAddresses, Origin, StreamPlace, WireEvent, parse_line
+from mbtool.decode.serial_origins import SerialOrigins
+from mbtool.modbus.adu import Skipped
+from mbtool.packets.link_addresses import link_addresses
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from tests.packets.building import pcap
+from tests.workflows.evidence import captured
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mbtool.devices import NamedTransaction
+
+READ = bytes.fromhex("01 03 0000 0002 c40b")
+VALUES = bytes.fromhex("01 03 04 1234 5678 8107")
+MASTER, SLAVE = bytes.fromhex("000ae4010203"), bytes.fromhex("000417020304")
+
+
+def decoded(*paths: Path, line: str | None = None) -> list[NamedTransaction]:
+    options = ReadingOptions(line=None if line is None else parse_line(line))
+    records = Reading([str(path) for path in paths], options).records()
+    return [one for one in records if not isinstance(one, WireEvent)]
+
+
+def test_packets_of_other_protocols_count_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    first, *others = captured()
+    arp = replace(first, data=b"\xff" * 12 + b"\x08\x06" + bytes(28), original_length=42)
+    path.write_bytes(pcap([arp, arp, first, *others]))
+    plain = tmp_path / "b.pcap"
+    plain.write_bytes(pcap([first, *others]))
+    one, other = decoded(path)[0], decoded(plain)[0]
+    assert one.request_packet is not None
+    assert other.request_packet is not None
+    assert one.request_packet == other.request_packet + 2
+    assert one.file == str(path)
+
+
+def test_a_response_in_the_next_file_says_so(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.pcap", tmp_path / "b.pcap"]
+    packets = captured()
+    whole = tmp_path / "whole.pcap"
+    whole.write_bytes(pcap(packets))
+    one = decoded(whole)[-1]
+    assert one.request_packet is not None
+    paths[0].write_bytes(pcap(packets[: one.request_packet]))
+    paths[1].write_bytes(pcap(packets[one.request_packet :]))
+    last = decoded(*paths)[-1]
+    assert (last.file, last.response_file) == (str(paths[0]), str(paths[1]))
+    assert last.request_packet == one.request_packet
+    assert last.request_packet + (last.response_packet or 0) == one.response_packet
+
+
+@pytest.mark.parametrize("before", [b"", b"\xaa\xbb\xcc", VALUES[:5]])
+def test_an_offset_leads_to_the_bytes_of_a_frame(tmp_path: Path, before: bytes) -> None:
+    path = tmp_path / "line.bin"
+    path.write_bytes(before + (READ + VALUES) * 3)
+    data = path.read_bytes()
+    transactions = decoded(path, line="rtu@19200-8E1")
+    assert len(transactions) >= 2
+    for one in transactions:
+        for offset, raw in (
+            (one.request_offset, one.request_raw),
+            (one.response_offset, one.response_raw),
+        ):
+            if raw is not None:
+                assert offset is not None
+                assert data[offset : offset + len(raw)] == raw
+        assert one.file == str(path)
+        assert one.request_packet is None
+
+
+@given(st.lists(st.integers(1, 9), min_size=1), st.data())
+def test_marks_are_dropped_with_their_bytes(sizes: list[int], data: st.DataObject) -> None:
+    origins = SerialOrigins()
+    origin = Origin("line.bin", 0)
+    total = 0
+    for size in sizes:
+        origins.note(size, StreamPlace(total, None, origin))
+        total += size
+    given_bytes = data.draw(st.integers(1, total))
+    skipped = Skipped(0, EventKind.SKIPPED, "noise", bytes(given_bytes))
+    assert origins.added_to([skipped]) == [skipped]
+    assert origins.held <= len(sizes)
+    assert bool(origins.held) is (given_bytes < total)
+
+
+@pytest.mark.parametrize(
+    ("link_type", "header", "addresses"),
+    [
+        (1, SLAVE + MASTER + b"\x08\x00", ("00:0a:e4:01:02:03", "00:04:17:02:03:04", None)),
+        (
+            1,
+            SLAVE + MASTER + bytes.fromhex("88a8 0064 8100 6005 0800"),
+            ("00:0a:e4:01:02:03", "00:04:17:02:03:04", 5),
+        ),
+        (
+            1,
+            SLAVE + MASTER + bytes.fromhex("8100 6000 0800"),  # Only a priority.
+            ("00:0a:e4:01:02:03", "00:04:17:02:03:04", None),
+        ),
+        (1, bytes(12) + b"\x08\x00", (None, None, None)),  # The loopback interface.
+        (
+            113,
+            bytes.fromhex("0000 0001 0006") + MASTER + bytes.fromhex("0000 8100 0007 0800"),
+            ("00:0a:e4:01:02:03", None, 7),
+        ),
+        (
+            276,
+            bytes.fromhex("8100 0000 00000002 0001 0006") + MASTER + bytes.fromhex("00000009 0800"),
+            ("00:0a:e4:01:02:03", None, 9),
+        ),
+    ],
+)  # fmt: skip
+def test_addresses_are_read_in_the_header_of_the_link_layer(
+    link_type: int, header: bytes, addresses: tuple[str | None, str | None, int | None]
+) -> None:
+    assert link_addresses(link_type, header) == LinkAddresses(*addresses)
+
+
+@given(st.sampled_from([0, 1, 12, 101, 113, 276]), st.binary(max_size=40))
+def test_no_header_raises(link_type: int, header: bytes) -> None:
+    link_addresses(link_type, header)
