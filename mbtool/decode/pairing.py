@@ -1,12 +1,14 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
-# One request is open at a time. The next request closes it without an answer, even if that is for
-# another unit. network_pairing.py pairs those of a connection.
+# One request is open at a time. The next request closes it without an answer, unless that one is
+# for another unit and comes while the master of the open request may still be waiting. Then a
+# second master has overtaken it: its response is accepted until one more request overtakes it, or
+# comes when nobody else waits. network_pairing.py pairs those of a connection.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer.
 #
-# Memory: one open request, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
+# Memory: two requests, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
 
 from __future__ import annotations
 
@@ -14,13 +16,16 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from mbtool.core import Direction
+from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.request_match import is_response_code
+from mbtool.serial_line.line_statistics import LatencyStatistics
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu
     from mbtool.modbus.transaction import Transaction
@@ -29,44 +34,99 @@ BUS_TIMEOUT_NS = 5_000_000_000
 """Longer than any master waits, so that a late response is still paired with its request."""
 
 
+ENOUGH_OVERTAKEN = 2
+"""After so many requests that another one overtook, and that were answered, it is said once."""
+TWO_MASTERS = (
+    "requests come while others wait for their response: two masters share this line, or one does "
+    "not wait long enough"
+)
+
+
+def waits_before_any_retry(waited_ns: int) -> bool:
+    """True if a master whose timeout is not known certainly waits for a response so long."""
+    return waited_ns < LatencyStatistics.MIN_RETRY_NS
+
+
 class Pairing:
     """Takes the ADUs of one serial line, returns complete transactions."""
 
-    def __init__(self, ends: Ends) -> None:
+    def __init__(
+        self, ends: Ends, still_waits: Callable[[int], bool] = waits_before_any_retry
+    ) -> None:
+        """`still_waits` is True if a master may still wait for a response after so many ns."""
         self._ends = ends
+        self._still_waits = still_waits
         self._open: Adu | None = None
+        self._overtaken: Adu | None = None
+        """The request before the open one, if its response may still come."""
+        self._overtaken_count = 0
+        """How many overtaken requests got their response."""
         self._unanswered: dict[tuple[int, bytes], int] = {}
         """By unit and PDU, how many requests in a row had no answer."""
 
-    def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction]:
-        """Take the next ADU, in order of time."""
-        done = self.advance(adu.start_ns)
+    def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction | WireEvent]:
+        """Take the next ADU, in order of time; return what it completes.
+
+        The event of kind TWO_MASTERS comes at most once.
+        """
+        done: list[Transaction | WireEvent] = [*self.advance(adu.start_ns)]
         if adu.direction is not Direction.RESPONSE:
             self._doubt_silence(adu)
-            done += self.close()
+            done += self._make_way(adu)
             if adu.unit == 0:
                 done.append(broadcast(self._ends, adu))
             else:
                 self._open = adu
             return done
-        request = self._open
-        if (
-            request is None
-            or request.unit != adu.unit
-            or not is_response_code(request.pdu[0], adu.pdu[0])
-        ):
+        if (request := self._open) is not None and _answers(adu, request):
+            self._open = None
+        elif (request := self._overtaken) is not None and _answers(adu, request):
+            self._overtaken = None
+            done += self._two_masters(adu)
+        else:
             done.append(unsolicited(self._ends, adu))
             return done
-        self._open = None
         retries = self._unanswered.pop((request.unit, request.pdu), 0)
         done.append(with_response(self._ends, request, adu, retries, ()))
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Give up a request that has waited longer than the timeout; return its transaction."""
-        if self._open is None or now_ns - self._open.end_ns <= BUS_TIMEOUT_NS:
+        """Give up requests that have waited longer than the timeout; return their transactions."""
+        done: list[Transaction] = []
+        if (overtaken := self._overtaken) and now_ns - overtaken.end_ns > BUS_TIMEOUT_NS:
+            self._overtaken = None
+            done.append(self._unanswered_request(overtaken))
+        if self._open is not None and now_ns - self._open.end_ns > BUS_TIMEOUT_NS:
+            done += self.close()
+        return done
+
+    def _make_way(self, adu: Adu) -> list[Transaction]:
+        """End the requests that got no response before this request, except one it overtakes."""
+        request = self._open
+        if (
+            request is None
+            or adu.unit in (0, request.unit)
+            or not self._still_waits(adu.start_ns - request.end_ns)
+        ):
+            return self.close()
+        self._open = None
+        done = self.close()
+        self._overtaken = request
+        return done
+
+    def _two_masters(self, adu: Adu) -> list[WireEvent]:
+        """Count a response to an overtaken request; say once that there are some."""
+        self._overtaken_count += 1
+        if self._overtaken_count != ENOUGH_OVERTAKEN:
             return []
-        return self.close()
+        return [
+            WireEvent(
+                ts_ns=adu.start_ns,
+                link=self._ends.link,
+                kind=EventKind.TWO_MASTERS,
+                message=TWO_MASTERS,
+            )
+        ]
 
     def _doubt_silence(self, adu: Adu) -> None:
         """Make the open request ambiguous if an equal frame, called a retry, may be its response.
@@ -80,13 +140,21 @@ class Pairing:
             self._open = replace(request, confidence=confidence, verdicts=verdicts)
 
     def close(self) -> list[Transaction]:
-        """End the line: the open request stays without an answer."""
-        request, self._open = self._open, None
-        if request is None:
-            return []
+        """End the line: the requests without a response stay so."""
+        requests = self._overtaken, self._open
+        self._overtaken = self._open = None
+        return [self._unanswered_request(request) for request in requests if request is not None]
+
+    def _unanswered_request(self, request: Adu) -> Transaction:
+        """The transaction of a request that got no response; count it."""
         key = request.unit, request.pdu
         retries = self._unanswered.pop(key, 0)
         if len(self._unanswered) >= MAX_OPEN_REQUESTS:
             del self._unanswered[next(iter(self._unanswered))]
         self._unanswered[key] = retries + 1
-        return [no_answer(self._ends, request, retries)]
+        return no_answer(self._ends, request, retries)
+
+
+def _answers(response: Adu, request: Adu) -> bool:
+    """True if a response has the unit and the function of a request."""
+    return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])

@@ -56,6 +56,17 @@ class LineHistory:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
+    def master_may_wait(self, waited_ns: int) -> bool:
+        """True if a master may still be waiting for its response after `waited_ns`.
+
+        If silences tell nothing, it always may.
+        """
+        if not self.trusts_silences:
+            return True
+        if self.timeout.is_known:
+            return self.timeout.is_not_over(waited_ns)
+        return waited_ns < LatencyStatistics.MIN_RETRY_NS
+
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
         """The cost, in bits, of supposing that a unit answers which gave no response lately.
 
