@@ -206,9 +206,11 @@ def _lateness_cost(
             return costs.NEAR_TIMEOUT
         if history.timeout.is_over_at(silence_ns):
             return costs.MAX_ECHO_LATENESS
-    # An echo that is later than any response may be a retry, so it has no margin.
+    # An echo that is later than any response may be a retry, so it has a margin only if it comes
+    # sooner than any retry.
     doublings = latency.doublings_late(silence_ns, LatencyStatistics.MIN_WRITE_NS)
-    if doublings <= 0.0:
+    is_soon = silence_ns < LatencyStatistics.MIN_RETRY_NS
+    if doublings <= (LatencyStatistics.MARGIN_DOUBLINGS if is_soon else 0.0):
         return 0.0
     return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, most)
 
