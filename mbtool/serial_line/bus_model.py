@@ -25,6 +25,7 @@ from mbtool.core import Direction
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES
 from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.functions import ECHOING
 from mbtool.modbus.pdu import pdu_length
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import (
@@ -297,6 +298,21 @@ class BusModel:
         if pending is None or pending.silence_before_ns is not None:
             return state.last_ns is not None
         return waited_ns > LatencyStatistics.MIN_WRITE_NS
+
+    def may_be_retry(self, unit: int, pdu: bytes) -> bool:
+        """True if a frame equals the one before it, and nothing tells a response from a retry.
+
+        That is so if silences do not tell it, and the unit has not answered anything else. But two
+        equal frames on a line with a single unit are taken for a pair.
+        """
+        history, state = self.history, self.state
+        if history.trusts_silences or unit in history.answering or pdu[0] not in ECHOING:
+            return False
+        if state.pending is not None:
+            is_third = state.is_repeat or state.retries > 0
+            may_be_absent = is_third or len(history.units) > 1
+            return may_be_absent and state.pending.is_same(unit, pdu)
+        return state.answered is not None and state.answered.is_same(unit, pdu)
 
     def reset_state(self) -> None:
         """Forget the bus state: the clock was set back, so its times mean nothing any more."""

@@ -152,7 +152,9 @@ def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) ->
 def _late_response_cost(
     state: BusState, pending: PendingRequest | None, overdue: PendingRequest, pdu: bytes
 ) -> float:
-    is_other = pending is not None and not pending.is_same(overdue.unit, overdue.pdu)
+    # The request that came after the overdue one: it waits for its response, or has got it.
+    after = pending or state.answered
+    is_other = after is not None and not after.is_same(overdue.unit, overdue.pdu)
     cost = costs.LATE_RESPONSE_TO_OTHER if is_other else costs.LATE_RESPONSE
     first = state.last_response
     is_second = state.answered is not None and state.answered.pdu == overdue.pdu

@@ -102,7 +102,9 @@ class LineHistory:
             is_retry = pending is not None and pending.is_same(unit, pdu)
             self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
-                self.timeout.learn(start_ns - pending.awaited_from_ns)
+                waited_ns = start_ns - pending.awaited_from_ns
+                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Otherwise it is a copy.
+                    self.timeout.learn(waited_ns)
 
     def learn_latency(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
