@@ -3,8 +3,8 @@
 # The second copy follows the request within a character or so. No master repeats a request without
 # a silence of t3.5, so one such copy of a request that cannot be a response by its form is enough,
 # if silences are heard and no request has come once before. If even the short pause between the two
-# is lost, an adapter may have merged them: then a copied request must have got a response. Where
-# silences are not heard, a copy may be a retry: then several requests in a row must have come twice.
+# is lost, an adapter may have merged them: then a copied request must have got a response. Where no
+# silences are heard, a copy may be a retry: then several requests in a row must have come twice.
 #
 # Holds the last request only.
 

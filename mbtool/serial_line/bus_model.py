@@ -364,6 +364,7 @@ class BusModel:
                 pending = PendingRequest(unit, pdu, expected, end_ns, before_ns)
             pdu = b""
         elif pending is None or pending.unit == unit:
+            is_repeat = pending is not None and state.is_repeat
             overdue, answered, pending = (overdue if pending else None), pending or overdue, None
             if answered and self.history.trusts_silences:
                 after_ns = start_ns - answered.awaited_from_ns

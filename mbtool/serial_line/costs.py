@@ -37,6 +37,9 @@ line statistics replace."""
 REPEAT_AFTER_RESPONSE_LIMITS = (0.0, 10.0)
 """The least and the most, in bits, that the learned cost of a request that equals the one just
 answered can become. It becomes 0 for a master that sends a single request again and again."""
+REPEAT_AGAIN = 1.0
+"""Extra cost of the same request once more after it was repeated and answered: a master that writes
+one value in a loop goes on with it."""
 LATE_RESPONSE = 2.0
 """The cost of a response to the overdue request, after its retry or after damaged bytes."""
 LATE_RESPONSE_TO_OTHER = 5.0

@@ -67,7 +67,8 @@ def _request_cost(
     is_repeat = state.answered is not None and state.answered.is_same(unit, pdu)
     if is_repeat:
         if not history.trusts_silences or overdue is not None:
-            cost += history.repeat.bits
+            again = costs.REPEAT_AGAIN if state.is_repeat else history.repeat.bits
+            cost += min(history.repeat.bits, again)
     elif state.last_response == pdu and _may_be_second_response(state.answered, unit, pdu):
         cost += costs.REQUEST_EQUALS_RESPONSE
     if not (is_retry or is_repeat or (unit, pdu) in history.requests):

@@ -177,7 +177,9 @@ class PathSearch:
             if is_damage and not state.follows_damage:
                 state = state.after_damage()
             for frame in frames:
-                self._add_frame(offset, path, state, frame, start_cost)
+                is_behind = path.skipped and self._window.silences[offset + frame.size]
+                cost = min(start_cost, costs.GLUED) if is_behind else start_cost
+                self._add_frame(offset, path, state, frame, cost)
             if path in likely:
                 for frame in unknown:
                     self._add_frame(offset, path, state, frame, start_cost)
