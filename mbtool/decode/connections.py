@@ -65,7 +65,7 @@ class Bus:
         else:
             model = BusModel(timed=timed, response_timeout_ns=response_timeout_ns)
             self._splitter = RtuSplitter(line, model, timed=timed)
-            self._pairing = Pairing(self._ends, model.history.master_may_wait)
+            self._pairing = Pairing(self._ends, model.history.master_still_waits)
         self._origins: SerialOrigins | None = None
         """None until the first bytes with a known place."""
 

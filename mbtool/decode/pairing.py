@@ -1,9 +1,11 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
 # One request is open at a time. The next request closes it without an answer, unless that one is
-# for another unit and comes while the master of the open request may still be waiting. Then a
-# second master has overtaken it: its response is accepted until one more request overtakes it, or
-# comes when nobody else waits. network_pairing.py pairs those of a connection.
+# for another unit and comes while the master of the open request still waits. Then a second master
+# has overtaken it, and its response is accepted until the next request.
+# Where silences tell nothing, the response may also have come after its master had given up. It is
+# taken for that, as ambiguous, until the line has shown ENOUGH_OVERTAKEN such responses among
+# RECENT_REQUESTS requests. network_pairing.py pairs those of a connection.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer.
@@ -12,6 +14,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -32,17 +35,19 @@ if TYPE_CHECKING:
 
 BUS_TIMEOUT_NS = 5_000_000_000
 """Longer than any master waits, so that a late response is still paired with its request."""
-
-
 ENOUGH_OVERTAKEN = 2
-"""After so many requests that another one overtook, and that were answered, it is said once."""
+"""So many requests that another one overtook, and that were answered, mean that there are two
+masters, if they are among RECENT_REQUESTS. Responses that come too late are rarer."""
+RECENT_REQUESTS = 100
+EVEN = 0.5
+"""The confidence of one of two explanations that are as likely."""
 TWO_MASTERS = (
     "requests come while others wait for their response: two masters share this line, or one does "
     "not wait long enough"
 )
 
 
-def waits_before_any_retry(waited_ns: int) -> bool:
+def waits_before_any_retry(waited_ns: int) -> bool | None:
     """True if a master whose timeout is not known certainly waits for a response so long."""
     return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
@@ -51,16 +56,23 @@ class Pairing:
     """Takes the ADUs of one serial line, returns complete transactions."""
 
     def __init__(
-        self, ends: Ends, still_waits: Callable[[int], bool] = waits_before_any_retry
+        self, ends: Ends, still_waits: Callable[[int], bool | None] = waits_before_any_retry
     ) -> None:
-        """`still_waits` is True if a master may still wait for a response after so many ns."""
+        """`still_waits` is True if a master certainly still waits for a response after so many ns,
+        False if it may have given up; None if the times do not tell.
+        """
         self._ends = ends
         self._still_waits = still_waits
         self._open: Adu | None = None
         self._overtaken: Adu | None = None
         """The request before the open one, if its response may still come."""
-        self._overtaken_count = 0
-        """How many overtaken requests got their response."""
+        self._is_surely_overtaken = False
+        """True if the master of that request was certainly still waiting."""
+        self._requests = 0
+        self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
+        """Of the last overtaken requests that got a response, the number of the request after."""
+        self._has_told = False
+        """True if it was said that there are two masters."""
         self._unanswered: dict[tuple[int, bytes], int] = {}
         """By unit and PDU, how many requests in a row had no answer."""
 
@@ -71,6 +83,7 @@ class Pairing:
         """
         done: list[Transaction | WireEvent] = [*self.advance(adu.start_ns)]
         if adu.direction is not Direction.RESPONSE:
+            self._requests += 1
             self._doubt_silence(adu)
             done += self._make_way(adu)
             if adu.unit == 0:
@@ -83,6 +96,10 @@ class Pairing:
         elif (request := self._overtaken) is not None and _answers(adu, request):
             self._overtaken = None
             done += self._two_masters(adu)
+            if not (self._is_surely_overtaken or self._has_told):
+                done.append(self._unanswered_request(_in_doubt(request)))
+                done.append(unsolicited(self._ends, _in_doubt(adu)))
+                return done
         else:
             done.append(unsolicited(self._ends, adu))
             return done
@@ -103,22 +120,24 @@ class Pairing:
     def _make_way(self, adu: Adu) -> list[Transaction]:
         """End the requests that got no response before this request, except one it overtakes."""
         request = self._open
-        if (
-            request is None
-            or adu.unit in (0, request.unit)
-            or not self._still_waits(adu.start_ns - request.end_ns)
-        ):
+        if request is None or adu.unit in (0, request.unit):
+            return self.close()
+        waits = self._still_waits(adu.start_ns - request.end_ns)
+        if waits is False:
             return self.close()
         self._open = None
         done = self.close()
-        self._overtaken = request
+        self._overtaken, self._is_surely_overtaken = request, waits is True
         return done
 
     def _two_masters(self, adu: Adu) -> list[WireEvent]:
         """Count a response to an overtaken request; say once that there are some."""
-        self._overtaken_count += 1
-        if self._overtaken_count != ENOUGH_OVERTAKEN:
+        numbers = self._answered_at
+        numbers.append(self._requests)
+        is_enough = len(numbers) == ENOUGH_OVERTAKEN and numbers[-1] - numbers[0] < RECENT_REQUESTS
+        if self._has_told or not is_enough:
             return []
+        self._has_told = True
         return [
             WireEvent(
                 ts_ns=adu.start_ns,
@@ -153,6 +172,12 @@ class Pairing:
             del self._unanswered[next(iter(self._unanswered))]
         self._unanswered[key] = retries + 1
         return no_answer(self._ends, request, retries)
+
+
+def _in_doubt(adu: Adu) -> Adu:
+    """The ADU with the verdict that its transaction may be another one."""
+    verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
+    return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)
 
 
 def _answers(response: Adu, request: Adu) -> bool:

@@ -56,13 +56,13 @@ class LineHistory:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
-    def master_may_wait(self, waited_ns: int) -> bool:
-        """True if a master may still be waiting for its response after `waited_ns`.
+    def master_still_waits(self, waited_ns: int) -> bool | None:
+        """True if a master still waits for its response after `waited_ns`, False if it may not.
 
-        If silences tell nothing, it always may.
+        None if silences tell nothing.
         """
         if not self.trusts_silences:
-            return True
+            return None
         if self.timeout.is_known:
             return self.timeout.is_not_over(waited_ns)
         return waited_ns < LatencyStatistics.MIN_RETRY_NS

@@ -6,6 +6,7 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.decode import Bus
+from mbtool.decode.pairing import EVEN, RECENT_REQUESTS
 from mbtool.modbus import Outcome, Transaction, rtu_adu
 from tests.feeding import Line
 
@@ -57,11 +58,34 @@ def warnings(decoded: list[Transaction | WireEvent]) -> list[WireEvent]:
     ]
 
 
-@pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("order", [(FIRST, SECOND), (SECOND, FIRST)])
-def test_both_masters_get_their_responses(order: tuple[int, int], timed: bool) -> None:
+def test_both_masters_get_their_responses(order: tuple[int, int]) -> None:
     line = exchanges(overtaken(exchanges(Line(FORMAT)), *order))
-    assert outcomes(heard(line, timed=timed))[15:17] == [(unit, Outcome.OK) for unit in order]
+    assert outcomes(heard(line))[15:17] == [(unit, Outcome.OK) for unit in order]
+
+
+def test_without_times_one_overtaken_request_may_have_been_given_up() -> None:
+    line = exchanges(overtaken(exchanges(Line(FORMAT)), FIRST, SECOND))
+    decoded = heard(line, timed=False)
+    assert outcomes(decoded)[15:18] == [
+        (FIRST, Outcome.NO_ANSWER), (FIRST, Outcome.UNSOLICITED), (SECOND, Outcome.OK),
+    ]  # fmt: skip
+    doubtful = [one for one in decoded if isinstance(one, Transaction) and one.confidence <= EVEN]
+    assert [one.outcome for one in doubtful] == [Outcome.NO_ANSWER, Outcome.UNSOLICITED]
+
+
+def test_without_times_several_overtaken_requests_show_two_masters() -> None:
+    line = overtaken(exchanges(Line(FORMAT)), FIRST, SECOND)
+    overtaken(exchanges(line), SECOND, FIRST)
+    decoded = heard(exchanges(line), timed=False)
+    assert outcomes(decoded)[-17:-15] == [(SECOND, Outcome.OK), (FIRST, Outcome.OK)]
+    assert len(warnings(decoded)) == 1
+
+
+def test_without_times_rare_late_responses_are_not_called_two_masters() -> None:
+    line = overtaken(exchanges(Line(FORMAT)), FIRST, SECOND)
+    overtaken(exchanges(line, RECENT_REQUESTS // 3 + 1), FIRST, SECOND)
+    assert not warnings(heard(exchanges(line), timed=False))
 
 
 def test_two_masters_are_told_once() -> None:
