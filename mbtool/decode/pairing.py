@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 BUS_TIMEOUT_NS = 5_000_000_000
 """Longer than any master waits, so that a late response is still paired with its request."""
-ENOUGH_OVERTAKEN = 2
+ENOUGH_OVERTAKEN = 3
 """So many requests that another one overtook, and that were answered, mean that there are two
 masters, if they are among RECENT_REQUESTS. Responses that come too late are rarer."""
 RECENT_REQUESTS = 100

@@ -198,17 +198,21 @@ def _lateness_cost(
         if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
             return 0.0
         return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
+    most, timeout = costs.MAX_ECHO_LATENESS, history.timeout
+    if timeout.is_known:
+        share = timeout.share_over(silence_ns)
+        if share >= 1.0 and latency.doublings_late(silence_ns) > costs.NEAR_DOUBLINGS:
+            return costs.MAX_ECHO_LATENESS
+        if share > 0.0:
+            retry = costs.REQUEST + history.retry.bits
+            return retry + costs.NEAR_TIMEOUT * (2 * share - 1)
+        if timeout.is_not_over(silence_ns):
+            most = costs.LATE_BEFORE_TIMEOUT
     heard = history.echo_latencies.get((pending.unit, pending.pdu[0]))
     if heard and heard.has_heard(silence_ns):
         return 0.0
-    most = costs.MAX_ECHO_LATENESS
-    if history.timeout.is_known:
-        if history.timeout.is_not_over(silence_ns):
-            most = costs.LATE_BEFORE_TIMEOUT
-        if history.timeout.is_doubtful(silence_ns):
-            return costs.NEAR_TIMEOUT
-        if history.timeout.is_over_at(silence_ns):
-            return costs.MAX_ECHO_LATENESS
+    if history.all_echo_latencies.has_heard(silence_ns):
+        most = min(most, costs.LATE_AS_OTHERS)
     # An echo that is later than any response may be a retry, so it has a margin only if it comes
     # sooner than any retry.
     doublings = latency.doublings_late(silence_ns, LatencyStatistics.MIN_WRITE_NS)

@@ -33,6 +33,8 @@ class LineHistory:
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
         """By unit and function, the response time of writes whose response equals the request. In
         many devices they take longer than reads."""
+        self.all_echo_latencies = LatencyStatistics()
+        """The response times of all such writes together."""
         self.unanswered: dict[int, int] = {}
         """By unit, how many requests in a row had no response."""
         self.answering: set[int] = set()
@@ -123,6 +125,7 @@ class LineHistory:
         """Learn how long a slave took to echo a request, once the next frame shows that it did."""
         key = answered.unit, answered.pdu[0]
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
+        self.all_echo_latencies.learn(latency_ns)
 
     def learn_answer(self, unit: int) -> None:
         """Learn that a unit has answered, by a response that cannot be a request sent again."""

@@ -178,7 +178,7 @@ class PathSearch:
                 state = state.after_damage()
             for frame in frames:
                 is_behind = path.skipped and self._window.silences[offset + frame.size]
-                cost = min(start_cost, costs.GLUED) if is_behind else start_cost
+                cost = min(start_cost, costs.BEHIND_NOISE) if is_behind else start_cost
                 self._add_frame(offset, path, state, frame, cost)
             if path in likely:
                 for frame in unknown:

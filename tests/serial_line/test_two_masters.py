@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.decode import Bus
-from mbtool.decode.pairing import EVEN, RECENT_REQUESTS
+from mbtool.decode.pairing import ENOUGH_OVERTAKEN, EVEN, RECENT_REQUESTS
 from mbtool.modbus import Outcome, Transaction, rtu_adu
 from tests.feeding import Line
 
@@ -75,16 +75,19 @@ def test_without_times_one_overtaken_request_may_have_been_given_up() -> None:
 
 
 def test_without_times_several_overtaken_requests_show_two_masters() -> None:
-    line = overtaken(exchanges(Line(FORMAT)), FIRST, SECOND)
-    overtaken(exchanges(line), SECOND, FIRST)
+    line = exchanges(Line(FORMAT))
+    for _ in range(ENOUGH_OVERTAKEN - 1):
+        exchanges(overtaken(line, FIRST, SECOND))
+    overtaken(line, SECOND, FIRST)
     decoded = heard(exchanges(line), timed=False)
     assert outcomes(decoded)[-17:-15] == [(SECOND, Outcome.OK), (FIRST, Outcome.OK)]
     assert len(warnings(decoded)) == 1
 
 
 def test_without_times_rare_late_responses_are_not_called_two_masters() -> None:
-    line = overtaken(exchanges(Line(FORMAT)), FIRST, SECOND)
-    overtaken(exchanges(line, RECENT_REQUESTS // 3 + 1), FIRST, SECOND)
+    line = exchanges(Line(FORMAT))
+    for _ in range(ENOUGH_OVERTAKEN):
+        exchanges(overtaken(line, FIRST, SECOND), RECENT_REQUESTS // 6 + 1)
     assert not warnings(heard(exchanges(line), timed=False))
 
 
