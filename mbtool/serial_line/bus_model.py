@@ -314,6 +314,23 @@ class BusModel:
             return may_be_absent and state.pending.is_same(unit, pdu)
         return state.answered is not None and state.answered.is_same(unit, pdu)
 
+    def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a frame may be a retry or a slow response, and this line has shown neither.
+
+        It equals the pending request. It comes when some masters have repeated it, and not much
+        later than the slowest responses of this line.
+        """
+        history, pending = self.history, self.state.pending
+        if pending is None or not history.trusts_silences or history.timeout.is_known:
+            return False
+        waited_ns = start_ns - pending.awaited_from_ns
+        if waited_ns < LatencyStatistics.MIN_RETRY_NS or not pending.is_same(unit, pdu):
+            return False
+        if not 0.0 < history.latency.doublings_late(waited_ns) <= costs.SLOW_DOUBLINGS:
+            return False
+        heard = history.echo_latencies.get((unit, pdu[0]))
+        return heard is None or not heard.has_heard(waited_ns)
+
     def reset_state(self) -> None:
         """Forget the bus state: the clock was set back, so its times mean nothing any more."""
         self.states = [(0.0, BusState())]

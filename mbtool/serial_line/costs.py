@@ -86,6 +86,14 @@ RESERVED_UNIT = 3.0
 EARLY_REQUEST = 4.0
 """Extra cost of a request when another one has been pending for less than this line's longest
 response time: masters wait longer."""
+SLOW_DOUBLINGS = 4.0
+"""An echo of a function that was not heard before may take up to 16 times (4 doublings) as long as
+the longest response of this line: writes to an EEPROM do."""
+SHORT_PAUSE = 5.0
+"""Extra cost of a request that equals the one just answered and comes sooner than this master ever
+goes on after a response: it is probably the response to a retry."""
+SHORT_PAUSE_SHARE = 0.5
+"""A pause is short if it is shorter than this share of the shortest pause of the line."""
 LATE = 3.0
 """The cost of a response that takes longer than the longest response time of this line."""
 LATE_PER_DOUBLING = 3.0

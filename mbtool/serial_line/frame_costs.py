@@ -21,6 +21,7 @@ from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
+from mbtool.serial_line.line_history import ENOUGH_PAUSES
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from mbtool.serial_line.plausibility import is_odd_request, is_odd_response, is_padded
 
@@ -74,7 +75,7 @@ def _request_cost(
     if not (is_retry or is_repeat or (unit, pdu) in history.requests):
         cost += _new_request_cost(pdu)
     if pending is None:
-        return cost, 0.0
+        return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
     silent = history.silent_bits(state, pending)
     if not is_retry:
         cost += max(costs.PREVIOUS_UNANSWERED - silent, costs.MIN_UNANSWERED)
@@ -84,6 +85,14 @@ def _request_cost(
     else:
         cost += max(history.retry.bits - silent, costs.RETRY_LIMITS[0])
     return cost, _early_cost(history, state, pending, at_ns, is_retry=is_retry)
+
+
+def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
+    """The cost of a repeated request that follows its response sooner than requests do here."""
+    if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
+        return 0.0
+    is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
+    return costs.SHORT_PAUSE if is_short else 0.0
 
 
 def _early_cost(

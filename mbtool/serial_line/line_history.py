@@ -19,6 +19,11 @@ MAX_REQUESTS = 1024
 """How many requests of a line are remembered; beyond that, the one heard least recently is
 forgotten."""
 
+PAUSE_GROWTH = 1.01
+"""With each pause the shortest one grows by 1 %, so that an odd one is forgotten."""
+ENOUGH_PAUSES = 16
+"""After so many pauses the shortest is known."""
+
 
 class LineHistory:
     """What earlier frames of a line have shown; the cost of a frame depends on it."""
@@ -39,6 +44,10 @@ class LineHistory:
         """By unit, how many requests in a row had no response."""
         self.answering: set[int] = set()
         """The units of which a response was heard that cannot be a request sent again."""
+        self.shortest_pause_ns = 0.0
+        """The shortest silence lately, in ns, from a response to the next request."""
+        self.pauses = 0
+        """How many such silences were heard."""
         self.unexplained_silences = LatencyStatistics()
         """The silences between merged frames in which no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
@@ -99,6 +108,10 @@ class LineHistory:
             del self.requests[next(iter(self.requests))]
         if state.answered is not None:
             self.repeat.learn(state.answered.is_same(unit, pdu))
+            pause_ns = start_ns - (state.last_ns or start_ns)
+            known_ns = self.shortest_pause_ns * PAUSE_GROWTH if self.pauses else pause_ns
+            self.shortest_pause_ns = pause_ns if pause_ns < known_ns else known_ns
+            self.pauses += 1
         if by_form:  # Otherwise a response may have been taken for a retry.
             pending = state.pending
             is_retry = pending is not None and pending.is_same(unit, pdu)

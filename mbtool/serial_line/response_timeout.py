@@ -20,8 +20,8 @@ DOUBTFUL_MARGIN = 0.4
 ENOUGH_WAITS = 3
 """So many waits or more show how much they differ."""
 STEADY_MARGIN = 0.03
-"""Then a wait is doubtful that is shorter by up to 3 % of the shortest, and by three times the spread
-divided by the number of the other waits."""
+"""Then a wait is doubtful that is shorter than the shortest by up to 3 % of that, plus three times
+the spread divided by the number of the other waits."""
 EXACT_MARGIN = 0.001
 """Only a wait that is shorter than the shortest by at most 0.1 % of it surely ends in a retry."""
 GIVEN_MARGIN = 0.1
@@ -81,9 +81,9 @@ class ResponseTimeout:
         """
         if self._range is None or not self._running_until_ns <= wait_ns <= self._range[1]:
             return 0.0
-        doubtful_ns = self._range[0] - self._running_until_ns
         if wait_ns >= self._range[0]:
             return 1.0
+        doubtful_ns = self._range[0] - self._running_until_ns
         return (wait_ns - self._running_until_ns) / doubtful_ns
 
     def is_over_at(self, wait_ns: int) -> bool:

@@ -22,6 +22,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mbtool.core import Direction, EventKind
 from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
@@ -204,7 +206,8 @@ class RtuSplitter:
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Emit the frames at the front of the buffer that are beyond doubt, without the search."""
         while len(self._data) >= MIN_FRAME:
-            if self._echo.last and self._take_copy(events):
+            last = self._echo.last
+            if last and self._data.startswith(last) and self._take_copy(events):
                 continue
             start_ns = self._times[0] - self._character_ns
             frame = self._fast_path.frame(self._data, start_ns, burst_over)
@@ -329,6 +332,9 @@ class RtuSplitter:
             model = self._model
             if model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
                 confidence = min(confidence, UNSURE)
+            if model.may_be_slow(unit, pdu, start_ns):
+                confidence = min(confidence, UNSURE)
+                classification = replace(classification, confidence=confidence)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
         self._learn(before_ns, longest_ns)
         self._follows_silence = before_ns is None or before_ns >= self._t3_5_ns

@@ -43,7 +43,7 @@ def test_timeout_becomes_more_exact_with_each_retry() -> None:
 
 
 def test_each_wait_is_running_doubtful_over_or_longer() -> None:
-    timeout = learned(200, 205, 212)
+    timeout = learned(200, 205, 213)
     said = [
         (
             timeout.is_not_over(ms * MS),
