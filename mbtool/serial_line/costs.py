@@ -86,8 +86,8 @@ RESERVED_UNIT = 3.0
 EARLY_REQUEST = 4.0
 """Extra cost of a request when another one has been pending for less than this line's longest
 response time: masters wait longer."""
-SLOW_DOUBLINGS = 4.0
-"""An echo of a function that was not heard before may take up to 16 times (4 doublings) as long as
+SLOW_DOUBLINGS = 3.0
+"""An echo of a function that was not heard before may take up to 8 times (3 doublings) as long as
 the longest response of this line: writes to an EEPROM do."""
 SHORT_PAUSE = 5.0
 """Extra cost of a request that equals the one just answered and comes sooner than this master ever

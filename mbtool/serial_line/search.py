@@ -243,7 +243,8 @@ class PathSearch:
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
         if least >= self._incomplete_limit:
             return
-        found = self._candidates.incomplete(offset, state)
+        # The slave does not hear noise: its response is due behind it, too.
+        found = self._candidates.incomplete(offset, path.state)
         if found is None:
             return
         expected, cost = found
