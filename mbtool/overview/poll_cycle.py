@@ -205,6 +205,7 @@ def _lists(starts: Sequence[PollStart[P]]) -> list[PollList[P]]:
         fast = _faster_polls(cycles)
         if not fast:
             return _with_others(cycles)
+        fast |= _irregular_polls(starts, fast)
         slow = {start.poll for start in starts} - fast
         return _lists(_only(starts, fast)) + _lists(_only(starts, slow))
     groups = _groups(starts)
@@ -317,6 +318,19 @@ def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[
         return False
     usual, number = Counter(inner).most_common(1)[0]
     return usual > 0 and number >= _CONSTANT_SHARE * len(inner)
+
+
+def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
+    """The polls without a regular period that come equally often in each cycle of a group."""
+    times: defaultdict[P, list[int]] = defaultdict(list)
+    for start in starts:
+        if start.poll not in group:
+            times[start.poll].append(start.begin_ns)
+    return {
+        poll
+        for poll, one in times.items()
+        if _regular_period(one) is None and _is_constant(starts, group, one)
+    }
 
 
 def _has_pace(cycles: CutCycles[P]) -> bool:
