@@ -145,8 +145,9 @@ class MessageDecoder:
     def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[LogItem]:
         """Decode messages of one schema. Raises one of _NOT_DECODABLE if one is damaged."""
         array = b"[" + b",".join(raw) + b"]"
+        found: list[Any]
         if schema == schemas.CHUNK and _OF_A_PACKET not in array:
-            found: list[Any] = _CHUNKS_DECODER.decode(array)
+            found = _CHUNKS_DECODER.decode(array)
         else:
             found = _LIST_DECODERS[schema].decode(array)
             if schema != schemas.TRANSACTION:
