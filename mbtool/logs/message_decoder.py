@@ -41,11 +41,17 @@ _TYPES: dict[str, Any] = {
     schemas.WIRE_EVENT: EventMessage,
 }
 # Making a decoder takes longer than reading a small log, so all readers share these.
-_DECODERS = {name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()}
-_LIST_DECODERS = {name: msgspec.json.Decoder(list[type_]) for name, type_ in _TYPES.items()}  # type: ignore[valid-type]
+_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
+    name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()
+}
+_LIST_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
+    schemas.CHUNK: msgspec.json.Decoder(list[ChunkMessage]),
+    schemas.TRANSACTION: msgspec.json.Decoder(list[NamedTransaction]),
+    schemas.WIRE_EVENT: msgspec.json.Decoder(list[EventMessage]),
+}
 # The fields of a Chunk have the same names in the log, so it needs no ChunkMessage between. Only a
 # Packet has a link type; in a text the quotes around the name would be escaped.
-_CHUNKS_DECODER = msgspec.json.Decoder(list[Chunk])
+_CHUNKS_DECODER: msgspec.json.Decoder[Any] = msgspec.json.Decoder(list[Chunk])
 _OF_A_PACKET = b'"link_type"'
 _NOT_DECODABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec raises for bytes that are no message; ValueError for text that is not UTF-8."""
