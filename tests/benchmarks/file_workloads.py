@@ -1,10 +1,10 @@
 """Capture files and logs for tests.benchmarks.files, made from seeds."""
 
-# The captures have 20 connections (but for "per poll"), on which masters read holding registers in
-# turn. In the dirty one 2 % of the segments with bytes are retransmitted, and 1 % are exchanged with
-# the next packet of the file. 5 % of the requests are in two segments. 5 % of the polls come two at
-# once: two requests in one segment, then both responses in one. Each frame comes with the number of
-# transactions that it completes.
+# The captures have 20 connections on which masters read holding registers in turn; "per poll" has
+# one for each transaction. In the dirty one 2 % of the segments with bytes are retransmitted, and
+# 1 % are exchanged with the next packet of the file. 5 % of the requests are in two segments. 5 %
+# of the polls come two at once: two requests in one segment, then both responses in one. Each frame
+# comes with the number of transactions that it completes.
 
 from __future__ import annotations
 

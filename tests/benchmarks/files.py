@@ -99,7 +99,7 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
     programs = {
         "mbtool jsonl": [*decode, "--format", "jsonl"],
         "mbtool csv": [*decode, "--format", "csv"],
-        "mbtool parquet": [*decode, "-o", str(folder / "out.parquet")],
+        "mbtool parquet": [*decode, "-o", str(folder / "out.parquet"), "--overwrite"],
     }
     tshark, suricata = shutil.which("tshark"), shutil.which("suricata")
     if made.path.suffix == ".pcap":
