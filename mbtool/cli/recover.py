@@ -17,10 +17,11 @@ def recover(
         bool, typer.Option("--overwrite", help="Replace GOOD if it exists.")
     ] = False,
 ) -> None:
-    """Make a whole log of a damaged one; exit 1 when something is lost.
+    """Copy what is whole in a damaged log into a new one.
 
-    Every whole message before and behind the damage is copied, with the settings and profiles. Each
+    Every whole message before and behind the damage is copied, with settings and profiles. Each
     part that is lost is a line on standard output: its place in the file, its bytes and its times.
+    Exit 1 when something is lost.
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.talk import say

@@ -34,6 +34,8 @@ class EventKind(StrEnum):
     """The two ports of a link are in the wrong order: the one for the master receives responses."""
     ECHO = "echo"
     """The second copy of a request, from an adapter that also receives its own bytes."""
+    TWO_MASTERS = "two-masters"
+    """Requests on a serial line come while others wait for their response. Said once for a line."""
     SPOILT = "spoilt"
     """This program, playing the slave, distorted a response on purpose."""
     CUT = "cut"

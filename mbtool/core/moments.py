@@ -28,7 +28,7 @@ _ISO = re.compile(r"(?P<whole>[0-9]{4}-[0-9]{2}-[0-9]{2}(?:[T ][0-9]{2}:[0-9]{2}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-class Moment(NamedTuple):
+class TimePoint(NamedTuple):
     """A time that the user gave in an option."""
 
     ns: int
@@ -36,14 +36,14 @@ class Moment(NamedTuple):
     is_absolute: bool
 
 
-def parse_moment(text: str, option: str) -> Moment:
+def parse_moment(text: str, option: str) -> TimePoint:
     """Read a moment. Raises UsageError, with the name of the option, for any other text."""
     absolute_ns = parse_iso(text)
     if absolute_ns is not None:
-        return Moment(absolute_ns, is_absolute=True)
+        return TimePoint(absolute_ns, is_absolute=True)
     since_ns = _duration_ns(text)
     if since_ns is not None and since_ns <= MAX_NS:
-        return Moment(since_ns, is_absolute=False)
+        return TimePoint(since_ns, is_absolute=False)
     raise UsageError(
         f"{option} {text[:40]!r}: write seconds (2.5), a time such as 1h30m, "
         "or a moment such as 2026-11-22T09:14:03"

@@ -61,10 +61,11 @@ class Bus:
         self._splitter: AsciiSplitter | RtuSplitter
         if ascii:
             self._splitter = AsciiSplitter(line, timed=timed)
+            self._pairing = Pairing(self._ends)
         else:
             model = BusModel(timed=timed, response_timeout_ns=response_timeout_ns)
             self._splitter = RtuSplitter(line, model, timed=timed)
-        self._pairing = Pairing(self._ends)
+            self._pairing = Pairing(self._ends, model.history.master_still_waits)
         self._origins: SerialOrigins | None = None
         """None until the first bytes with a known place."""
 

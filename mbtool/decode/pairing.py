@@ -1,72 +1,155 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
-# One request is open at a time. The next request closes it without an answer, even if that is for
-# another unit. network_pairing.py pairs those of a connection.
+# One request is open at a time. The next request closes it without an answer, unless that one is
+# for another unit and comes while the master of the open request still waits. Then a second master
+# has overtaken it, and its response is accepted until the next request.
+# Where silences tell nothing, the response may also have come after its master had given up. It is
+# taken for that, as ambiguous, until the line has shown ENOUGH_OVERTAKEN such responses among
+# RECENT_REQUESTS requests. network_pairing.py pairs those of a connection.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer.
 #
-# Memory: one open request, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
+# Memory: two requests, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from mbtool.core import Direction
+from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.request_match import is_response_code
+from mbtool.serial_line.line_statistics import LatencyStatistics
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu
     from mbtool.modbus.transaction import Transaction
 
 BUS_TIMEOUT_NS = 5_000_000_000
 """Longer than any master waits, so that a late response is still paired with its request."""
+ENOUGH_OVERTAKEN = 3
+"""So many requests that another one overtook, and that were answered, mean that there are two
+masters, if they are among RECENT_REQUESTS. Responses that come too late are rarer."""
+RECENT_REQUESTS = 100
+EVEN = 0.5
+"""The confidence of one of two explanations that are as likely."""
+TWO_MASTERS = (
+    "requests come while others wait for their response: two masters share this line, or one does "
+    "not wait long enough"
+)
+
+
+def waits_before_any_retry(waited_ns: int) -> bool | None:
+    """True if a master whose timeout is not known certainly waits for a response so long."""
+    return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
 
 class Pairing:
     """Takes the ADUs of one serial line, returns complete transactions."""
 
-    def __init__(self, ends: Ends) -> None:
+    def __init__(
+        self, ends: Ends, still_waits: Callable[[int], bool | None] = waits_before_any_retry
+    ) -> None:
+        """`still_waits` is True if a master certainly still waits for a response after so many ns,
+        False if it may have given up; None if the times do not tell.
+        """
         self._ends = ends
+        self._still_waits = still_waits
         self._open: Adu | None = None
+        self._overtaken: Adu | None = None
+        """The request before the open one, if its response may still come."""
+        self._is_surely_overtaken = False
+        """True if the master of that request was certainly still waiting."""
+        self._requests = 0
+        self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
+        """Of the last overtaken requests that got a response, the number of the request after."""
+        self._has_told = False
+        """True if it was said that there are two masters."""
         self._unanswered: dict[tuple[int, bytes], int] = {}
         """By unit and PDU, how many requests in a row had no answer."""
 
-    def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction]:
-        """Take the next ADU, in order of time."""
-        done = self.advance(adu.start_ns)
+    def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction | WireEvent]:
+        """Take the next ADU, in order of time; return what it completes.
+
+        The event of kind TWO_MASTERS comes at most once.
+        """
+        done: list[Transaction | WireEvent] = []
+        is_waiting = self._open is not None or self._overtaken is not None
+        if is_waiting:
+            done += self.advance(adu.start_ns)
         if adu.direction is not Direction.RESPONSE:
-            self._doubt_silence(adu)
-            done += self.close()
+            self._requests += 1
+            if is_waiting:
+                self._doubt_silence(adu)
+                done += self._make_way(adu)
             if adu.unit == 0:
                 done.append(broadcast(self._ends, adu))
             else:
                 self._open = adu
             return done
-        request = self._open
-        if (
-            request is None
-            or request.unit != adu.unit
-            or not is_response_code(request.pdu[0], adu.pdu[0])
-        ):
+        if (request := self._open) is not None and _answers(adu, request):
+            self._open = None
+        elif (request := self._overtaken) is not None and _answers(adu, request):
+            self._overtaken = None
+            done += self._two_masters(adu)
+            if not (self._is_surely_overtaken or self._has_told):
+                done.append(self._unanswered_request(_in_doubt(request)))
+                done.append(unsolicited(self._ends, _in_doubt(adu)))
+                return done
+        else:
             done.append(unsolicited(self._ends, adu))
             return done
-        self._open = None
         retries = self._unanswered.pop((request.unit, request.pdu), 0)
         done.append(with_response(self._ends, request, adu, retries, ()))
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Give up a request that has waited longer than the timeout; return its transaction."""
-        if self._open is None or now_ns - self._open.end_ns <= BUS_TIMEOUT_NS:
+        """Give up requests that have waited longer than the timeout; return their transactions."""
+        done: list[Transaction] = []
+        if (overtaken := self._overtaken) and now_ns - overtaken.end_ns > BUS_TIMEOUT_NS:
+            self._overtaken = None
+            done.append(self._unanswered_request(overtaken))
+        if self._open is not None and now_ns - self._open.end_ns > BUS_TIMEOUT_NS:
+            done += self.close()
+        return done
+
+    def _make_way(self, adu: Adu) -> list[Transaction]:
+        """End the requests that got no response before this request, except one it overtakes."""
+        request = self._open
+        if request is None or adu.unit in (0, request.unit):
+            return self.close()
+        waits = self._still_waits(adu.start_ns - request.end_ns)
+        if waits is False:
+            return self.close()
+        self._open = None
+        done = self.close()
+        self._overtaken, self._is_surely_overtaken = request, waits is True
+        return done
+
+    def _two_masters(self, adu: Adu) -> list[WireEvent]:
+        """Count a response to an overtaken request; say once that there are some."""
+        numbers = self._answered_at
+        numbers.append(self._requests)
+        is_enough = len(numbers) == ENOUGH_OVERTAKEN and numbers[-1] - numbers[0] < RECENT_REQUESTS
+        if self._has_told or not is_enough:
             return []
-        return self.close()
+        self._has_told = True
+        return [
+            WireEvent(
+                ts_ns=adu.start_ns,
+                link=self._ends.link,
+                kind=EventKind.TWO_MASTERS,
+                message=TWO_MASTERS,
+            )
+        ]
 
     def _doubt_silence(self, adu: Adu) -> None:
         """Make the open request ambiguous if an equal frame, called a retry, may be its response.
@@ -80,13 +163,27 @@ class Pairing:
             self._open = replace(request, confidence=confidence, verdicts=verdicts)
 
     def close(self) -> list[Transaction]:
-        """End the line: the open request stays without an answer."""
-        request, self._open = self._open, None
-        if request is None:
-            return []
+        """End the line: the requests without a response stay so."""
+        requests = self._overtaken, self._open
+        self._overtaken = self._open = None
+        return [self._unanswered_request(request) for request in requests if request is not None]
+
+    def _unanswered_request(self, request: Adu) -> Transaction:
+        """The transaction of a request that got no response; count it."""
         key = request.unit, request.pdu
         retries = self._unanswered.pop(key, 0)
         if len(self._unanswered) >= MAX_OPEN_REQUESTS:
             del self._unanswered[next(iter(self._unanswered))]
         self._unanswered[key] = retries + 1
-        return [no_answer(self._ends, request, retries)]
+        return no_answer(self._ends, request, retries)
+
+
+def _in_doubt(adu: Adu) -> Adu:
+    """The ADU with the verdict that its transaction may be another one."""
+    verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
+    return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)
+
+
+def _answers(response: Adu, request: Adu) -> bool:
+    """True if a response has the unit and the function of a request."""
+    return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from mcap.records import Channel, Schema
 
-from mbtool.core import DamageError
+from mbtool.core import Chunk, DamageError
 from mbtool.devices import NamedTransaction
 from mbtool.logs import schemas
 from mbtool.logs.impossible import ImpossibleItems
@@ -41,8 +41,18 @@ _TYPES: dict[str, Any] = {
     schemas.WIRE_EVENT: EventMessage,
 }
 # Making a decoder takes longer than reading a small log, so all readers share these.
-_DECODERS = {name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()}
-_LIST_DECODERS = {name: msgspec.json.Decoder(list[type_]) for name, type_ in _TYPES.items()}  # type: ignore[valid-type]
+_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
+    name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()
+}
+_LIST_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
+    schemas.CHUNK: msgspec.json.Decoder(list[ChunkMessage]),
+    schemas.TRANSACTION: msgspec.json.Decoder(list[NamedTransaction]),
+    schemas.WIRE_EVENT: msgspec.json.Decoder(list[EventMessage]),
+}
+# The fields of a Chunk have the same names in the log, so it needs no ChunkMessage between. Only a
+# Packet has a link type; in a text the quotes around the name would be escaped.
+_CHUNKS_DECODER: msgspec.json.Decoder[Any] = msgspec.json.Decoder(list[Chunk])
+_OF_A_PACKET = b'"link_type"'
 _NOT_DECODABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 """What msgspec raises for bytes that are no message; ValueError for text that is not UTF-8."""
 
@@ -140,10 +150,17 @@ class MessageDecoder:
 
     def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[LogItem]:
         """Decode messages of one schema. Raises one of _NOT_DECODABLE if one is damaged."""
-        found: list[Any] = _LIST_DECODERS[schema].decode(b"[" + b",".join(raw) + b"]")
+        array = b"[" + b",".join(raw) + b"]"
+        found: list[Any]
+        if schema == schemas.CHUNK and _OF_A_PACKET not in array:
+            found = _CHUNKS_DECODER.decode(array)
+        else:
+            found = _LIST_DECODERS[schema].decode(array)
+            if schema != schemas.TRANSACTION:
+                found = [message.item() for message in found]
         if len(found) != len(raw):
             raise ValueError("a message that is not one JSON value")
-        return found if schema == schemas.TRANSACTION else [message.item() for message in found]
+        return found
 
     def _decoded_singly(self, batch: _Batch) -> Iterator[list[LogItem]]:
         for schema, data in zip(batch.order, batch.raw, strict=True):

@@ -57,6 +57,9 @@ _REGULAR_SHARE = 0.7
 _PERIOD_SUM = 1.3
 """The mean period of a regular poll is at most so many times its median. A poll that comes thrice
 in a cycle, close together, has a short median."""
+_SOON = 0.5
+"""A request repeats the one before if it comes at most this share of the timeout after it. What
+comes later is the next cycle of a list of one poll."""
 _EQUAL_PERIODS = 1.08
 _EVEN = 0.1
 """Distances are even if they differ by at most this share of their mean."""
@@ -181,7 +184,8 @@ def _without_repetitions(asked: Sequence[Asked[P]], timeout_ns: int) -> list[Pol
     was_missing = False
     for one in asked:
         end_ns = one.end_ns + (timeout_ns if one.is_missing else 0)
-        if was_missing and starts[-1].poll == one.poll:
+        is_soon = bool(starts) and one.begin_ns - starts[-1].end_ns <= _SOON * timeout_ns
+        if was_missing and is_soon and starts[-1].poll == one.poll:
             starts[-1] = starts[-1]._replace(end_ns=end_ns)
         else:
             starts.append(PollStart(one.poll, one.begin_ns, end_ns, one.is_missing))
@@ -193,14 +197,15 @@ def _only(starts: Sequence[PollStart[P]], polls: Collection[P]) -> list[PollStar
     return [start for start in starts if start.poll in polls]
 
 
-def _lists(starts: list[PollStart[P]]) -> list[PollList[P]]:
+def _lists(starts: Sequence[PollStart[P]]) -> list[PollList[P]]:
     if len(starts) < MIN_CYCLES:
         return []
     cycles = usual_cycles(starts)
     if cycles is not None and cycles.share >= MOST:
         fast = _faster_polls(cycles)
         if not fast:
-            return [_poll_list(cycles)] if _has_pace(cycles) else []
+            return _with_others(cycles)
+        fast |= _irregular_polls(starts, fast)
         slow = {start.poll for start in starts} - fast
         return _lists(_only(starts, fast)) + _lists(_only(starts, slow))
     groups = _groups(starts)
@@ -209,10 +214,15 @@ def _lists(starts: list[PollStart[P]]) -> list[PollList[P]]:
     often = _asked_often(starts)
     if len(often) < len({start.poll for start in starts}):
         return _lists(_only(starts, often))
-    if cycles is None or cycles.share < MANY or not _has_pace(cycles):
+    return _with_others(cycles) if cycles is not None and cycles.share >= MANY else []
+
+
+def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
+    """The list of these cycles, and the lists of the polls that are not in it."""
+    if not _has_pace(cycles):
         return []
-    others = {start.poll for start in starts} - set(cycles.usual)
-    return [_poll_list(cycles), *_lists(_only(starts, others))]
+    others = {start.poll for start in cycles.starts} - set(cycles.usual)
+    return [_poll_list(cycles), *_lists(_only(cycles.starts, others))]
 
 
 def _faster_polls(cycles: CutCycles[P]) -> set[P]:
@@ -308,6 +318,19 @@ def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[
         return False
     usual, number = Counter(inner).most_common(1)[0]
     return usual > 0 and number >= _CONSTANT_SHARE * len(inner)
+
+
+def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
+    """The polls without a regular period that come equally often in each cycle of a group."""
+    times: defaultdict[P, list[int]] = defaultdict(list)
+    for start in starts:
+        if start.poll not in group:
+            times[start.poll].append(start.begin_ns)
+    return {
+        poll
+        for poll, one in times.items()
+        if _regular_period(one) is None and _is_constant(starts, group, one)
+    }
 
 
 def _has_pace(cycles: CutCycles[P]) -> bool:

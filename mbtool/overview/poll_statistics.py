@@ -53,6 +53,7 @@ class PollStatistics:
         "number",
         "period",
         "reference",
+        "repetitions",
         "tally",
     )
 
@@ -66,6 +67,8 @@ class PollStatistics:
         self.tally = RequestTally()
         self.period = Distribution(_PERIOD_BUCKETS)
         """From one request to the next. Repetitions of a request without answer do not count."""
+        self.repetitions = 0
+        """How many requests came right after an equal one that got no answer."""
         self._last_ns: int | None = None
 
     def begin(self, at_ns: int) -> None:

@@ -126,7 +126,9 @@ class Statistics:
         link.hours.add(at_ns, is_missing=is_missing)
         begin_ns = at_ns - link.wire_ns(len(one.request_raw or b""))
         asked = Asked(poll, begin_ns, max(one.response_ns or at_ns, at_ns), is_missing)
-        if not self._tape(one.link, poll.key.master).add(asked):
+        if self._tape(one.link, poll.key.master).add(asked):
+            poll.repetitions += 1
+        else:
             poll.begin(at_ns)
 
     def _add_event(self, event: WireEvent) -> None:

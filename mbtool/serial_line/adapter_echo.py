@@ -2,8 +2,9 @@
 
 # The second copy follows the request within a character or so. No master repeats a request without
 # a silence of t3.5, so one such copy of a request that cannot be a response by its form is enough,
-# if silences are heard and no request has come once before. Where silences are not heard, a copy
-# may be a retry: then several requests in a row must have come twice.
+# if silences are heard and no request has come once before. If even the short pause between the two
+# is lost, an adapter may have merged them: then a copied request must have got a response. Where no
+# silences are heard, a copy may be a retry: then several requests in a row must have come twice.
 #
 # Holds the last request only.
 
@@ -48,12 +49,15 @@ class AdapterEcho:
         """True if `data`, the bytes held, may become the copy of the last request."""
         return self.echoes and self.last.startswith(data)
 
-    def takes_copy(self, *, glued: bool) -> bool:
+    def takes_copy(self, *, glued: bool, exact: bool = True) -> bool:
         """Take the last request once more; True if that is its copy, and not a frame.
 
-        `glued` is True if silences are heard and none stands between the two.
+        `glued` is True if silences are heard and none stands between the two. `exact` is True if
+        the pause between them, too short for a silence, is heard: otherwise an adapter may have
+        merged a request with its retry, as long as no response has followed a copy.
         """
-        is_enough = self._copies >= ENOUGH_COPIES or (glued and not self._has_single)
+        is_heard = glued and not self._has_single and (exact or self._copies > 0)
+        is_enough = self._copies >= ENOUGH_COPIES or is_heard
         if not self.echoes and not (self._is_certain and is_enough):
             return False
         self.echoes = True

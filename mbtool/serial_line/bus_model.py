@@ -25,6 +25,7 @@ from mbtool.core import Direction
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES
 from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.functions import ECHOING
 from mbtool.modbus.pdu import pdu_length
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import (
@@ -298,6 +299,38 @@ class BusModel:
             return state.last_ns is not None
         return waited_ns > LatencyStatistics.MIN_WRITE_NS
 
+    def may_be_retry(self, unit: int, pdu: bytes) -> bool:
+        """True if a frame equals the one before it, and nothing tells a response from a retry.
+
+        That is so if silences do not tell it, and the unit has not answered anything else. But two
+        equal frames on a line with a single unit are taken for a pair.
+        """
+        history, state = self.history, self.state
+        if history.trusts_silences or unit in history.answering or pdu[0] not in ECHOING:
+            return False
+        if state.pending is not None:
+            is_third = state.is_repeat or state.retries > 0
+            may_be_absent = is_third or len(history.units) > 1
+            return may_be_absent and state.pending.is_same(unit, pdu)
+        return state.answered is not None and state.answered.is_same(unit, pdu)
+
+    def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a frame may be a retry or a slow response, and this line has shown neither.
+
+        It equals the pending request. It comes when some masters have repeated it, and not much
+        later than the slowest responses of this line.
+        """
+        history, pending = self.history, self.state.pending
+        if pending is None or not history.trusts_silences or history.timeout.is_known:
+            return False
+        waited_ns = start_ns - pending.awaited_from_ns
+        if waited_ns < LatencyStatistics.MIN_RETRY_NS or not pending.is_same(unit, pdu):
+            return False
+        if not 0.0 < history.latency.doublings_late(waited_ns) <= costs.SLOW_DOUBLINGS:
+            return False
+        heard = history.echo_latencies.get((unit, pdu[0]))
+        return heard is None or not heard.has_heard(waited_ns)
+
     def reset_state(self) -> None:
         """Forget the bus state: the clock was set back, so its times mean nothing any more."""
         self.states = [(0.0, BusState())]
@@ -348,6 +381,7 @@ class BusModel:
                 pending = PendingRequest(unit, pdu, expected, end_ns, before_ns)
             pdu = b""
         elif pending is None or pending.unit == unit:
+            is_repeat = pending is not None and state.is_repeat
             overdue, answered, pending = (overdue if pending else None), pending or overdue, None
             if answered and self.history.trusts_silences:
                 after_ns = start_ns - answered.awaited_from_ns

@@ -69,7 +69,8 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     retries: int = 0
     """How many equal requests without a response came directly before the pending one."""
     is_repeat: bool = False
-    """True if a request equal to the pending one was answered just before."""
+    """True if a request equal to the pending one, or to the one just answered, was answered just
+    before it."""
     last_response: bytes = b""
     """The PDU of the last frame if that was a response, to a known request or not."""
     follows_damage: bool = False

@@ -305,6 +305,7 @@ class Candidates:
             burst > 2 * MIN_FRAME
             and self._statistics.glue.bits > costs.NEVER_GLUED
             and not self._is_frame_in_noise(offset, burst)
+            and not self._ends_in_frame(offset, burst)
         ):
             cost = self._statistics.skip.bits + costs.DAMAGED_OTHER_SIZE + costs.UNEXPECTED_DAMAGED
             cost += min(burst * costs.SKIP_PER_BYTE, costs.MAX_DAMAGED_LENGTH)
@@ -370,6 +371,18 @@ class Candidates:
         behinds = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[size - at :])]
         return any(
             crc(burst[before : size - behind]) == 0 for before in befores for behind in behinds
+        )
+
+    def _ends_in_frame(self, offset: int, size: int) -> bool:
+        """True if a frame of known form ends where a burst ends, behind other bytes.
+
+        It is not inside the registers of a longer frame: a CRC would follow it.
+        """
+        end = offset + size
+        return any(
+            at + frame.size == end
+            for at in range(offset + 1, end - MIN_FRAME + 1)
+            for frame in self.frames(at)
         )
 
     def _expectation(

@@ -26,7 +26,7 @@ thirty gets no response."""
 RETRY = 4.0
 """Extra cost of a request that equals the one still pending, as a retry does. A start value,
 which the line statistics replace."""
-RETRY_LIMITS = (2.0, 5.5)
+RETRY_LIMITS = (2.0, 7.0)
 """The least and the most, in bits, that the learned cost of a retry can become."""
 SECOND_RETRY = 2.0
 """Extra cost of a retry of a retry: a slave that missed two requests often misses the third."""
@@ -37,6 +37,9 @@ line statistics replace."""
 REPEAT_AFTER_RESPONSE_LIMITS = (0.0, 10.0)
 """The least and the most, in bits, that the learned cost of a request that equals the one just
 answered can become. It becomes 0 for a master that sends a single request again and again."""
+REPEAT_AGAIN = 1.0
+"""Extra cost of the same request once more after it was repeated and answered: a master that writes
+one value in a loop goes on with it."""
 LATE_RESPONSE = 2.0
 """The cost of a response to the overdue request, after its retry or after damaged bytes."""
 LATE_RESPONSE_TO_OTHER = 5.0
@@ -83,6 +86,14 @@ RESERVED_UNIT = 3.0
 EARLY_REQUEST = 4.0
 """Extra cost of a request when another one has been pending for less than this line's longest
 response time: masters wait longer."""
+SLOW_DOUBLINGS = 3.0
+"""An echo of a function that was not heard before may take up to 8 times (3 doublings) as long as
+the longest response of this line: writes to an EEPROM do."""
+SHORT_PAUSE = 5.0
+"""Extra cost of a request that equals the one just answered and comes sooner than this master ever
+goes on after a response: it is probably the response to a retry."""
+SHORT_PAUSE_SHARE = 0.5
+"""A pause is short if it is shorter than this share of the shortest pause of the line."""
 LATE = 3.0
 """The cost of a response that takes longer than the longest response time of this line."""
 LATE_PER_DOUBLING = 3.0
@@ -97,9 +108,15 @@ SHORT_TIMEOUT = 4.0
 master's timeout is not known."""
 LATE_BEFORE_TIMEOUT = 3.0
 """The most bits that lateness costs for an echo if the master is known to wait that long."""
-NEAR_TIMEOUT = 5.5
-"""The cost of an echo that comes when the master's timeout may be over, but need not: as much as a
-retry costs."""
+LATE_AS_OTHERS = 2.0
+"""The most bits that lateness costs for an echo if other units or functions of this line have taken
+as long for an echo."""
+NEAR_TIMEOUT = 1.5
+"""By how many bits an echo costs more than a retry if it comes when the master's timeout is over;
+by so many less if that just begins to be possible. So such a frame is ambiguous."""
+NEAR_DOUBLINGS = 0.8
+"""A frame that comes at the master's timeout is surely a retry only if that is later, by so many
+doublings (1.7 times), than the longest response time of this line."""
 SOONER = 0.8
 """An echo was a response, not a retry, if the master sends its next request in less than this share
 (0 to 1) of the time that the echo took: after a retry it would have waited as long again."""
@@ -186,6 +203,9 @@ INCOMPLETE_UNEXPECTED = 1.5
 GLUED = 2.0
 """The cost of a frame that begins without a silence before it. A start value, which the line
 statistics replace."""
+BEHIND_NOISE = 4.0
+"""The most bits that a frame costs because skipped bytes hide the silence before it, if a silence
+follows it: then it is not part of the registers of a longer frame, whose CRC would follow."""
 GLUED_LIMITS = (0.2, 8.0)
 """The least and the most, in bits, that the learned cost of a frame without a silence before it can
 become."""

@@ -21,6 +21,7 @@ from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
+from mbtool.serial_line.line_history import ENOUGH_PAUSES
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from mbtool.serial_line.plausibility import is_odd_request, is_odd_response, is_padded
 
@@ -67,13 +68,14 @@ def _request_cost(
     is_repeat = state.answered is not None and state.answered.is_same(unit, pdu)
     if is_repeat:
         if not history.trusts_silences or overdue is not None:
-            cost += history.repeat.bits
+            again = costs.REPEAT_AGAIN if state.is_repeat else history.repeat.bits
+            cost += min(history.repeat.bits, again)
     elif state.last_response == pdu and _may_be_second_response(state.answered, unit, pdu):
         cost += costs.REQUEST_EQUALS_RESPONSE
     if not (is_retry or is_repeat or (unit, pdu) in history.requests):
         cost += _new_request_cost(pdu)
     if pending is None:
-        return cost, 0.0
+        return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
     silent = history.silent_bits(state, pending)
     if not is_retry:
         cost += max(costs.PREVIOUS_UNANSWERED - silent, costs.MIN_UNANSWERED)
@@ -83,6 +85,14 @@ def _request_cost(
     else:
         cost += max(history.retry.bits - silent, costs.RETRY_LIMITS[0])
     return cost, _early_cost(history, state, pending, at_ns, is_retry=is_retry)
+
+
+def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
+    """The cost of a repeated request that follows its response sooner than requests do here."""
+    if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
+        return 0.0
+    is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
+    return costs.SHORT_PAUSE if is_short else 0.0
 
 
 def _early_cost(
@@ -152,7 +162,9 @@ def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) ->
 def _late_response_cost(
     state: BusState, pending: PendingRequest | None, overdue: PendingRequest, pdu: bytes
 ) -> float:
-    is_other = pending is not None and not pending.is_same(overdue.unit, overdue.pdu)
+    # The request that came after the overdue one: it waits for its response, or has got it.
+    after = pending or state.answered
+    is_other = after is not None and not after.is_same(overdue.unit, overdue.pdu)
     cost = costs.LATE_RESPONSE_TO_OTHER if is_other else costs.LATE_RESPONSE
     first = state.last_response
     is_second = state.answered is not None and state.answered.pdu == overdue.pdu
@@ -195,20 +207,26 @@ def _lateness_cost(
         if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
             return 0.0
         return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
+    most, timeout = costs.MAX_ECHO_LATENESS, history.timeout
+    if timeout.is_known:
+        share = timeout.share_over(silence_ns)
+        if share >= 1.0 and latency.doublings_late(silence_ns) > costs.NEAR_DOUBLINGS:
+            return costs.MAX_ECHO_LATENESS
+        if share > 0.0:
+            retry = costs.REQUEST + history.retry.bits
+            return retry + costs.NEAR_TIMEOUT * (2 * share - 1)
+        if timeout.is_not_over(silence_ns):
+            most = costs.LATE_BEFORE_TIMEOUT
     heard = history.echo_latencies.get((pending.unit, pending.pdu[0]))
     if heard and heard.has_heard(silence_ns):
         return 0.0
-    most = costs.MAX_ECHO_LATENESS
-    if history.timeout.is_known:
-        if history.timeout.is_not_over(silence_ns):
-            most = costs.LATE_BEFORE_TIMEOUT
-        if history.timeout.is_doubtful(silence_ns):
-            return costs.NEAR_TIMEOUT
-        if history.timeout.is_over_at(silence_ns):
-            return costs.MAX_ECHO_LATENESS
-    # An echo that is later than any response may be a retry, so it has no margin.
+    if history.all_echo_latencies.has_heard(silence_ns):
+        most = min(most, costs.LATE_AS_OTHERS)
+    # An echo that is later than any response may be a retry, so it has a margin only if it comes
+    # sooner than any retry.
     doublings = latency.doublings_late(silence_ns, LatencyStatistics.MIN_WRITE_NS)
-    if doublings <= 0.0:
+    is_soon = silence_ns < LatencyStatistics.MIN_RETRY_NS
+    if doublings <= (LatencyStatistics.MARGIN_DOUBLINGS if is_soon else 0.0):
         return 0.0
     return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, most)
 

@@ -19,6 +19,11 @@ MAX_REQUESTS = 1024
 """How many requests of a line are remembered; beyond that, the one heard least recently is
 forgotten."""
 
+PAUSE_GROWTH = 1.01
+"""With each pause the shortest one grows by 1 %, so that an odd one is forgotten."""
+ENOUGH_PAUSES = 16
+"""After so many pauses the shortest is known."""
+
 
 class LineHistory:
     """What earlier frames of a line have shown; the cost of a frame depends on it."""
@@ -33,10 +38,16 @@ class LineHistory:
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
         """By unit and function, the response time of writes whose response equals the request. In
         many devices they take longer than reads."""
+        self.all_echo_latencies = LatencyStatistics()
+        """The response times of all such writes together."""
         self.unanswered: dict[int, int] = {}
         """By unit, how many requests in a row had no response."""
         self.answering: set[int] = set()
         """The units of which a response was heard that cannot be a request sent again."""
+        self.shortest_pause_ns = 0.0
+        """The shortest silence lately, in ns, from a response to the next request."""
+        self.pauses = 0
+        """How many such silences were heard."""
         self.unexplained_silences = LatencyStatistics()
         """The silences between merged frames in which no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
@@ -55,6 +66,17 @@ class LineHistory:
         if len(head) == 1:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
+
+    def master_still_waits(self, waited_ns: int) -> bool | None:
+        """True if a master still waits for its response after `waited_ns`, False if it may not.
+
+        None if silences tell nothing.
+        """
+        if not self.trusts_silences:
+            return None
+        if self.timeout.is_known:
+            return self.timeout.is_not_over(waited_ns)
+        return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
         """The cost, in bits, of supposing that a unit answers which gave no response lately.
@@ -86,12 +108,18 @@ class LineHistory:
             del self.requests[next(iter(self.requests))]
         if state.answered is not None:
             self.repeat.learn(state.answered.is_same(unit, pdu))
+            pause_ns = start_ns - (state.last_ns or start_ns)
+            known_ns = self.shortest_pause_ns * PAUSE_GROWTH if self.pauses else pause_ns
+            self.shortest_pause_ns = pause_ns if pause_ns < known_ns else known_ns
+            self.pauses += 1
         if by_form:  # Otherwise a response may have been taken for a retry.
             pending = state.pending
             is_retry = pending is not None and pending.is_same(unit, pdu)
             self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
-                self.timeout.learn(start_ns - pending.awaited_from_ns)
+                waited_ns = start_ns - pending.awaited_from_ns
+                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Otherwise it is a copy.
+                    self.timeout.learn(waited_ns)
 
     def learn_latency(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
@@ -110,6 +138,7 @@ class LineHistory:
         """Learn how long a slave took to echo a request, once the next frame shows that it did."""
         key = answered.unit, answered.pdu[0]
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
+        self.all_echo_latencies.learn(latency_ns)
 
     def learn_answer(self, unit: int) -> None:
         """Learn that a unit has answered, by a response that cannot be a request sent again."""

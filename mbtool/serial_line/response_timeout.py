@@ -17,6 +17,13 @@ MARGIN = 0.05
 by their number."""
 DOUBTFUL_MARGIN = 0.4
 """A wait that is shorter by up to 40 % of the shortest, divided by their number, is doubtful."""
+ENOUGH_WAITS = 3
+"""So many waits or more show how much they differ."""
+STEADY_MARGIN = 0.03
+"""Then a wait is doubtful that is shorter than the shortest by up to 3 % of that, plus three times
+the spread divided by the number of the other waits."""
+EXACT_MARGIN = 0.001
+"""Only a wait that is shorter than the shortest by at most 0.1 % of it surely ends in a retry."""
 GIVEN_MARGIN = 0.1
 """A wait may differ from a timeout that the user names by 10 %: timers are late, and so are
 adapters."""
@@ -56,16 +63,28 @@ class ResponseTimeout:
         shortest, longest = waits[trimmed], waits[-1 - trimmed]
         spread, unit = longest - shortest, shortest / len(waits)
         margin = spread / 2 + MARGIN * unit
-        self._range = shortest - margin, longest + margin
-        self._running_until_ns = shortest - max(spread / 2 + DOUBTFUL_MARGIN * unit, margin)
+        self._range = shortest * (1 - EXACT_MARGIN), longest + margin
+        doubtful = spread / 2 + DOUBTFUL_MARGIN * unit
+        if len(waits) >= ENOUGH_WAITS:
+            steady = 3 * spread / (len(waits) - 1) + STEADY_MARGIN * shortest
+            doubtful = min(doubtful, steady)
+        self._running_until_ns = shortest - max(doubtful, margin)
 
     def is_not_over(self, wait_ns: int) -> bool:
         """True if the timeout is known and the master is still waiting after `wait_ns`."""
         return wait_ns < self._running_until_ns
 
-    def is_doubtful(self, wait_ns: int) -> bool:
-        """True if the timeout may be over after `wait_ns`, or not."""
-        return self._range is not None and self._running_until_ns <= wait_ns < self._range[0]
+    def share_over(self, wait_ns: int) -> float:
+        """How far the timeout is over after `wait_ns`: 0 if it is not, or unknown, 1 if it is.
+
+        Between, it may be over or not. It is 0 again after the longest wait.
+        """
+        if self._range is None or not self._running_until_ns <= wait_ns <= self._range[1]:
+            return 0.0
+        if wait_ns >= self._range[0]:
+            return 1.0
+        doubtful_ns = self._range[0] - self._running_until_ns
+        return (wait_ns - self._running_until_ns) / doubtful_ns
 
     def is_over_at(self, wait_ns: int) -> bool:
         """True if the timeout is known and ends after about `wait_ns`."""

@@ -22,6 +22,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mbtool.core import Direction, EventKind
 from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
@@ -97,6 +99,8 @@ class RtuSplitter:
         """How many bytes in a row belong to no frame."""
         self._was_noise = False
         """True if the bytes skipped last were all noise of a change of direction."""
+        self._follows_silence = True
+        """True if a silence of t3.5 precedes the frame given out last."""
         self._last_end: tuple[int, Verdict] | None = None
         """The end of the last byte given out, and the verdict on a frame directly after it."""
 
@@ -202,7 +206,8 @@ class RtuSplitter:
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Emit the frames at the front of the buffer that are beyond doubt, without the search."""
         while len(self._data) >= MIN_FRAME:
-            if self._echo.last and self._take_copy(events):
+            last = self._echo.last
+            if last and self._data.startswith(last) and self._take_copy(events):
                 continue
             start_ns = self._times[0] - self._character_ns
             frame = self._fast_path.frame(self._data, start_ns, burst_over)
@@ -216,11 +221,14 @@ class RtuSplitter:
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
-        is_heard = self._timed and self._model.history.trusts_silences
+        # An adapter that merges frames glues a retry to its request too, but also the frames
+        # around them.
+        is_heard = self._timed and self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
         # A longer frame may begin with the same bytes.
         is_glued &= len(self._data) == size or self._is_silent(size)
-        if not self._echo.takes_copy(glued=is_glued):
+        is_exact = first_ns - self._last_end[0] > self._character_ns
+        if not self._echo.takes_copy(glued=is_glued, exact=is_exact):
             return False
         raw = self._data[:size]
         self._remove(size, Verdict.GLUED)
@@ -320,10 +328,16 @@ class RtuSplitter:
         longest_ns = 0 if is_even else self._longest_silence_ns(size)
         unit, pdu = raw[0], raw[1:-2]
         confidence = classification.confidence
-        if pdu[0] in ECHOING and self._speaker is None and (self._model.may_be_reversed(start_ns)):
-            confidence = min(confidence, UNSURE)
+        if pdu[0] in ECHOING and self._speaker is None:
+            model = self._model
+            if model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
+                confidence = min(confidence, UNSURE)
+            if model.may_be_slow(unit, pdu, start_ns):
+                confidence = min(confidence, UNSURE)
+                classification = replace(classification, confidence=confidence)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
         self._learn(before_ns, longest_ns)
+        self._follows_silence = before_ns is None or before_ns >= self._t3_5_ns
         if self._speaker is None:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
             if classification.direction is Direction.REQUEST:

@@ -177,7 +177,9 @@ class PathSearch:
             if is_damage and not state.follows_damage:
                 state = state.after_damage()
             for frame in frames:
-                self._add_frame(offset, path, state, frame, start_cost)
+                is_behind = path.skipped and self._window.silences[offset + frame.size]
+                cost = min(start_cost, costs.BEHIND_NOISE) if is_behind else start_cost
+                self._add_frame(offset, path, state, frame, cost)
             if path in likely:
                 for frame in unknown:
                     self._add_frame(offset, path, state, frame, start_cost)
@@ -241,7 +243,8 @@ class PathSearch:
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
         if least >= self._incomplete_limit:
             return
-        found = self._candidates.incomplete(offset, state)
+        # The slave does not hear noise: its response is due behind it, too.
+        found = self._candidates.incomplete(offset, path.state)
         if found is None:
             return
         expected, cost = found

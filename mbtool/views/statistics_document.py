@@ -153,6 +153,7 @@ def _poll(one: PollReport, number: int, link: LinkReport) -> dict[str, Any]:
         "write_quantity": key.write_quantity,
         "reference": one.poll.reference,
         **_tally(one.poll.tally, link),
+        "repetitions": one.poll.repetitions,
         "period": _period(one.poll),
         "load": _poll_load(one, link),
     }

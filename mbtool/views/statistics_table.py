@@ -53,19 +53,19 @@ _FINEST_NS = 100_000
 _LATENCY = (
     StatisticsColumn("p50 ms", 6),
     StatisticsColumn("p95", 5),
-    StatisticsColumn("p99", 5, 2),
-    StatisticsColumn("max", 5, 1),
+    StatisticsColumn("p99", 5, 3),
+    StatisticsColumn("max", 5, 2),
 )
-_FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5), StatisticsColumn("n/cap", 5, 3))
+_FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5), StatisticsColumn("n/cap", 5, 4))
 _COUNTS = (StatisticsColumn("asked", 8), StatisticsColumn("/s", 6))
 _POLLS = (
     StatisticsColumn("asked", 7),
     StatisticsColumn("every s", 7),
-    StatisticsColumn("+-ms", 5),
+    StatisticsColumn("+-ms", 5, 1),
     *_LATENCY,
     StatisticsColumn("exc", 4),
     StatisticsColumn("miss", 4),
-    StatisticsColumn("line", 6, 3),
+    StatisticsColumn("line", 6, 4),
 )
 _CONNECTIONS = (
     StatisticsColumn("opened", 7),

@@ -85,8 +85,9 @@ def _missing(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLin
     cost = f"; waiting took {percent(share / watched)} of the time" if share and watched else ""
     worst = ", ".join(f"{count:,} of {name}" for name, count in some.most_common(_MOST_UNITS))
     more = f" and {len(some) - _MOST_UNITS} more" if len(some) > _MOST_UNITS else ""
-    word = "retry" if total.retries == 1 else "retries"
-    retries = f"; {total.retries:,} {word}" if total.retries else ""
+    repeated = sum(one.poll.repetitions for link in links for one in link.polls)
+    word = "retry" if repeated == 1 else "retries"
+    retries = f"; {repeated:,} {word}" if repeated else ""
     number = total.unanswered
     text = f"! {counted(number, 'answer', ',')} missing: {worst}{more}{retries}{cost}"
     return [*lines, StyledLine(text, _BAD)]

@@ -142,10 +142,7 @@ def _taken(places: Places, raw: bytes | None, end_ns: int | None) -> int | None:
 
 
 def rtu_bus(line: SerialFormat, *, timed: bool) -> Bus:
-    bus = Bus("line", line)
-    if not timed:
-        bus._splitter = RtuSplitter(line, timed=False)
-    return bus
+    return Bus("line", line, timed=timed)
 
 
 def cells(

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import UsageError
-from mbtool.core.moments import Moment, parse_iso, parse_moment
+from mbtool.core.moments import TimePoint, parse_iso, parse_moment
 
 S = 1_000_000_000
 NINE = 1_795_338_843 * S
@@ -29,7 +29,7 @@ NINE = 1_795_338_843 * S
     ],
 )
 def test_a_time_since_the_beginning_has_units_or_is_seconds(text: str, ns: int) -> None:
-    assert parse_moment(text, "--start") == Moment(ns, is_absolute=False)
+    assert parse_moment(text, "--start") == TimePoint(ns, is_absolute=False)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_a_time_since_the_beginning_has_units_or_is_seconds(text: str, ns: int) 
     ],
 )
 def test_a_moment_is_iso_8601_and_utc_without_a_zone(text: str, ns: int) -> None:
-    assert parse_moment(text, "--end") == Moment(ns, is_absolute=True)
+    assert parse_moment(text, "--end") == TimePoint(ns, is_absolute=True)
 
 
 @pytest.mark.parametrize(

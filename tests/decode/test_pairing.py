@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from msgspec.structs import replace
 
-from mbtool.core import Direction
+from mbtool.core import Direction, WireEvent
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.network_pairing import TIMEOUT_NS, NetworkPairing
 from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.modbus.adu import Adu, DirectionBy, Transport, Verdict
 from mbtool.modbus.transaction import Outcome, Transaction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 MS = 1_000_000
@@ -56,12 +61,12 @@ def told(pdu: str, at_ms: int, transaction_id: int | None = None, unit: int = 1)
 
 
 def joined(pairing: Pairing | NetworkPairing, *adus: Adu) -> list[Transaction]:
-    done = [transaction for one in adus for transaction in pairing.feed(one)]
+    done = [each for one in adus for each in pairing.feed(one) if isinstance(each, Transaction)]
     return done + pairing.close()
 
 
-def outcomes(transactions: list[Transaction]) -> list[Outcome]:
-    return [transaction.outcome for transaction in transactions]
+def outcomes(done: Sequence[Transaction | WireEvent]) -> list[Outcome]:
+    return [one.outcome for one in done if isinstance(one, Transaction)]
 
 
 # On a network.

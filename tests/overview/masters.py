@@ -67,6 +67,10 @@ class _Run:
         while self._now_ms < end_ms:
             self._write()
             task = min(range(len(self._due)), key=lambda one: self._due[one])
+            write_ms = min(self._writes.values(), default=end_ms)
+            if self._now_ms < write_ms < self._due[task]:
+                self._now_ms = write_ms
+                continue
             self._now_ms = max(self._now_ms, self._due[task])
             self._cycle(task)
         return self._asked

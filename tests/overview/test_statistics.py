@@ -79,6 +79,7 @@ def test_a_repeated_request_begins_no_period() -> None:
     assert one.poll.period.count == 2
     assert (one.poll.period.least, one.poll.period.greatest) == (100 * MS, 100 * MS)
     assert (one.poll.tally.retries, one.poll.tally.unanswered) == (1, 1)
+    assert one.poll.repetitions == 1
 
 
 def test_a_missing_answer_that_is_told_late_does_not_spoil_periods() -> None:
@@ -279,3 +280,10 @@ def test_times_that_jump_do_no_harm() -> None:
     link = only_link(counted(*jumps))
     assert link.tally.transactions == 4
     assert link.watched_ns > 0
+
+
+def test_of_a_dead_unit_only_what_is_repeated_at_once_is_a_repetition() -> None:
+    master = Master(tasks=[Task(polls="ab", pause_ms=100)], dead=frozenset("b"), retries=2)
+    link = only_link(counted(*requests_of(master.run(60))))
+    _, dead = link.polls
+    assert dead.poll.repetitions * 3 == dead.poll.tally.unanswered * 2

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
-from mbtool.core.moments import Moment, parse_moment
+from mbtool.core.moments import TimePoint, parse_moment
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -27,8 +27,8 @@ MAX_HELD = 100_000
 class TimeWindow:
     """A part of a capture. A record that begins exactly at the end is outside."""
 
-    start: Moment | None
-    end: Moment | None
+    start: TimePoint | None
+    end: TimePoint | None
     _first_ns: int | None = field(default=None, init=False)
 
     @classmethod

@@ -1,0 +1,157 @@
+"""Measures reading whole files against peers: python -m tests.benchmarks.files [--packets N].
+
+Makes the workloads of file_workloads.py, runs mbtool and the peers that are installed in turn, each
+as a process of its own, and prints packets per second, processor time, peak memory, and how many
+times faster than tshark (of each workload that it reads) by processor time. Absolute figures are
+the machine's; only ratios of one run can be compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.benchmarks.file_workloads import (
+    Made,
+    clean,
+    dirty,
+    make_capture,
+    make_log,
+    make_serial,
+    per_poll,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+PACKETS = 100_000
+ROUNDS = 3
+
+FIELDS = (
+    "frame.number", "frame.time_epoch", "ip.src", "ip.dst", "tcp.stream", "mbtcp.trans_id",
+    "mbtcp.unit_id", "modbus.func_code", "modbus.reference_num", "modbus.word_cnt",
+    "modbus.exception_code", "modbus.regval_uint16",
+)  # fmt: skip
+"""The 12 fields that tshark prints."""
+
+TSHARK = "tshark fields"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What one process needed."""
+
+    seconds: float
+    """Processor time, of the user and the system."""
+    peak_mib: float
+
+
+@dataclass(frozen=True, slots=True)
+class FileMeasurement:
+    """What one program needed for one workload: the median of all rounds."""
+
+    workload: str
+    program: str
+    packets: int
+    cost: Cost
+
+
+def measure(
+    packets: int, rounds: int, folder: Path, only: Sequence[str] = ()
+) -> Iterator[FileMeasurement]:
+    """Run each program on each workload; they take turns."""
+    for name, made in workloads(packets, folder, only):
+        programs = programs_for(made, folder)
+        costs: dict[str, list[Cost]] = {program: [] for program in programs}
+        for _ in range(rounds):
+            for program, command in programs.items():
+                costs[program].append(run(command))
+        for program, found in costs.items():
+            seconds = statistics.median(one.seconds for one in found)
+            peak = max(one.peak_mib for one in found)
+            yield FileMeasurement(name, program, made.packets, Cost(seconds, peak))
+
+
+def workloads(packets: int, folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[str, Made]]:
+    """Make the workloads, or those of some names."""
+    for name, frames in (("clean", clean), ("dirty", dirty), ("per-poll", per_poll)):
+        if not only or name in only:
+            yield name, make_capture(folder / f"{name}.pcap", frames, packets)
+    if not only or "serial" in only:
+        yield "serial", make_serial(folder / "serial.bin", packets)
+    if not only or "log" in only:
+        capture = make_capture(folder / "clean.pcap", clean, packets)
+        yield "log", make_log(folder / "log.mcap", capture)
+
+
+def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
+    """The commands that read a workload, of those programs that are installed."""
+    decode = [sys.executable, "-m", "mbtool", "decode", str(made.path), *made.options]
+    programs = {
+        "mbtool jsonl": [*decode, "--format", "jsonl"],
+        "mbtool csv": [*decode, "--format", "csv"],
+        "mbtool parquet": [*decode, "-o", str(folder / "out.parquet"), "--overwrite"],
+    }
+    tshark, suricata = shutil.which("tshark"), shutil.which("suricata")
+    if made.path.suffix == ".pcap":
+        if tshark is not None:
+            fields = [word for field in FIELDS for word in ("-e", field)]
+            programs[TSHARK] = [tshark, "-r", str(made.path), "-T", "fields", *fields]
+        if suricata is not None:
+            programs["suricata"] = [suricata, "-r", str(made.path), "-l", str(folder)]
+    return programs
+
+
+def run(command: Sequence[str]) -> Cost:
+    """Run a command to its end, and return what it needed. Raises RuntimeError if it fails."""
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+    ) as process:
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)}: exit code {process.returncode}")
+    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+
+
+def report(measured: Sequence[FileMeasurement]) -> str:
+    """A line for each program and workload."""
+    tshark = {one.workload: one.cost.seconds for one in measured if one.program == TSHARK}
+    lines = [
+        f"{'workload':<10}{'program':<16}{'packets':>10}{'s':>8}{'packets/s':>12}{'MiB':>7}"
+        f"{'x tshark':>10}"
+    ]
+    for one in measured:
+        reference = tshark.get(one.workload)
+        ratio = "" if reference is None else f"{reference / one.cost.seconds:.1f}"
+        rate = one.packets / one.cost.seconds
+        lines.append(
+            f"{one.workload:<10}{one.program:<16}{one.packets:>10,}{one.cost.seconds:>8.2f}"
+            f"{rate:>12,.0f}{one.cost.peak_mib:>7,.0f}{ratio:>10}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--packets", type=int, default=PACKETS, help="packets of each workload")
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="the median of these counts")
+    parser.add_argument("--only", action="append", default=[], help="a workload; repeatable")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        measured = list(measure(options.packets, options.rounds, Path(folder), options.only))
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    sys.stdout.write(f"{machine}; for serial, packets are bytes\n{report(measured)}")
+
+
+if __name__ == "__main__":
+    main()

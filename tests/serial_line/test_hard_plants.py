@@ -1,0 +1,139 @@
+"""Cases that plants of the benchmark have shown: write loops, noise, slow slaves, merged scans."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import Direction, EventKind, SerialFormat
+from mbtool.decode import Bus
+from mbtool.modbus import Adu, Outcome, Transaction, rtu_adu
+from tests.feeding import Line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+FORMAT = SerialFormat(19200, 8, "E", 1)
+MS = 1_000_000
+REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
+READ, ANSWER = rtu_adu(1, bytes.fromhex("03 006B 0001")), rtu_adu(1, bytes.fromhex("03 02 022B"))
+WRITE = rtu_adu(1, bytes.fromhex("06 001B 0016"))
+OTHER_FUNCTION = rtu_adu(1, bytes.fromhex("05 0001 FF00"))
+ABSENT_WRITE = rtu_adu(9, bytes.fromhex("06 001B 0016"))
+
+
+def polls(line: Line, count: int, latency_ns: int = 3 * MS) -> Line:
+    for _ in range(count):
+        line.frame(READ, 30 * MS).frame(ANSWER, latency_ns)
+    return line
+
+
+def heard(reads: Iterable[tuple[bytes, int]], *, timed: bool = True) -> list[object]:
+    bus = Bus("line", FORMAT, timed=timed)
+    return [*(one for data, ts_ns in reads for one in bus.feed(data, ts_ns)), *bus.close()]
+
+
+def transactions(decoded: list[object], function: int) -> list[Transaction]:
+    return [one for one in decoded if isinstance(one, Transaction) and one.function == function]
+
+
+def directions(decoded: list[object], raw: bytes) -> list[Direction]:
+    return [one.direction for one in decoded if isinstance(one, Adu) and one.raw == raw]
+
+
+def test_write_loop_with_varying_latency_keeps_its_directions() -> None:
+    """A response that takes a little longer than those before it reverses nothing."""
+    line = Line(FORMAT)
+    for number in range(100):
+        line.frame(WRITE, 17 * MS).frame(WRITE, (25 + number % 5) * MS)
+    assert directions(heard(line.reads()), WRITE) == [REQUEST, RESPONSE] * 100
+
+
+def test_write_loop_after_many_different_requests_is_pairs_without_times() -> None:
+    line = polls(Line(FORMAT), 60)
+    for _ in range(20):
+        line.frame(WRITE, 30 * MS).frame(WRITE, 3 * MS)
+    writes = transactions(heard(polls(line, 5).reads(), timed=False), 0x06)
+    assert [one.outcome for one in writes] == [Outcome.OK] * 20
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_equal_writes_to_a_unit_that_answers_nothing_else_are_ambiguous_without_times(
+    count: int,
+) -> None:
+    line = polls(Line(FORMAT), 20)
+    for _ in range(count):
+        line.frame(ABSENT_WRITE, 300 * MS)
+    decoded = heard(polls(line, 5).reads(), timed=False)
+    assert all(one.confidence < 0.8 for one in transactions(decoded, 0x06))
+
+
+def test_requests_and_retries_that_a_buffer_merges_are_no_echo_of_the_adapter() -> None:
+    """A scan of absent units, delivered 255 ms after the first byte: each request twice."""
+    reads, now_ns = [], 0
+    for unit in range(2, 30):
+        now_ns += 455 * MS
+        reads.append((rtu_adu(unit, bytes.fromhex("04 0000 0002")) * 2, now_ns))
+    decoded = heard(reads)
+    assert not [one for one in decoded if getattr(one, "kind", None) is EventKind.ECHO]
+    assert len(transactions(decoded, 0x04)) == 56
+
+
+def test_copy_of_a_request_shows_no_timeout() -> None:
+    """An adapter merges a read with its retry. Then a write is answered in the same block."""
+    reads, now_ns = [], 0
+    for block in (READ + READ + ANSWER, READ + ANSWER, WRITE + WRITE, READ + ANSWER):
+        now_ns += 300 * MS
+        reads.append((block, now_ns))
+    (write,) = transactions(heard(reads), 0x06)
+    assert write.outcome is Outcome.OK
+
+
+def test_frame_at_the_end_of_a_burst_of_noise_is_found() -> None:
+    noise = bytes.fromhex("76 10 25 50 37 C1 10 F1 03 44 FF FD 83 F3 1E 25 7F 6B D8 D3")
+    line = polls(Line(FORMAT), 60)
+    line.frame(noise + READ, 15 * MS).frame(ANSWER, 3 * MS)
+    decoded = heard(polls(line, 5).reads())
+    assert [one.outcome for one in transactions(decoded, 0x03)] == [Outcome.OK] * 66
+
+
+def test_response_behind_noise_may_be_torn() -> None:
+    """The first bytes of the response come with the noise before it, the rest after a silence."""
+    noise = bytes.fromhex("BD 08 E8 26 78 3B 17 A2 62 9B FA F2 DB 97 48 4E 0F 24 C4 5C")
+    line = polls(Line(FORMAT), 60)
+    line.frame(READ, 15 * MS).frame(noise + ANSWER[:5], 0).frame(ANSWER[5:], 16 * MS)
+    decoded = heard(polls(line, 5).reads())
+    assert [one.outcome for one in transactions(decoded, 0x03)] == [Outcome.OK] * 66
+
+
+def test_first_slow_echo_of_a_line_is_ambiguous() -> None:
+    line = polls(Line(FORMAT), 60, latency_ns=20 * MS)
+    line.frame(WRITE, 30 * MS).frame(WRITE, 120 * MS)
+    decoded = heard(polls(line, 5, latency_ns=20 * MS).reads())
+    assert all(one.confidence < 0.8 for one in transactions(decoded, 0x06))
+
+
+def test_slow_echo_of_another_function_is_a_response() -> None:
+    """As long as one write takes, others may take as well."""
+    line = polls(Line(FORMAT), 20)
+    for raw in (WRITE, WRITE, OTHER_FUNCTION):
+        polls(line.frame(raw, 30 * MS).frame(raw, 90 * MS), 5)
+    (last,) = transactions(heard(line.reads()), 0x05)
+    assert (last.outcome, last.confidence > 0.5) == (Outcome.OK, True)
+
+
+def test_frame_soon_after_a_slow_echo_is_the_response_to_its_retry() -> None:
+    """This master always pauses for 30 ms, so it did not ask again after 5 ms."""
+    line = polls(Line(FORMAT), 30, latency_ns=75 * MS)
+    line.frame(WRITE, 30 * MS).frame(WRITE, 100 * MS).frame(WRITE, 5 * MS)
+    decoded = heard(polls(line, 5, latency_ns=75 * MS).reads())
+    assert directions(decoded, WRITE)[2] is RESPONSE
+
+
+def test_frame_just_before_the_timeout_of_a_slow_line_is_no_sure_retry() -> None:
+    line = polls(Line(FORMAT), 20, latency_ns=90 * MS)
+    line.frame(READ, 30 * MS).frame(READ, 100 * MS).frame(ANSWER, 10 * MS)
+    polls(line, 20, latency_ns=90 * MS).frame(WRITE, 30 * MS).frame(WRITE, 100 * MS)
+    decoded = heard(polls(line, 5, latency_ns=90 * MS).reads())
+    assert all(one.confidence < 0.8 for one in transactions(decoded, 0x06))
