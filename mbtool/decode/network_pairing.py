@@ -39,7 +39,8 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.dropped_requests import DroppedRequests
-from mbtool.decode.master_habits import MIN_LATE_NS, MasterHabits
+from mbtool.decode.giving_up import give_up_late, give_up_lost, give_up_repeated, request_key
+from mbtool.decode.master_habits import MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
     MARGIN,
@@ -66,8 +67,6 @@ from mbtool.modbus.adu import Adu, Verdict
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.decode.plain_stretch import PlainStretch
     from mbtool.modbus.transaction import Transaction
 
@@ -143,7 +142,7 @@ class NetworkPairing:
         if direction is Direction.REQUEST:
             waiting = self._readings[0].waiting
             if not (self._habits.pipelines or any(one.is_pipelined for one in waiting)):
-                self._give_up(at_ns, self._habits.late_ns)
+                give_up_late(self._readings, self._habits, at_ns, self._habits.late_ns)
                 if end is None:  # Responses to these may be lost as well.
                     for reading in self._readings:
                         reading.pass_all(self._habits)
@@ -164,7 +163,7 @@ class NetworkPairing:
         """
         done: list[Transaction] = []
         if len(self._readings) > 1:
-            self._give_up(now_ns, self._habits.silence_ns)
+            give_up_late(self._readings, self._habits, now_ns, self._habits.silence_ns)
             self._settle(done)
             if len(self._readings) > 1 and now_ns - self._readings[0].steps[0].at_ns > HOLD_NS:
                 self._decide(done)
@@ -191,13 +190,13 @@ class NetworkPairing:
     def _add_request(self, request: Adu, place: AduPlace | None, done: list[Transaction]) -> None:
         is_pipelined = others_wait = False
         if len(self._readings) > 1 or self._readings[0].waiting:
-            self._give_up(request.start_ns, self._habits.late_ns)
-            self._give_up_repeated(request)
+            give_up_late(self._readings, self._habits, request.start_ns, self._habits.late_ns)
+            give_up_repeated(self._readings, request)
             is_pipelined = all(reading.someone_waits for reading in self._readings)
             waiting = self._readings[0].waiting
             others_wait = is_pipelined and not all(one.adu is None for one in waiting)
             if not others_wait:
-                self._give_up_lost()
+                give_up_lost(self._readings, is_sequential=self._habits.is_sequential)
             self._settle(done)
         elif self._is_shifted:
             since_ns = request.start_ns - self._habits.last_response_ns
@@ -250,47 +249,6 @@ class NetworkPairing:
             return
         self._dropped.note(oldest.adu, now_ns)
         done.append(response_not_captured(self._ends, oldest.adu, (Verdict.OVER_LIMIT,)))
-
-    def _give_up(self, now_ns: int, after_ns: Callable[[int | None], int]) -> None:
-        """Give up requests that have waited for long. The slave takes one after the other."""
-        for reading in self._readings:
-            late: list[OpenRequest] = []
-            for place, one in enumerate(reading.waiting):
-                since_ns = one.since_ns
-                if one.number > reading.newest:
-                    since_ns = max(since_ns, self._habits.last_response_ns)
-                    if place and one.number in reading.behind_others:
-                        if late or one.is_pipelined:
-                            break  # Of requests in a row that are answered late, one is slow.
-                        since_ns = max(since_ns, reading.gave_up_ns)
-                if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
-                    late.append(one)
-            if late:
-                reading.give_up(late)
-                reading.gave_up_ns = now_ns
-
-    def _give_up_repeated(self, request: Adu) -> None:
-        """Give up a request that its master sends again, if no other one waits."""
-        for reading in self._readings:
-            awaited = [one for one in reading.waiting if reading.awaits(one)]
-            if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
-                continue
-            (one,) = awaited
-            if one.adu is None or one.number in reading.behind_others:
-                continue
-            if _key(one.adu) == _key(request):
-                reading.give_up(awaited)
-
-    def _give_up_lost(self) -> None:
-        """Give up lost requests: their master sends the next one, and no response has come."""
-        for reading in self._readings:
-            lost = [one for one in reading.waiting if one.adu is None and reading.awaits(one)]
-            for one in lost:
-                one.may_not_exist = one.place is None or (
-                    self._habits.is_sequential and not one.exists
-                )
-            if self._habits.is_sequential:
-                reading.give_up([one for one in lost if not one.may_not_exist])
 
     def _respond(self, response: Adu, place: AduPlace | None, done: list[Transaction]) -> None:
         if self._dropped.take_response(response):
@@ -443,14 +401,14 @@ class NetworkPairing:
     def _take_retries(self, answered: OpenRequest) -> int:
         """Count the equal requests before an answered one; each counts only once."""
         assert answered.adu is not None
-        key = _key(answered.adu)
+        key = request_key(answered.adu)
         retries = self._unanswered.pop(key, 0) if self._unanswered else 0
         (reading,) = self._readings
         for requests in (reading.passed, reading.waiting):
             for earlier in requests:
                 if earlier.number > answered.number:
                     break
-                if earlier.counts and earlier.adu is not None and _key(earlier.adu) == key:
+                if earlier.counts and earlier.adu is not None and request_key(earlier.adu) == key:
                     earlier.counts = False
                     retries += not earlier.may_be_lost
         return retries
@@ -464,13 +422,9 @@ class NetworkPairing:
             return
         retries = 0
         if one.counts:
-            key = _key(one.adu)
+            key = request_key(one.adu)
             retries = self._unanswered.pop(key, 0)
             if len(self._unanswered) >= MAX_OPEN_REQUESTS:
                 del self._unanswered[next(iter(self._unanswered))]
             self._unanswered[key] = retries + 1
         done.append(no_answer(self._ends, one.adu, retries))
-
-
-def _key(request: Adu) -> tuple[int, bytes]:
-    return request.unit, request.pdu

@@ -17,6 +17,7 @@ from mbtool.modbus.adu_bytes import MBAP_BYTES
 from tests.captures import public_folder, read_packets
 from tests.cli.program import CommandLine
 from tests.packets.building import cut, pcap
+from tests.records import without_origins
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -149,4 +150,5 @@ def test_what_editcap_cuts_reads_like_what_the_test_cuts(capture: Path, tmp_path
     file = tmp_path / "cut.pcapng"
     subprocess.run(["editcap", "-s", "96", str(capture), str(file)], check=True, timeout=60)
     cut_here = decoded(replace(cut(packet, 96), link="if0") for packet in read_packets(capture))
-    assert decoded(replace(packet, link="if0") for packet in read_packets(file)) == cut_here
+    cut_there = decoded(replace(packet, link="if0") for packet in read_packets(file))
+    assert without_origins(cut_there) == without_origins(cut_here)
