@@ -84,7 +84,7 @@ class Unpacker:
                 stated = size
             if stated > MAX_RECORD or not self.spend(stated + len(frame)):
                 raise ValueError(f"a chunk of {stated} bytes from {len(frame)}, which is too many")
-            return self._zstd.decompress(frame, max_output_size=stated)
+            return self._zstd.decompress(frame, max_output_size=stated, allow_extra_data=False)
         except zstandard.ZstdError as error:
             raise ValueError(f"a chunk that cannot be unpacked: {error}") from None
 
