@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 BLOCK_PACKETS = 65_536
 BLOCK_BYTES = 8 * 1024 * 1024
+"""More than the longest record has."""
 
 SPARE = 64
 """Zero bytes behind the data of a block, so that a header may be read where a packet is short."""
