@@ -20,6 +20,7 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
+from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.reading import Reading
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
@@ -93,6 +94,8 @@ class CheckRun:
     ) -> None:
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
+        self._paths = paths
+        self._line = options.line
         self.reading = Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
@@ -121,7 +124,7 @@ class CheckRun:
         try:
             self._codes.demand_known(known)
         except UsageError:
-            self._codes.demand_known([*known, *self.reading.profiles_of_logs()])
+            self._codes.demand_known([*known, *profiles_of_logs(self._paths, self._line)])
 
     @property
     def remarks(self) -> list[str]:

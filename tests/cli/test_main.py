@@ -103,7 +103,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["decode", "a", "--device", "5"], "device '5': write WHO=PROFILE, for example"),
         (["decode", "a", "--device", "x=fa3-at1m8x"], "device 'x': WHO is 5, "),
         (["decode", "a", "--device", "5=pump"], "profile 'pump'"),
-        (["decode", "a", "-o", "a.parquet"], "a.parquet: its suffix names no format"),
+        (["decode", "a", "-o", "a.xlsx"], "a.xlsx: its suffix names no format"),
         (["decode", "-", "-o", "absent/a.csv"], "absent/a.csv: cannot be written: No such file"),
         (["decode", "a.csv", "-o", "a.csv"], "a.csv: is an input and would be overwritten"),
         (["decode", "a.csv", "-o", "./a.csv"], "./a.csv: is an input and would be overwritten"),

@@ -66,7 +66,6 @@ class ColumnReading(Reading):
         if broken is None or isinstance(broken, CutError | DamageError):
             self._files_read += 1
         if broken is not None:
-            self._broken.append(broken)
             raise broken
 
     def _note_block(self, capture: CaptureFile, block: PacketBlock) -> None:

@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Chunk, Packet, UsageError, WireEvent
-from mbtool.devices import Namer
-from mbtool.logs import follow
-from mbtool.sources.files import STANDARD_INPUT, CaptureKind, open_capture
+from mbtool.devices import Namer, profile_from_json
+from mbtool.logs import LogReader, follow
+from mbtool.sources.files import STANDARD_INPUT, CaptureKind, open_capture, place_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from mbtool.core import LineSettings
     from mbtool.decode.decoder import Record
-    from mbtool.devices import Assignments
+    from mbtool.devices import Assignments, Profile
 
 
 def log_records(
@@ -46,3 +47,22 @@ def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> I
         if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
             raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
     yield from log_records(follow(path, wait), assignments, path)
+
+
+def profiles_of_logs(paths: Sequence[str], line: LineSettings | None) -> list[Profile]:
+    """The profiles in the logs among some files; pipes are not opened.
+
+    Raises InputError if a file cannot be read.
+    """
+    profiles = []
+    for path in paths:
+        if place_of(path)[1]:
+            continue
+        with open_capture(path, line) as capture:
+            if capture.kind is CaptureKind.MCAP:
+                log = LogReader(capture.stream, capture.name)
+                profiles += [
+                    profile_from_json(data, f"profile {name}")
+                    for name, data in log.profiles.items()
+                ]
+    return profiles

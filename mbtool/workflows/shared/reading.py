@@ -34,7 +34,7 @@ from mbtool.core import (
 )
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
-from mbtool.devices import Assignments, Namer, profile_from_json
+from mbtool.devices import Assignments, Namer
 from mbtool.logs import LogReader
 from mbtool.logs.links import (
     PORTS,
@@ -45,11 +45,11 @@ from mbtool.logs.links import (
     serial_lines,
 )
 from mbtool.packets import serial_pieces
-from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
+from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
 from mbtool.workflows.shared.exact_times import ExactTimes
-from mbtool.workflows.shared.file_result import FileResult, file_table
+from mbtool.workflows.shared.file_results import FileResults
 from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
 from mbtool.workflows.shared.missing_parts import MissingParts
@@ -90,11 +90,6 @@ class ReadingOptions:
     """True to decode the packets and bytes of a log again."""
 
 
-def _shown(path: str) -> str:
-    """The name of a file in messages."""
-    return "standard input" if path == STANDARD_INPUT else path
-
-
 class Reading:
     """Reads files once, and yields their transactions and events."""
 
@@ -121,12 +116,7 @@ class Reading:
         """For each file that does not tell the baud rate, a check of the assumed baud rate."""
         self._missing = MissingParts()
         self._unclosed_logs: list[str] = []
-        self._broken: list[InputError] = []
-        """The errors of files that are cut or damaged."""
-        self._refused: dict[str, InputError] = {}
-        """The errors of files that cannot be read at all, by path; the other files are read."""
-        self._results: dict[str, FileResult] = {}
-        """The results of the files opened so far, by name."""
+        self._results = FileResults(paths)
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
@@ -171,7 +161,7 @@ class Reading:
         """One line for the user that says why the files gave no transaction and no event."""
         if self._has_found or not self._is_complete:
             return None
-        names = self._names
+        names = self._results.names
         if not self._items and not self._kinds <= _SERIAL_KINDS:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
         if self._items == self._serial_packets:
@@ -188,7 +178,7 @@ class Reading:
         """Raise InputError if the files gave only events about data that cannot be decoded."""
         why = self._first_undecodable
         if why is not None and not self._has_decoded and self._is_complete:
-            raise InputError(f"{self._names}: nothing in it could be read: {why}")
+            raise InputError(f"{self._results.names}: nothing in it could be read: {why}")
 
     @property
     def _current_name(self) -> str:
@@ -197,10 +187,6 @@ class Reading:
     @property
     def _is_complete(self) -> bool:
         return self._files_read == len(self._paths)
-
-    @property
-    def _names(self) -> str:
-        return ", ".join(map(_shown, self._paths))
 
     @property
     def remarks(self) -> list[str]:
@@ -214,7 +200,7 @@ class Reading:
             remarks.append("--link has no effect: these are packets of a network")
         if self._has_found and self._is_complete:
             remarks += self._options.assignments.remarks
-        return remarks + self._misordered + self._unclosed_logs + file_table(self._file_results)
+        return remarks + self._misordered + self._unclosed_logs + self._results.table()
 
     def demand_files(self) -> None:
         """Check that each file exists, is named once, and is of a kind that can be read.
@@ -228,9 +214,9 @@ class Reading:
             try:
                 self._demand_file(path, known)
             except InputError as error:
-                self._refused[path] = error
-        if len(self._refused) == len(self._paths):
-            raise self._refused[self._paths[0]]
+                self._results.refuse(path, error)
+        if len(self._results.refused) == len(self._paths):
+            raise self._results.refused[self._paths[0]]
 
     def _demand_file(self, path: str, known: set[object]) -> None:
         """Check one file; `known` has the files checked so far."""
@@ -242,44 +228,13 @@ class Reading:
             raise UsageError(f"{path}: named twice; what is in it would count twice")
         known.add(place)
 
-    @property
-    def _file_results(self) -> list[FileResult]:
-        """The results of all files, in the order in which the user named them."""
-        results = []
-        opened = iter(self._results.values())
-        for path in self._paths:
-            error = self._refused.get(path)
-            result = next(opened, None) if error is None else FileResult(path, error=error)
-            if result is not None:
-                results.append(result)
-        return results
-
-    def profiles_of_logs(self) -> list[Profile]:
-        """The profiles in the logs among the files; pipes are not opened.
-
-        Raises InputError if a file cannot be read.
-        """
-        profiles = []
-        for path in self._paths:
-            if not place_of(path)[1]:
-                with open_capture(path, self._options.line) as capture:
-                    if capture.kind is CaptureKind.MCAP:
-                        log = LogReader(capture.stream, capture.name)
-                        profiles += [
-                            profile_from_json(data, f"profile {name}")
-                            for name, data in log.profiles.items()
-                        ]
-        return profiles
-
     def records(self) -> Iterator[Record]:
         """Yield all transactions and events, file by file."""
         for record in self._records():
             self._has_found = True
             self._missing.note_record(record)
             self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
-            result = self._results.get(self.file)
-            if result is not None:
-                result.note(record)
+            self._results.note(self.file, record)
             if isinstance(record, WireEvent) and record.kind in UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
             else:
@@ -289,14 +244,13 @@ class Reading:
     def _records(self) -> Iterator[Record]:
         try:
             for number, path in enumerate(self._paths, 1):
-                if path in self._refused:
+                if path in self._results.refused:
                     self._files_read += 1
                     continue
                 try:
                     yield from self._file_records(path)
                 except (CutError, DamageError) as error:
-                    self._broken.append(error)
-                    self._results[_shown(path)].error = error
+                    self._results.break_off(path, error)
                     if number < len(self._paths):
                         yield from self._break_off(error)
                 self._files_read += 1
@@ -304,12 +258,10 @@ class Reading:
             yield from self._end_capture()
             raise
         yield from self._end_capture()
-        for why in (*self._broken, *self._refused.values()):
-            raise why
+        self._results.raise_first()
 
     def _file_records(self, path: str) -> Iterator[Record]:
-        name = _shown(path)
-        self._results[name] = FileResult(name)
+        self._results.begin(path)
         with open_capture(path, self._options.line) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
