@@ -85,8 +85,8 @@ class FileResults:
             raise error
 
     def table(self) -> list[str]:
-        """A line for each file, under a heading; empty if there is only one file."""
-        if len(self._paths) < 2:
+        """A line for each file, under a heading; empty if there is only one or none was opened."""
+        if len(self._paths) < 2 or not self._opened:
             return []
         results = []
         for path in self._paths:
