@@ -315,10 +315,15 @@ class _TransactionArrays:
                 last - first + 1,
                 int(self._response_ns[end - 1]),
             ),
+            last_requests=[self._request(block, one) for one in range(max(at, end - 2), end)],
             last_response_size=int(self._response_size[end - 1]),
             transaction_ids=self._found.transaction_id[some].tolist(),
             latencies=latencies,
         )
+
+    def _request(self, block: PacketBlock, index: int) -> bytes:
+        begin = int(self._request_begin[index])
+        return block.data[begin : begin + int(self._request_size[index])].tobytes()
 
     @staticmethod
     def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:

@@ -55,6 +55,7 @@ from mbtool.decode.pairing_readings import (
     options,
     without_costly,
 )
+from mbtool.decode.plain_stretch import plain_request
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -119,7 +120,7 @@ class NetworkPairing:
         """
         reading = self._readings[0]
         is_open = len(self._readings) > 1 or reading.waiting or reading.passed or reading.steps
-        remembers = self._unanswered or not self._dropped.is_empty
+        remembers = self._unanswered or not self._dropped.is_empty or self._is_shifted
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
 
     def pass_plain(self, stretch: PlainStretch) -> None:
@@ -129,6 +130,11 @@ class NetworkPairing:
         self._habits.note_plain(stretch.transaction_ids, self._requests, last_ns)
         for function, latencies in stretch.latencies.items():
             self._habits.note_latencies(function, latencies)
+        self.response_is_cut = False
+        for raw in stretch.last_requests:
+            adu = plain_request(raw, stretch.requests.last_ns)
+            one = OpenRequest(number=self._requests, since_ns=adu.end_ns, adu=adu)
+            self._last_two = (self._last_two[1], one)
 
     def note_loss(
         self, direction: Direction, lost: int, at_ns: int, end: int | None = None

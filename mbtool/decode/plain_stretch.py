@@ -10,6 +10,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core import Direction
+from mbtool.modbus.adu import Adu, DirectionBy, Transport
+from mbtool.modbus.adu_bytes import MBAP_BYTES
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -21,8 +25,26 @@ class PlainStretch(NamedTuple):
 
     requests: PlainBytes
     responses: PlainBytes
+    last_requests: Sequence[bytes]
+    """The ADUs of the last request and of the one before it, if there is one; the last one last."""
     last_response_size: int
     """The length of the last response in bytes."""
     transaction_ids: Sequence[int]
     latencies: Mapping[int, Sequence[int]]
     """By function code, the time from request to response of each transaction, in ns."""
+
+
+def plain_request(raw: bytes, ts_ns: int) -> Adu:
+    """The ADU of a request in a plain stretch, from its bytes."""
+    return Adu(
+        start_ns=ts_ns,
+        end_ns=ts_ns,
+        transport=Transport.TCP,
+        direction=Direction.REQUEST,
+        direction_by=DirectionBy.PORT,
+        confidence=1.0,
+        unit=raw[MBAP_BYTES - 1],
+        pdu=raw[MBAP_BYTES:],
+        raw=raw,
+        transaction_id=raw[0] << 8 | raw[1],
+    )

@@ -57,7 +57,8 @@ class StreamProgress:
 
     def is_at_rest(self, position: int) -> bool:
         """True if all up to a position is known, and nothing behind it came."""
-        return not (self.unread or self._missing) and self._captured == position
+        is_open = self.unread or self._missing or self.has_part
+        return not is_open and self._captured == position
 
     def pass_plain(self, size: int, received: int) -> None:
         """Note whole ADUs that were read elsewhere; `received` is as in the last segment."""
