@@ -6,7 +6,7 @@
 # is lost, an adapter may have merged them: then a copied request must have got a response. Where no
 # silences are heard, a copy may be a retry: then several requests in a row must have come twice.
 #
-# Holds the last request only.
+# An AdapterEcho holds no frame but the last request.
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ class AdapterEcho:
         self.echoes = False
         """True if the adapter echoes."""
         self.reason = ECHOES
-        """What is to be said of the next copy: at first, that this adapter echoes."""
+        """The reason that the next copy gets: ECHOES the first time, then ECHO."""
         self.last = b""
         """The last frame if that was a request and no copy of it has come; otherwise empty."""
         self._is_certain = False
-        """True if that request cannot be a response by its form."""
+        """True if the form of the request in `last` rules out a response."""
         self._is_copied = False
-        """True if that request came twice, and no other frame has come since."""
+        """True if the last request came twice and no other frame has come since."""
         self._copies = 0
-        """How many requests in a row came twice and were answered."""
+        """The number of requests in a row that came twice and then had a response."""
         self._singles = 0
-        """How many requests in a row came once."""
+        """The number of requests in a row that came only once."""
         self._has_single = False
         """True if a request has ever come once."""
 
@@ -50,11 +50,12 @@ class AdapterEcho:
         return self.echoes and self.last.startswith(data)
 
     def takes_copy(self, *, glued: bool, exact: bool = True) -> bool:
-        """Take the last request once more; True if that is its copy, and not a frame.
+        """Take bytes equal to the last request; True if they are its copy, not a new frame.
 
-        `glued` is True if silences are heard and none stands between the two. `exact` is True if
-        the pause between them, too short for a silence, is heard: otherwise an adapter may have
-        merged a request with its retry, as long as no response has followed a copy.
+        `glued` is True if silences are heard and no silence separates the request from these bytes.
+        `exact` is True if the pause between the two, shorter than t3.5, is heard. If it is not, the
+        adapter may have merged a request with its retry, unless a response has followed an earlier
+        copy.
         """
         is_heard = glued and not self._has_single and (exact or self._copies > 0)
         is_enough = self._copies >= ENOUGH_COPIES or is_heard
@@ -65,7 +66,7 @@ class AdapterEcho:
         return True
 
     def said(self) -> str:
-        """What to say of a copy; it says only once that the adapter echoes."""
+        """The reason for skipping a copy; only the first one says that the adapter echoes."""
         reason, self.reason = self.reason, ECHO
         return reason
 

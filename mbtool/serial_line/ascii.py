@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
 
 CHARACTER_TIMEOUT_NS = 1_000_000_000
-"""The longest silence inside a frame (Serial Line V1.02, 2.5.2.1)."""
+"""The longest silence inside a frame, in ns (Serial Line V1.02, 2.5.2.1)."""
 
 _COLON = 0x3A
 _STOP = re.compile(rb"[:\r\n]")

@@ -1,8 +1,8 @@
 """Bit repair: finds the one wrong bit of a damaged RTU frame, so that its meaning is known."""
 
-# A CRC is linear: after one wrong bit, its remainder depends only on that bit's place in the frame.
-# A frame of 20 bytes has 160 places and there are 65,536 remainders. So of 400 frames with other
-# damage, one looks by chance as if it had a single wrong bit.
+# A CRC is linear: after one wrong bit, the remainder depends only on the position of that bit in
+# the frame. A frame of 20 bytes has 160 bit positions, and there are 65,536 remainders. So of 400
+# frames with other damage, one looks by chance as if it had a single wrong bit.
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ def repaired(frame: bytes) -> bytes | None:
 
 @cache
 def _wrong_bits() -> dict[int, int]:
-    """For each remainder of the CRC that one wrong bit can leave, the place of that bit.
+    """For each remainder of the CRC that one wrong bit can leave, the position of that bit.
 
-    The place is 8 times the number of bytes after the wrong byte, plus the bit's number (0 to 7).
+    The position is 8 times the number of bytes after the wrong byte, plus the bit's number (0 to
+    7).
     """
     places = {}
     for behind in range(MAX_RTU_ADU):

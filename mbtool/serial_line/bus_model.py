@@ -189,7 +189,7 @@ class BusModel:
         is_sure = classification.confidence >= SURE
         if role is Direction.REQUEST:
             if is_sure:
-                # Ordinary polling shows nothing here; the test makes it 3 % faster.
+                # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
                     self._learn_from_outcome(unit, pdu, start_ns)
                 by_form = classification.by is DirectionBy.FORM
@@ -233,7 +233,7 @@ class BusModel:
             history.learn_latency(pending, pdu, start_ns, is_sure)
 
     def _learn_from_outcome(self, unit: int, pdu: bytes, start_ns: int) -> None:
-        """Learn what a request shows about the request before it: if and when that was answered."""
+        """Learn from a new request if, and when, the request before it was answered."""
         state = self._state_before(unit, pdu, start_ns)
         if state is None:
             return
@@ -253,7 +253,7 @@ class BusModel:
                 history.learn_echo(answered, latency_ns)
 
     def _state_before(self, unit: int, pdu: bytes, start_ns: int) -> BusState | None:
-        """The bus state before a request; None if no state is surely the one."""
+        """The bus state before a request; None if several states are nearly as likely."""
         if len(self.states) == 1:
             return self.state
         costed = [
@@ -285,11 +285,11 @@ class BusModel:
         return [(bits - least, state) for bits, state in after]
 
     def may_be_reversed(self, start_ns: int) -> bool:
-        """True if all requests and responses heard so far look alike; the next frame does too.
+        """True if all frames so far may have the opposite direction. The next frame fits both.
 
-        Then requests and responses may be the other way round throughout: which of two alternating
-        silences is the slave's response time is not known. The first two frames of a capture are a
-        pair if the second comes soon.
+        No frame so far has shown by its form if it is a request or a response, and two alternating
+        silences do not show which of them is the slave's response time. But the first two frames of
+        a capture are taken for a request and its response if the second comes soon.
         """
         state = self.state
         if not self.history.timed or state.direction_known:
@@ -302,8 +302,9 @@ class BusModel:
     def may_be_retry(self, unit: int, pdu: bytes) -> bool:
         """True if a frame equals the one before it, and nothing tells a response from a retry.
 
-        That is so if silences do not tell it, and the unit has not answered anything else. But two
-        equal frames on a line with a single unit are taken for a pair.
+        That is so if silences do not tell who speaks, and no response of the unit has differed from
+        its request. But two equal frames on a line with a single unit are taken for a request and
+        its response.
         """
         history, state = self.history, self.state
         if history.trusts_silences or unit in history.answering or pdu[0] not in ECHOING:
@@ -317,8 +318,8 @@ class BusModel:
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame may be a retry or a slow response, and this line has shown neither.
 
-        It equals the pending request. It comes when some masters have repeated it, and not much
-        later than the slowest responses of this line.
+        The frame equals the pending request. It comes so late that some masters would already
+        repeat the request, but not much later than the slowest responses of this line.
         """
         history, pending = self.history, self.state.pending
         if pending is None or not history.trusts_silences or history.timeout.is_known:
@@ -408,9 +409,9 @@ class BusModel:
 
 
 def roles_of(pdu: bytes) -> tuple[Direction, ...]:
-    """The directions in which the PDU's function allows its length; both if none does.
+    """The directions that a PDU can have by its function and length; both if it fits neither.
 
-    None does for an unknown function.
+    A PDU of an unknown function fits neither.
     """
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES

@@ -64,19 +64,19 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     answered: PendingRequest | None = None
     """The request that the last frame answered."""
     answered_after_ns: int = 0
-    """The time, in ns, from the end of that request to the start of the last frame, if silences
-    tell who speaks."""
+    """The time, in ns, from the end of the answered request to the start of its response; 0 if
+    silences do not tell who speaks."""
     retries: int = 0
-    """How many equal requests without a response came directly before the pending one."""
+    """The number of requests directly before the pending one that equal it and had no response."""
     is_repeat: bool = False
-    """True if a request equal to the pending one, or to the one just answered, was answered just
-    before it."""
+    """True if the request that is pending or was just answered repeats the request before it, and
+    that one had a response."""
     last_response: bytes = b""
     """The PDU of the last frame if that was a response, to a known request or not."""
     follows_damage: bool = False
     """True if damaged bytes came last. They may have held a request."""
     direction_known: bool = False
-    """True if some frame before could only be a request, or only a response, by its form."""
+    """True if some earlier frame, by its form, could only be a request or only a response."""
     last_ns: int | None = None
     """When the last frame ended, in ns; None at the start of a capture."""
     unexplained_silence_ns: int = 0
@@ -121,7 +121,7 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
 
 
 CostedState = tuple[float, BusState]
-"""A bus state, and by how many bits it costs more than the most likely one."""
+"""The extra cost of a bus state over the most likely one, in bits, and the bus state."""
 
 
 def most_likely(states: Iterable[CostedState]) -> list[CostedState]:

@@ -1,10 +1,10 @@
 """Finds what may begin at each byte of an RTU window: whole, damaged and incomplete frames."""
 
-# Each of these is a candidate with a cost in bits (costs.py). Candidates are: frames of a known
-# form with a correct CRC; frames of unknown form, whose end only the CRC or the silences tell;
-# damaged frames; an incomplete frame at the end of the window. Candidates whose cost does not
-# depend on the bus state are computed once for each offset. The work for one offset is bounded by
-# the 256 bytes that a frame can have.
+# Each candidate has a cost in bits (costs.py). Candidates are: frames of a known form with a
+# correct CRC; frames of unknown form, whose end only the CRC or the silences tell; damaged frames;
+# an incomplete frame at the end of the window. Candidates whose cost does not depend on the bus
+# state are computed once for each offset. The work for one offset is bounded by the 256 bytes that
+# a frame can have.
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_statistics import LineStatistics
 
 MAX_UNKNOWN_ENDS = 3
-"""A frame of an unknown function may end where its CRC is correct. At most so many such places are
+"""A frame of an unknown function may end wherever its CRC is correct. At most this many ends are
 tried."""
 LOST_BYTES = (1, 2)
 """The numbers of lost bytes that are tried for a damaged frame."""
 LONG_SKIP = 4
-"""So many skipped bytes in a row, or more, may contain a damaged request or response."""
+"""A run of at least this many skipped bytes may contain a damaged request or response."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
@@ -99,7 +99,7 @@ class _RangeCount:
     def __init__(self, has_it: Callable[[int], bool]) -> None:
         self._has_it = has_it
         self._before = [0]
-        """For each offset, how many offsets before it have the property."""
+        """For each offset, the number of offsets before it that have the property."""
 
     def count(self, first: int, end: int) -> int:
         if end <= first:
@@ -134,7 +134,7 @@ class Candidates:
         self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
         self._silences = [0, 0, *accumulate(map(int, window.silences[1:]))]
-        """For each offset, how many of the bytes before it have a silence before them."""
+        """For each offset, the number of earlier bytes that directly follow a silence."""
 
     def split_cost(self, offset: int, size: int) -> float:
         """The cost, in bits, of the silences of t3.5 between the bytes of a segment."""
@@ -151,15 +151,16 @@ class Candidates:
         return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
     def inside_cost(self, offset: int, size: int, *, known: bool = True) -> float:
-        """The cost of the silences inside a segment, and of the frames that begin inside it."""
+        """The cost, in bits, of the silences in a segment and of the frames that begin in it."""
         return self.split_cost(offset, size) + self._enclosed_cost(offset, size, known=known)
 
     def _enclosed_cost(self, offset: int, size: int, *, known: bool) -> float:
         """The cost, in bits, of the frames that begin inside a segment.
 
-        The registers of a frame may by chance look like another frame, which costs nothing. But
-        each frame inside that begins after a silence costs. If `known` is False, only its length
-        shows that the segment is a frame; then all frames inside cost, except one.
+        A frame inside that begins without a silence costs nothing: registers may look like a frame
+        by chance. A frame inside that begins after a silence costs CRC_COINCIDENCE. If `known` is
+        False, only the segment's length shows that it is a frame; then all frames inside but one
+        cost that much.
         """
         first, last = offset + 1, offset + size - MIN_FRAME + 1
         enclosed = self._frames_after_silence.count(first, last)
@@ -374,9 +375,10 @@ class Candidates:
         )
 
     def _ends_in_frame(self, offset: int, size: int) -> bool:
-        """True if a frame of known form ends where a burst ends, behind other bytes.
+        """True if a burst begins with other bytes and ends with a frame of known form.
 
-        It is not inside the registers of a longer frame: a CRC would follow it.
+        That frame is not register contents of a longer frame: the CRC of the longer frame would
+        follow.
         """
         end = offset + size
         return any(
@@ -403,8 +405,9 @@ class Candidates:
     def incomplete(self, offset: int, state: BusState) -> tuple[bool, float] | None:
         """Read the bytes from an offset to the window's end as the beginning of a frame.
 
-        Returns True if that frame is due, else False, and the cost of the reading in bits. Returns
-        None if the bytes cannot be the beginning of a frame, or if no more bytes can follow.
+        Returns True if that frame is due, else False, and the cost in bits of taking the bytes for
+        it. Returns None if the bytes cannot be the beginning of a frame, or if no more bytes can
+        follow.
         """
         rest = self._end - offset
         if not self._window.may_continue or rest >= MAX_RTU_ADU:

@@ -4,9 +4,9 @@
 # independent facts add up, and the search (search.py) takes the path of the lowest total. A correct
 # CRC is evidence of 16 bits. The other values are estimates; each states its reason.
 #
-# Seven are only start values: the line statistics (line_statistics.py) replace them by what this
-# line shows. The pair named *_LIMITS gives the least and the most bits that a learned cost can
-# become.
+# Seven costs are only start values: the line statistics (line_statistics.py) replace them by what
+# this line shows. For such a cost, the pair named *_LIMITS gives the least and the most bits that
+# it can become.
 #
 # docs/rs485.md defines the terms: candidate, path, bus state, pending, late, retry, burst.
 
@@ -112,17 +112,18 @@ LATE_AS_OTHERS = 2.0
 """The most bits that lateness costs for an echo if other units or functions of this line have taken
 as long for an echo."""
 NEAR_TIMEOUT = 1.5
-"""By how many bits an echo costs more than a retry if it comes when the master's timeout is over;
-by so many less if that just begins to be possible. So such a frame is ambiguous."""
+"""An echo costs this many bits more than a retry if it comes when the master's timeout is certainly
+over, and this many bits less if it comes when the timeout may just be over. So a frame near the
+timeout is ambiguous."""
 NEAR_DOUBLINGS = 0.8
-"""A frame that comes at the master's timeout is surely a retry only if that is later, by so many
-doublings (1.7 times), than the longest response time of this line."""
+"""A frame that equals its request and comes at the master's timeout is surely a retry only if the
+timeout is this many doublings (1.7 times) longer than the longest response time of this line."""
 SOONER = 0.8
 """An echo was a response, not a retry, if the master sends its next request in less than this share
 (0 to 1) of the time that the echo took: after a retry it would have waited as long again."""
 SILENT_UNIT = 3.5
-"""The cost of an echo of a unit that never answered otherwise, on a line where others did: it may
-be absent, and its frames the retries of the master."""
+"""The cost of an echo from a unit that has never sent any other response, on a line where other
+units have: the unit may be absent, and the echo may be a retry of the master."""
 MIN_UNANSWERED = 1.0
 """The least extra cost of one more request without a response, to a unit that is probably
 absent."""

@@ -68,7 +68,8 @@ class FastPath:
     ) -> tuple[int, Classification] | None:
         """The size and the direction of the frame at the front; None if they are not certain.
 
-        `start_ns` is when its first byte began. `burst_over` is True if a silence follows `data`.
+        `start_ns` is when the first byte of `data` began. `burst_over` is True if a silence follows
+        `data`.
         """
         sizes = self._sizes or self._measure(data)
         if not sizes or (len(data) < self.needed and not burst_over):
@@ -158,7 +159,7 @@ class FastPath:
         return is_heard and not is_due and not self._is_behind_noise
 
     def _is_direction_certain(self, classified: Classification, head: bytes, size: int) -> bool:
-        """True if the direction is certain of a frame that by its form could have either."""
+        """True if the direction of a frame is certain although its form allows both."""
         if self._model.history.trusts_silences:
             return classified.confidence >= SURE
         if classified.direction is Direction.REQUEST:

@@ -38,14 +38,14 @@ USUAL_RETRIES = 3
 """Masters seldom repeat a request more often than this."""
 
 CostParts = tuple[float, float]
-"""The cost of a frame in two parts, in bits: what the bus state makes it cost, and what the silence
-before the frame adds."""
+"""The cost of a frame in two parts, in bits: one for the bus state, one for the silence before the
+frame."""
 
 
 def frame_cost(
     history: LineHistory, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int
 ) -> CostParts:
-    """The cost, in bits, of a frame as `role` says. `at_ns` is when its first byte began."""
+    """The cost, in bits, of taking a frame for `role`; its first byte began at `at_ns`."""
     if role is Direction.REQUEST:
         cost, by_time = _request_cost(history, state, unit, pdu, at_ns)
         if _is_only_a_response(history, state.pending, unit, pdu):
@@ -88,7 +88,7 @@ def _request_cost(
 
 
 def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
-    """The cost of a repeated request that follows its response sooner than requests do here."""
+    """The cost of repeating the request just answered sooner than this line's usual pause."""
     if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
         return 0.0
     is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
@@ -98,7 +98,7 @@ def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> floa
 def _early_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, at_ns: int, *, is_retry: bool
 ) -> float:
-    """The cost of a request that comes so soon that the master would still be waiting."""
+    """The cost of a request so early that the master should still wait for a response."""
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         return costs.EARLY_REQUEST
@@ -236,8 +236,8 @@ def _is_only_a_response(
 ) -> bool:
     """True if a frame has the length of a request, but is improbable as one.
 
-    It is, if it fits the pending request as its response, and its contents are implausible in a
-    request or were never heard in one.
+    That is so if the frame fits the pending request as its response, and its contents are
+    implausible in a request or were never heard in one.
     """
     if pending is None or pdu == pending.pdu or not pending.fits(unit, pdu):
         return False

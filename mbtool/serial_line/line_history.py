@@ -1,6 +1,6 @@
 """What a serial line has shown so far: its requests, its response times, and its repetitions."""
 
-# Bounded: MAX_REQUESTS requests, and at most two entries for each function of each unit.
+# A LineHistory holds at most MAX_REQUESTS requests, and two entries for each function of each unit.
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ MAX_REQUESTS = 1024
 forgotten."""
 
 PAUSE_GROWTH = 1.01
-"""With each pause the shortest one grows by 1 %, so that an odd one is forgotten."""
+"""Each pause (the silence from a response to the next request) makes the shortest pause on record
+1 % longer, so that one unusually short pause is forgotten."""
 ENOUGH_PAUSES = 16
-"""After so many pauses the shortest is known."""
+"""After this many pauses the shortest pause of the line counts as known."""
 
 
 class LineHistory:
@@ -39,7 +40,7 @@ class LineHistory:
         """By unit and function, the response time of writes whose response equals the request. In
         many devices they take longer than reads."""
         self.all_echo_latencies = LatencyStatistics()
-        """The response times of all such writes together."""
+        """The response times of all writes in `echo_latencies` together."""
         self.unanswered: dict[int, int] = {}
         """By unit, how many requests in a row had no response."""
         self.answering: set[int] = set()
@@ -47,7 +48,7 @@ class LineHistory:
         self.shortest_pause_ns = 0.0
         """The shortest silence lately, in ns, from a response to the next request."""
         self.pauses = 0
-        """How many such silences were heard."""
+        """The number of silences from a response to the next request that were heard."""
         self.unexplained_silences = LatencyStatistics()
         """The silences between merged frames in which no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
@@ -55,7 +56,7 @@ class LineHistory:
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
-        """Each unit and function code that a request has named together."""
+        """The pairs of unit and function code that some request has had."""
         self.units: set[int] = set()
 
     def has_function(self, head: bytes) -> bool:
@@ -135,7 +136,7 @@ class LineHistory:
             self.latency.learn_capped(latency_ns)
 
     def learn_echo(self, answered: PendingRequest, latency_ns: int) -> None:
-        """Learn how long a slave took to echo a request, once the next frame shows that it did."""
+        """Learn how long a slave took to echo a request, once the next frame shows the echo."""
         key = answered.unit, answered.pdu[0]
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
         self.all_echo_latencies.learn(latency_ns)

@@ -46,7 +46,7 @@ class Segment(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def identity(self) -> tuple[SegmentKind, int, int, Direction]:
-        """What tells the segment from others: its kind, place and direction, not its confidence."""
+        """The segment's kind, offset, size and direction: all but its confidence."""
         return self.kind, self.offset, self.size, self.role
 
 
@@ -58,18 +58,18 @@ class Path(msgspec.Struct, eq=False):
     previous: Path | None
     segment: Segment | None
     skipped: int = 0
-    """How many bytes at the end of the path are skipped in a row."""
+    """The number of skipped bytes in a row at the end of the path."""
     is_noise: bool = False
     """True if the bytes skipped at the end of the path directly follow a frame and are all noise,
     as receivers hear it when the bus changes direction."""
     runs: int = 0
-    """How many runs of skipped bytes the path has. A line that has some probably has more, so each
-    run lowers the cost of beginning a further one by one bit."""
+    """The number of runs of skipped bytes in the path. A line that has some probably has more, so
+    each run lowers the cost of beginning a further one by one bit."""
     ends_frame: bool = False
     """True if the path ends with a frame, so that another frame probably begins behind it."""
     rivals: tuple[Path, ...] = ()
-    """Paths to the same place that cost more and were dropped in favour of this one. Those that
-    cost less than DOUBT_BITS more lower the confidence of its segments."""
+    """Paths to the same offset and bus state that cost more and were dropped in favour of this one.
+    Rivals that cost less than DOUBT_BITS more lower the confidence of its segments."""
 
 
 def with_confidence(ends: list[Path]) -> Iterator[Segment]:

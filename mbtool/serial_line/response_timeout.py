@@ -4,31 +4,32 @@
 # response. A retry of a read can be nothing else. The master waits as long before the one retry as
 # before the other, so the retries of reads tell what the silences before writes mean.
 #
-# Bounded: SAMPLES waits.
+# A ResponseTimeout holds at most SAMPLES waits: times from a request to its retry.
 
 from __future__ import annotations
 
 from collections import deque
 
 SAMPLES = 16
-"""How many of the last waits count."""
+"""The number of last waits that count. A wait is the time from a request to its retry."""
 MARGIN = 0.05
-"""A wait may differ from those heard by half of their spread, and by 5 % of the shortest, divided
-by their number."""
+"""The timeout may exceed the longest wait heard by half the spread of the waits, plus 5 % of the
+shortest wait divided by the number of waits."""
 DOUBTFUL_MARGIN = 0.4
-"""A wait that is shorter by up to 40 % of the shortest, divided by their number, is doubtful."""
+"""The timeout may be shorter than the shortest wait heard by half the spread of the waits, plus
+40 % of the shortest wait divided by the number of waits."""
 ENOUGH_WAITS = 3
-"""So many waits or more show how much they differ."""
+"""From this many waits on, their spread is known well enough for STEADY_MARGIN."""
 STEADY_MARGIN = 0.03
-"""Then a wait is doubtful that is shorter than the shortest by up to 3 % of that, plus three times
-the spread divided by the number of the other waits."""
+"""From ENOUGH_WAITS waits on, the timeout may be shorter than the shortest wait heard by at most
+3 % of that wait, plus three times the spread divided by the number of waits less one."""
 EXACT_MARGIN = 0.001
-"""Only a wait that is shorter than the shortest by at most 0.1 % of it surely ends in a retry."""
+"""The timeout is surely over after the shortest wait heard, or up to 0.1 % earlier."""
 GIVEN_MARGIN = 0.1
 """A wait may differ from a timeout that the user names by 10 %: timers are late, and so are
 adapters."""
 TRIMMED = 8
-"""One in 8 of the shortest, and of the longest waits, does not count."""
+"""The shortest eighth and the longest eighth of the waits do not count."""
 
 
 class ResponseTimeout:
@@ -75,9 +76,10 @@ class ResponseTimeout:
         return wait_ns < self._running_until_ns
 
     def share_over(self, wait_ns: int) -> float:
-        """How far the timeout is over after `wait_ns`: 0 if it is not, or unknown, 1 if it is.
+        """From 0 to 1: how sure it is that the timeout is over after `wait_ns`.
 
-        Between, it may be over or not. It is 0 again after the longest wait.
+        The result is also 0 if the timeout is unknown, and after the longest wait that can end in a
+        retry.
         """
         if self._range is None or not self._running_until_ns <= wait_ns <= self._range[1]:
             return 0.0

@@ -90,13 +90,13 @@ class RtuSplitter:
         self._data = b""
         self._times: list[int] = []
         self._decided_size = 0
-        """How many of the bytes held the last search called an incomplete frame."""
+        """The number of bytes held that the last search took for an incomplete frame."""
         self._silence_count = 0
         """How many silences of t3.5 there were since bytes were last given out."""
         self._silences_at: list[int] = []
         """The offsets of the bytes held that have a silence of t3.5 before them."""
         self._noise_size = 0
-        """How many bytes in a row belong to no frame."""
+        """The number of bytes in a row, up to the last one given out, that belong to no frame."""
         self._was_noise = False
         """True if the bytes skipped last were all noise of a change of direction."""
         self._follows_silence = True
@@ -221,8 +221,8 @@ class RtuSplitter:
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
-        # An adapter that merges frames glues a retry to its request too, but also the frames
-        # around them.
+        # An adapter that merges frames may glue a retry to its request too. But then it also glues
+        # the frame before the request to it, so the request follows no silence.
         is_heard = self._timed and self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
         # A longer frame may begin with the same bytes.
@@ -404,7 +404,7 @@ class RtuSplitter:
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Give out skipped bytes: a frame with a wrong CRC as one event, others one burst each."""
+        """Give out skipped bytes: one event for a frame with a wrong CRC, else one per burst."""
         self._noise_size += size
         while size:
             cut = size
@@ -429,7 +429,7 @@ class RtuSplitter:
         return step_ns - self._character_ns >= self._t3_5_ns
 
     def _remove(self, size: int, leaves: Verdict) -> None:
-        """Remove the first bytes, which were given out; `leaves` is the verdict on what follows."""
+        """Remove the first bytes, now given out; `leaves` is the verdict on the frame behind."""
         self._last_end = self._times[size - 1], leaves
         self._data = self._data[size:]
         del self._times[:size]

@@ -243,7 +243,7 @@ class PathSearch:
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
         if least >= self._incomplete_limit:
             return
-        # The slave does not hear noise: its response is due behind it, too.
+        # Noise does not end the wait for a response: it is due after the noise as well.
         found = self._candidates.incomplete(offset, path.state)
         if found is None:
             return
