@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,10 +37,13 @@ def links(
     if not ports:
         say("no serial ports here; without hardware, mbtool line lays a virtual serial line")
     elif ports[0].unseen_processes:
-        say(
-            f"processes that could not be examined: {ports[0].unseen_processes}; "
-            "sudo shows the ports that they hold"
-        )
+        # Not even root may examine the processes outside its container.
+        hint = "" if _is_root() else "; sudo shows the ports that they hold"
+        say(f"processes that could not be examined: {ports[0].unseen_processes}{hint}")
+
+
+def _is_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
 def _print_tables(ports: Sequence[LocalSerialPort], interfaces: Sequence[LocalInterface]) -> None:

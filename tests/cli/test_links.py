@@ -33,9 +33,16 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("machine")
+def test_root_is_not_told_to_use_sudo(mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbtool.cli.links._is_root", lambda: True)
+    assert mbtool("links").err == "processes that could not be examined: 3\n"
+
+
+@pytest.mark.usefixtures("machine")
 def test_the_table_goes_to_standard_output_and_what_was_not_seen_beside_it(
-    mbtool: CommandLine,
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("mbtool.cli.links._is_root", lambda: False)
     told = mbtool("links")
     assert told.code == exit_codes.DONE
     assert (
