@@ -37,7 +37,7 @@ class _LostBytes(NamedTuple):
     direction: Direction
     size: int
     end: int | None
-    """The position behind them; None if unknown."""
+    """The position behind the lost bytes; None if unknown."""
 
 
 class Bus:
@@ -67,7 +67,7 @@ class Bus:
             self._splitter = RtuSplitter(line, model, timed=timed)
             self._pairing = Pairing(self._ends, model.history.master_still_waits)
         self._origins: SerialOrigins | None = None
-        """None until the first bytes with a known place."""
+        """None until the first bytes with a known place in a file."""
 
     def feed(self, data: bytes, ts_ns: int, place: StreamPlace | None = None) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one."""
@@ -206,7 +206,7 @@ class ConnectionDecoder:
     def _placed(
         self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
     ) -> list[Decoded]:
-        """Pair what came out of the splitter of a direction, with its places if they are known."""
+        """Pair the events of one direction's splitter, by their positions if these are known."""
         other, progress = OTHER[direction], self._progress[direction]
         end, received = progress.first_unread, progress.received
         if end is None:

@@ -168,7 +168,7 @@ class Decoder:
 
     @property
     def reassembler(self) -> TcpReassembler:
-        """What follows the TCP connections in packets."""
+        """The reassembler that follows the TCP connections in packets."""
         return self._reassembler
 
     def at_rest(self, ends: FlowEnds, now_ns: int) -> RestingConnection | None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 MAX_DROPPED = 1 << 16
 FORGET_NS = 60_000_000_000
-"""Longer than any slave takes for a response, in ns."""
+"""Dropped requests are forgotten after this time, in ns: no slave takes so long to respond."""
 
 _Key = tuple[int | None, int]
 

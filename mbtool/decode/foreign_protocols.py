@@ -19,7 +19,8 @@ _PATTERNS = {
     "DCE/RPC": re.compile(rb"\x05[\x00\x01][\x00-\x13]"),
 }
 _TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-\x48].)")
-"""RFC 8446, 5.1, and RFC 5246, 6.2.3: content type, version, at most 2^14 + 2048 bytes."""
+"""The head of a TLS record: content type, version, and a length of at most 2^14 + 2048 bytes (RFC
+8446, 5.1, and RFC 5246, 6.2.3)."""
 
 
 def foreign_protocol(head: bytes) -> str | None:

@@ -1,4 +1,4 @@
-"""Which waiting requests of a connection their master has given up."""
+"""Finds the requests of a connection that their master has given up."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ def give_up_late(
     now_ns: int,
     after_ns: Callable[[int | None], int],
 ) -> None:
-    """Give up requests that have waited longer than `after_ns` of their function says, in ns.
+    """Give up the requests that have waited too long, in each reading.
 
-    The slave takes one request after the other.
+    `after_ns` gives the longest wait for a function code, in ns. The slave takes one request after
+    the other, so a request that was sent behind others waits only from the last response on.
     """
     for reading in readings:
         late: list[OpenRequest] = []
@@ -33,7 +34,7 @@ def give_up_late(
                 since_ns = max(since_ns, habits.last_response_ns)
                 if place and one.number in reading.behind_others:
                     if late or one.is_pipelined:
-                        break  # Of requests in a row that are answered late, one is slow.
+                        break  # Only the first of these is slow; the others wait behind it.
                     since_ns = max(since_ns, reading.gave_up_ns)
             if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
                 late.append(one)
@@ -56,7 +57,7 @@ def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
 
 
 def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> None:
-    """Give up lost requests: their master sends the next one, and no response has come."""
+    """Give up requests that the capture lacks, as the master now sends the next one."""
     for reading in readings:
         lost = [one for one in reading.waiting if one.adu is None and reading.awaits(one)]
         for one in lost:
@@ -66,5 +67,5 @@ def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> Non
 
 
 def request_key(request: Adu) -> tuple[int, bytes]:
-    """What a repeated request has in common with the first: unit and PDU."""
+    """The unit and PDU of a request; a repetition of the request has the same."""
     return request.unit, request.pdu

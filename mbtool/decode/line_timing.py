@@ -36,7 +36,7 @@ class LineTiming:
 
     @property
     def is_given(self) -> bool:
-        """True if an option gives one of the silences."""
+        """True if an option gives a silence or the response timeout."""
         return any((self.t1_5, self.t3_5, self.response_timeout))
 
     def given(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:

@@ -24,7 +24,7 @@ FORGET = 20
 """Each response lowers the longest latency by 1/FORGET of itself: TCP may have retransmitted the
 segment of the slowest response."""
 FORGOTTEN = 1024
-"""After so many further responses a latency of any 64 bits counts no more."""
+"""After this many further responses, even a latency of 2^64 ns no longer counts (see FORGET)."""
 ENOUGH_OVERLAPS = 3
 """The master is said to pipeline once this many responses came while a further request waited."""
 ENOUGH_REQUESTS = 8
@@ -77,7 +77,7 @@ class MasterHabits:
         return FIRST_LATE_NS if slowest_ns is None else max(SILENT * slowest_ns, MIN_LATE_NS)
 
     def slow_ns(self, function: int | None) -> int:
-        """Give the time in ns that the slave rarely exceeds before it responds."""
+        """The response time, in ns, that the slave rarely exceeds."""
         slowest_ns = self._slowest_of(function)
         if slowest_ns is None:
             return FIRST_LATE_NS
@@ -90,9 +90,10 @@ class MasterHabits:
         return max(self._slowest_ns.values(), default=None)
 
     def repeats_id(self, transaction_id: int | None) -> bool:
-        """True if a new request has the id that the one behind the last request must have.
+        """True if ids count up and the id of a new request is the last id plus 1.
 
-        If the capture lacks a request between the two, then both have this id.
+        If the capture lacks a request between the last one and this one, that request had the same
+        id.
         """
         if not self.ids_count_up or transaction_id is None or self._last_id is None:
             return False
@@ -146,7 +147,8 @@ class MasterHabits:
         slowest_ns = self._slowest_ns.get(function, 0)
         older = latencies[:-FORGOTTEN]
         if older:
-            # So many steps leave of any latency only what no longer falls: less than FORGET ns.
+            # After FORGOTTEN steps, less than FORGET ns is left of an older latency; that falls no
+            # more.
             slowest_ns = min(max(slowest_ns, *older), FORGET - 1)
         for latency_ns in latencies[-FORGOTTEN:]:
             slowest_ns = max(slowest_ns - slowest_ns // FORGET, latency_ns)
@@ -179,14 +181,14 @@ class MasterHabits:
         self._fastest_ns[function] = min(fastest_ns, latency_ns)
 
     def is_too_early(self, function: int, latency_ns: int) -> bool:
-        """True if this slave never responded in half as much time.
+        """True if a latency is less than half the shortest latency of this slave so far.
 
-        A latency below 0 says nothing: the capture has the two in the wrong order.
+        A negative latency says nothing: the capture has request and response in the wrong order.
         """
         return 0 <= 2 * latency_ns < self._fastest_ns.get(function, 0)
 
     def has_own_id(self, request: OpenRequest, waiting: Sequence[OpenRequest]) -> bool:
-        """True if the id of a waiting request cannot be that of one that the capture lacks."""
+        """True if no request that the capture lacks can have the id of this waiting request."""
         if self.ids_count_up:
             return True
         if not self.ids_vary or not waiting or request is not waiting[-1]:

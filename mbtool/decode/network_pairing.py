@@ -17,10 +17,10 @@
 #                        known. The slave rarely answers a request that was given up, as rarely as
 #                        it leaves another one without a response.
 #
-# pairing_readings.py weighs them. A pair is shown as soon as nothing speaks for another one. Where
-# two readings are about equally good, their pairs are held back until an ADU or a silence of the
-# connection decides, at most for MAX_HELD responses or HOLD_NS. Then the cheapest reading is
-# taken, and its pairs are ambiguous.
+# pairing_readings.py weighs them. A transaction is returned as soon as no other request is a likely
+# one for its response. Where two readings (ways to give responses to requests) cost about the same,
+# the responses are held back until an ADU or a silence of the connection decides, at most MAX_HELD
+# responses or for HOLD_NS. Then the cheapest reading is taken, and its transactions are ambiguous.
 #
 # A slave may respond with another id than the request's. Such a response belongs to the only open
 # request if it fits, and if either no bytes are missing and this slave never repeated an id
@@ -72,16 +72,17 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 TIMEOUT_NS = 60_000_000_000
-"""Longer than any master waits, so that a late response is still paired with its request."""
+"""A request without a response is closed after this time, in ns. No master waits so long, so a late
+response is still paired with its request."""
 MAX_HELD = 32
-"""Responses that are held back until something decides which request they answer."""
+"""The most responses held back until something decides which request they answer."""
 HOLD_NS = 3_000_000_000
-"""The longest time that a response is held back, in ns. Someone may be watching."""
+"""The longest time that a response is held back, in ns: a user may be watching."""
 DOUBTFUL = 0.5
-"""The confidence of a pair of which another reading is about as good."""
+"""The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
 _USUAL_REQUEST = 12
-"""Bytes of the ADU of a read: lost bytes of requests are counted as so many reads."""
+"""Bytes of a read request's ADU. Lost bytes of requests are counted as read requests."""
 
 
 class NetworkPairing:
@@ -99,8 +100,9 @@ class NetworkPairing:
         self.response_is_cut = False
         """True while the capture has only the start of a response that is not yet read."""
         self._is_shifted = False
-        """True after a choice between readings about equally good, until a silence, or until a
-        response fits its request and does not fit the one before."""
+        """True while each response may belong to the request before: after a choice between
+        readings of about equal cost, until a silence, or until a response fits its request and not
+        the request before it."""
         self._last_two: tuple[OpenRequest | None, OpenRequest | None] = (None, None)
         """The last two requests."""
 
@@ -114,9 +116,9 @@ class NetworkPairing:
         return done
 
     def is_at_rest(self, now_ns: int) -> bool:
-        """True if no request is open, and none of those before is counted in later ones.
+        """True if no request is open, and no earlier request can count as a retry of a later one.
 
-        `now_ns` is not before the last response.
+        False also if `now_ns` is before the last response.
         """
         reading = self._readings[0]
         is_open = len(self._readings) > 1 or reading.waiting or reading.passed or reading.steps
@@ -163,7 +165,7 @@ class NetworkPairing:
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Note that nothing came until now. Returns what that decides.
+        """Note that nothing came until `now_ns`; return the transactions that this decides.
 
         Requests that have waited longer than the timeout are closed.
         """
@@ -343,7 +345,7 @@ class NetworkPairing:
                 one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
 
     def _settle(self, done: list[Transaction]) -> None:
-        """Show what all good readings agree on."""
+        """Add to `done` the transactions on which all good readings agree."""
         if len(self._readings) > 1:
             self._readings = without_costly(self._readings)
         first = self._readings[0]

@@ -23,7 +23,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     """A request whose response has not arrived."""
 
     number: int
-    """Counts the requests of the connection."""
+    """The number of the request, counted from 1 in its connection."""
     since_ns: int
     """When the request was complete; for one that the capture lacks, when that was noticed."""
     adu: Adu | None
@@ -32,13 +32,14 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     is_pipelined: bool = False
     """True if its master sent it while others waited for their responses."""
     exists: bool = True
-    """False for a lost request of which the number of lost bytes does not tell that it is one."""
+    """False for a request that the capture lacks, if the number of lost bytes does not show that
+    there was one."""
     may_not_exist: bool = False
-    """True for a lost request of which nobody knows that it was one request more."""
+    """True for a request that the capture lacks, if possibly there was no such request."""
     may_be_lost: bool = False
     """True if the capture lacks bytes that may have been its response."""
     repeats_lost_id: bool = False
-    """True if its id shows that it has the id of a lost request before it."""
+    """True if the ids show that a request before it, which the capture lacks, had the same id."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if nobody
     knows which requests are equal to it."""
@@ -85,7 +86,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return place.acknowledged == self.place.end and self.place.acknowledged == start
 
     def response_sizes(self) -> tuple[int, ...]:
-        """The lengths that the ADU of its response can have; empty if unknown."""
+        """The lengths, in bytes, that the response's ADU can have; empty if unknown."""
         if self.adu is None or self.adu.missing:
             return ()
         added = _ADDED_BYTES[self.adu.transport]

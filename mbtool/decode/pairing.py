@@ -34,13 +34,14 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 BUS_TIMEOUT_NS = 5_000_000_000
-"""Longer than any master waits, so that a late response is still paired with its request."""
+"""A request without a response is given up after this time, in ns. No master waits so long, so a
+late response is still paired with its request."""
 ENOUGH_OVERTAKEN = 3
-"""So many requests that another one overtook, and that were answered, mean that there are two
-masters, if they are among RECENT_REQUESTS. Responses that come too late are rarer."""
+"""There are two masters if this many of RECENT_REQUESTS requests were overtaken by another request
+and then answered. Responses that come too late are rarer."""
 RECENT_REQUESTS = 100
 EVEN = 0.5
-"""The confidence of one of two explanations that are as likely."""
+"""The confidence (0 to 1) of each of two explanations that are equally likely."""
 TWO_MASTERS = (
     "requests come while others wait for their response: two masters share this line, or one does "
     "not wait long enough"
@@ -58,8 +59,9 @@ class Pairing:
     def __init__(
         self, ends: Ends, still_waits: Callable[[int], bool | None] = waits_before_any_retry
     ) -> None:
-        """`still_waits` is True if a master certainly still waits for a response after so many ns,
-        False if it may have given up; None if the times do not tell.
+        """`still_waits` takes the time since a request, in ns. It returns True if the master
+        certainly still waits for the response, False if it may have given up, None if the times do
+        not tell.
         """
         self._ends = ends
         self._still_waits = still_waits
@@ -67,10 +69,12 @@ class Pairing:
         self._overtaken: Adu | None = None
         """The request before the open one, if its response may still come."""
         self._is_surely_overtaken = False
-        """True if the master of that request was certainly still waiting."""
+        """True if the master of the overtaken request was certainly still waiting for its
+        response."""
         self._requests = 0
         self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
-        """Of the last overtaken requests that got a response, the number of the request after."""
+        """For each of the last overtaken requests that got a response: the number of requests until
+        then."""
         self._has_told = False
         """True if it was said that there are two masters."""
         self._unanswered: dict[tuple[int, bytes], int] = {}
@@ -135,7 +139,7 @@ class Pairing:
         return done
 
     def _two_masters(self, adu: Adu) -> list[WireEvent]:
-        """Count a response to an overtaken request; say once that there are some."""
+        """Count a response to an overtaken request; report two masters once there are enough."""
         numbers = self._answered_at
         numbers.append(self._requests)
         is_enough = len(numbers) == ENOUGH_OVERTAKEN and numbers[-1] - numbers[0] < RECENT_REQUESTS
@@ -163,7 +167,7 @@ class Pairing:
             self._open = replace(request, confidence=confidence, verdicts=verdicts)
 
     def close(self) -> list[Transaction]:
-        """End the line: the requests without a response stay so."""
+        """End the line: return the transactions of the requests that have no response."""
         requests = self._overtaken, self._open
         self._overtaken = self._open = None
         return [self._unanswered_request(request) for request in requests if request is not None]
@@ -179,7 +183,7 @@ class Pairing:
 
 
 def _in_doubt(adu: Adu) -> Adu:
-    """The ADU with the verdict that its transaction may be another one."""
+    """The ADU with the verdict AMBIGUOUS: it may belong to another transaction."""
     verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
     return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)
 

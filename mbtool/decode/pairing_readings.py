@@ -29,29 +29,33 @@ if TYPE_CHECKING:
     from mbtool.modbus.adu import Adu
 
 LATE = 1.0
-"""A request that its master gives up."""
+"""The cost of a request that its master gives up: the unit of all costs here."""
 UNANSWERED = 1.2
-"""A request without a response. More than LATE: of a given-up request, and the one behind it that
-is not answered in time either, the first one may still be answered late."""
+"""The cost of one request without a response in time. More than LATE: if a request was given up and
+the next one has no response in time either, the next response may still belong to the first."""
 UNLIKELY = 0.25
-"""A late response at the usual time after the next request."""
+"""Extra cost of a response to a given-up request. Only used to choose between readings that cost
+about the same."""
 MARGIN = 0.9
-"""Less than LATE, so that pipelined requests are not held back."""
+"""A reading is dropped if it costs this much more than the cheapest. Less than LATE, so that the
+responses to pipelined requests are not held back."""
 MISFIT = 2.0
-"""A response whose form is not the one asked for."""
+"""The cost of a response whose form does not fit its request. Costs are in units of LATE."""
 OUT_OF_ORDER = 2.0
-"""A response to a request after one to a later request."""
+"""Extra cost of a response to a request when a later request already has its response."""
 UNASKED = 6.0
-"""A response that no request asked for: more than anything else can cost together."""
+"""The cost of a response that no request asked for: more than all other costs together."""
 TOO_EARLY = 1.0
-"""A response that came sooner than this slave responds."""
+"""Extra cost of a response in less than half the shortest latency of this slave so far."""
 TOO_SLOW = 0.5
-"""A response that came later than this slave responds, to a request that is not given up."""
+"""Extra cost of a response that comes after `MasterHabits.slow_ns`, if its request is not given
+up."""
 OTHER_ID = 4.0
-"""A response to a lost request although a request with its id waits."""
+"""The cost of a response to a request that the capture lacks, although a captured request with the
+same id waits."""
 NOT_LIKELY = 0.95
-"""A response to a lost request of which nobody knows that it was one request more. Above MARGIN, so
-that a request of the capture gets the response if it can."""
+"""The cost of a response to a request that the capture lacks, if possibly there was no such
+request. Above MARGIN, so that a captured request gets the response if it can."""
 
 MAX_LATE = 4
 """The number of given-up requests, the newest ones, that may get a late response.
@@ -61,7 +65,8 @@ is dropped."""
 MAX_READINGS = 8
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8
-"""Responses that lost bytes are divided into at most; this bounds the combinations of lengths."""
+"""Lost bytes are divided into at most this many responses; this bounds the combinations of
+lengths."""
 
 
 class PairStep(NamedTuple):
@@ -136,7 +141,7 @@ class PairReading:
         return not (one.number in self.given_up or one.may_not_exist)
 
     def give_up(self, late: list[OpenRequest]) -> None:
-        """Note that the master waits no longer for some requests."""
+        """Note that the master no longer waits for the responses to some requests."""
         self.given_up |= {one.number for one in late}
         self.cost += LATE * sum(not one.may_be_lost for one in late)
 
@@ -147,7 +152,7 @@ class PairReading:
         return is_known and len(ids) > 1 and len(set(ids)) == len(ids)
 
     def is_only_answered_by(self, response: Adu, place: AduPlace | None) -> bool:
-        """True if one request waits, and the response can be its."""
+        """True if just one request waits, and the response can belong to it."""
         if len(self.waiting) != 1 or self.passed:
             return False
         (one,) = self.waiting
@@ -183,7 +188,7 @@ class PairReading:
             self.newest = max(request.number, self.newest)
 
     def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
-        """Take lost bytes for the responses of `count` requests from a place on."""
+        """Take lost bytes for the responses to `count` waiting requests from index `start` on."""
         lost = tuple(self.waiting[start : start + count])
         self.cost += cost
         self.steps += (PairStep(at_ns, None, lost),)
@@ -222,7 +227,7 @@ def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> boo
 def options(
     reading: PairReading, response: Adu, place: AduPlace | None, habits: MasterHabits
 ) -> Iterator[PairOption]:
-    """The requests that a response may answer, by what a reading leaves waiting."""
+    """The requests that a response may answer in one reading, each with its cost."""
     too_late = _too_late(reading, response, place)
     skipped: list[OpenRequest] = []
     best = UNASKED
@@ -315,7 +320,7 @@ def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> boo
 def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
     """The runs of waiting requests whose responses can have a number of lost bytes together.
 
-    Gives cost, place of the first request, and number of requests.
+    Yields the cost, the index of the first request, and the number of requests.
     """
     cost = 0.0
     waiting = reading.waiting
@@ -356,12 +361,12 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
 
 
 def likely_cost(reading: PairReading) -> float:
-    """The cost by which one of several good readings is taken without further evidence."""
+    """The cost by which one of several good readings is chosen: late responses count extra."""
     return reading.cost + UNLIKELY * sum(step.is_late for step in reading.steps)
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
-    """Make doubtful what two readings say differently."""
+    """Make the steps doubtful in which two readings differ."""
     steps = []
     for one, two in zip(kept.steps, other.steps, strict=True):
         if one.requests == two.requests:

@@ -115,7 +115,7 @@ class ProtocolDetector:
         """The first captured bytes of each direction, even if earlier ones are missing."""
         self._first_ns = 0
         self._seen = 0
-        """How many bytes were examined; a gap counts as GAP_BYTES."""
+        """The number of bytes examined; a gap counts as GAP_BYTES."""
         self._held: list[WireEvent] = []
         roles = (False, True) if joined and not expected else (swapped,)
         self._candidates = [
@@ -313,27 +313,29 @@ class _ProtocolCandidate:
         self.decoded: list[Decoded] = []
         """The results held until this candidate is accepted."""
         self.is_confirmed = False
-        """True if the evidence is enough to accept it; once set, it is not ruled out any more."""
+        """True if the evidence is enough to accept this candidate; from then on it is never ruled
+        out."""
         self.is_ruled_out = False
-        """True if the evidence speaks against it; once set, it is not confirmed any more."""
+        """True if the evidence speaks against this candidate; from then on it is never
+        confirmed."""
         self.malformed = 0
-        """How many ADUs did not have the structure of their function."""
+        """The number of ADUs that did not have the structure of their function."""
         self._connection = connection
         self._is_rtu = rtu
         self._is_swapped = swapped
         self.is_expected = expected
         """True if this is the protocol expected at the port."""
         self.well_formed = 0
-        """How many ADUs in a row had the structure of their function."""
+        """The number of ADUs in a row that had the structure of their function."""
         self._wrong_beginnings: set[Direction] = set()
         """Directions whose first bytes cannot begin an ADU."""
         needs_frame = rtu and not expected
         self._noise = {Direction.REQUEST: 0, Direction.RESPONSE: 0} if needs_frame else {}
-        """By direction, how many bytes came before its first frame."""
+        """By direction, the number of bytes before the first frame."""
 
     @property
     def plain_decoder(self) -> ConnectionDecoder | None:
-        """Its decoder, if that reads Modbus/TCP in the roles of the connection."""
+        """The candidate's decoder if it reads Modbus/TCP in the connection's roles; else None."""
         return None if self._is_rtu or self._is_swapped else self.decoder
 
     def feed(
@@ -365,7 +367,7 @@ class _ProtocolCandidate:
     def check_beginning(self, head: bytes, direction: Direction) -> None:
         """Rule out the candidate if a direction's first bytes cannot begin an ADU.
 
-        If Modbus is expected, both directions must begin wrong.
+        If Modbus is expected, this must be true of both directions.
         """
         if not self._may_begin_adu(head, direction):
             self._wrong_beginnings.add(direction)

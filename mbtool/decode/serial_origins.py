@@ -4,7 +4,7 @@
 # bytes of both gives the place of every frame: in a file of bytes the offset of its first byte, in
 # a file of packets the packet that brought its last byte.
 #
-# Holds one mark for each read of which bytes are still in the splitter.
+# Memory: one mark for each read that still has bytes in the splitter.
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class SerialOrigins:
 
     def __init__(self) -> None:
         self._marks: deque[tuple[int, int, StreamPlace | None]] = deque()
-        """For each read of which bytes are in the splitter: how many bytes were fed before it and
-        with it, and its place."""
+        """For each read that still has bytes in the splitter: the number of bytes fed before the
+        read, the number fed up to its end, and its place in the file."""
         self._fed = 0
         self._given = 0
 
     @property
     def held(self) -> int:
-        """How many reads are remembered."""
+        """The number of reads remembered."""
         return len(self._marks)
 
     def note(self, size: int, place: StreamPlace | None) -> None:

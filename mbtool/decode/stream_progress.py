@@ -1,9 +1,9 @@
-"""Which bytes of a TCP connection were captured, and which its ends had that the capture lacks."""
+"""Follows which bytes of a TCP connection were captured, and which the capture lacks."""
 
 # Two things show that the capture lacks bytes: a gap between two ADUs of one direction, and a
 # segment that acknowledges more of the other direction than was captured. What is lost begins
 # behind the last ADU. The missing bytes of an ADU whose unit and function were captured are not
-# lost: the ADU is known. Without these, the captured part of an ADU is of no use.
+# lost: the ADU is known. Without unit and function, the captured part of an ADU is of no use.
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from mbtool.core import StreamPlace
 
 _KNOWN_START = 8
-"""Bytes of a response that tell its unit and function: MBAP and function code."""
+"""The number of first bytes of a response that tell its unit and function: MBAP and function
+code."""
 
 OTHER = {Direction.REQUEST: Direction.RESPONSE, Direction.RESPONSE: Direction.REQUEST}
 
@@ -40,15 +41,16 @@ class StreamProgress:
         """The position in the other direction that the last segment acknowledged; None if
         unknown."""
         self.has_part = False
-        """True while the end of a response is lost whose start was captured."""
+        """True while the capture has the start of a response but lacks its end."""
         self._missing = 0
         """Bytes of the gaps behind the last ADU, as they were reported."""
         self._captured: int | None = None
         """The position behind the last byte captured; None before the first one."""
         self._known = 0
-        """The position behind the last ADU, or behind lost bytes that were told."""
+        """The position behind the last ADU, or behind the lost bytes already reported."""
         self._acknowledged = 0
-        """The highest position that was acknowledged behind the known start of a response."""
+        """The highest position acknowledged while the splitter held the known start of a
+        response."""
 
     @property
     def first_unread(self) -> int | None:
@@ -56,12 +58,12 @@ class StreamProgress:
         return None if self._captured is None else self._captured - self.unread
 
     def is_at_rest(self, position: int) -> bool:
-        """True if all up to a position is known, and nothing behind it came."""
+        """True if all bytes before a position were captured and read, and no later byte came."""
         is_open = self.unread or self._missing or self.has_part
         return not is_open and self._captured == position
 
     def pass_plain(self, size: int, received: int) -> None:
-        """Note whole ADUs that were read elsewhere; `received` is as in the last segment."""
+        """Note whole ADUs that were read elsewhere; their last segment acknowledged `received`."""
         assert self._captured is not None
         self._captured += size
         self._known = max(self._captured, self._known)
@@ -76,9 +78,10 @@ class StreamProgress:
         self.received = place.acknowledged
 
     def acknowledge(self, received: int | None, *, of_responses: bool = False) -> int:
-        """Note that the other end received all up to a position. Gives how many bytes are lost.
+        """Note that the other end received all before a position; return the number of lost bytes.
 
-        The gap behind the known start of a response will tell what is lost.
+        Returns 0 while the splitter holds the known start of a response: the gap behind it will
+        tell what is lost.
         """
         if received is None:
             return 0
@@ -94,7 +97,7 @@ class StreamProgress:
         return self._tell(received, received)
 
     def read(self, start: int, end: int) -> int:
-        """Note an ADU. Gives how many bytes between the last one and this are lost."""
+        """Note an ADU; return the number of bytes lost between the last ADU and this one."""
         lost = self._tell(start, end) if self._missing else 0
         self._known = max(end, self._known)
         self._missing = 0
@@ -109,14 +112,14 @@ class StreamProgress:
             self._captured += missing
 
     def end(self) -> int:
-        """End the stream. Gives how many bytes are lost at its end."""
+        """End the stream; return the number of bytes lost at its end."""
         if self._captured is None:
             return 0
         end = max(self._captured, self._acknowledged)
         return self._tell(end, end) if self._missing or end > self._captured else 0
 
     def without_places(self) -> int:
-        """Gives how many bytes gaps have reported, for a source that tells no positions."""
+        """Return the number of bytes that gaps have reported, for a source without positions."""
         missing, self._missing = self._missing, 0
         return missing
 

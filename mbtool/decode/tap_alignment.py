@@ -11,10 +11,10 @@
 # Among all alignments that keep rules 1 to 3, the one with the lowest cost is taken. A cost is a
 # time in ns: by how much a response is too early for its request or too late for the next one, plus
 # the constants below for a pair whose contents do not fit, a request without a response (rule 4)
-# and a response without a request. So a pair that is off by less than the skew is still aligned.
-# If a capture begins with a response whose request is missing, that response stays alone; otherwise
-# every later response of a fast poll would be assigned to the wrong request.
-# The offset that earlier pairs have already shown costs nothing.
+# and a response without a request. So a pair that is off by less than the skew is still aligned. If
+# a capture begins with a response whose request is missing, that response stays alone; otherwise
+# every later response of a fast poll would be assigned to the wrong request. If the earlier
+# responses seemed early by some time, that time costs nothing.
 #
 # At most MAX_ALIGNED requests and responses are examined; later ones do not affect the first.
 
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SKEW_NS = 50_000_000
-"""Three times as long as an FTDI adapter's latency timer holds bytes back (16 ms)."""
+"""The delays of two adapters differ by at most this, in ns: three times as long as an FTDI
+adapter's latency timer holds bytes back (16 ms)."""
 
 MAX_ALIGNED = 8
 
@@ -46,7 +47,8 @@ _IMPATIENCE = 8
 _UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
 """Cost of a response without a request: slaves do not send on their own."""
 _FIRST_UNSOLICITED_NS = SKEW_NS
-"""The same for the first response of a capture, whose request may have been sent before it."""
+"""Cost of a response without a request if it is the first of a capture: its request may have been
+sent before the capture."""
 _IMPOSSIBLE_NS = 1 << 60
 
 
@@ -89,7 +91,7 @@ def request_of_first(
         return 0  # The usual case; no alignment can cost less.
 
     def costs(request: int, response: int) -> tuple[int, int, int]:
-        """The lowest cost from these two on: paired, request alone, response alone."""
+        """The lowest costs (ns) from these two on: as a pair, request alone, response alone."""
         has_request, has_response = request < len(requests), response < len(responses)
         paired = unanswered = unsolicited = _IMPOSSIBLE_NS
         if has_request and has_response:

@@ -55,14 +55,15 @@ if TYPE_CHECKING:
 
 LOOKAHEAD_NS = 2 * SKEW_NS
 MAX_HELD = 512
-"""As many of the shortest frames as a line at 115200 baud carries in a second."""
+"""The most events held: a line at 115200 baud carries so many of the shortest frames in a
+second."""
 MISPLACED_FRAMES = 4
 
 _SPEAKERS = {Direction.REQUEST: "the master", Direction.RESPONSE: "a slave"}
 
 
 class TapPair:
-    """Takes the bytes of both sides and returns what `Bus` does."""
+    """Takes the bytes of both taps; returns ADUs, transactions and events, as `Bus` does."""
 
     def __init__(self, link: str, line: SerialFormat, *, ascii: bool = False) -> None:  # noqa: A002
         self._link = link
@@ -74,7 +75,7 @@ class TapPair:
         self._master = self._sides[Direction.REQUEST]
         self._slaves = self._sides[Direction.RESPONSE]
         self._pending: TapRequest | None = None
-        """The last request taken out, until its response is."""
+        """The last request taken out, as long as its response is not taken out."""
         self._has_request = False
         """False until the first request is taken out."""
         self._answered_ns: int | None = None
@@ -229,7 +230,7 @@ class _TapSide:
         self._splitter: AsciiSplitter | RtuSplitter = splitter(line, speaker=speaker)
         self._character_ns = line.character_ns
         self.until_ns = 0
-        """The time until which all its bytes were fed."""
+        """All bytes of this side up to this time, in ns, were fed."""
         self._held: deque[_Read] = deque()
         """The reads whose last bytes the splitter still holds."""
 

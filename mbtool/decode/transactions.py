@@ -39,7 +39,9 @@ def with_response(
     verdicts: tuple[Verdict, ...],
     confidence: float = 1.0,
 ) -> Transaction:
-    """A request with its response; `verdicts` and `confidence` are those of the pair."""
+    """A request with its response; `verdicts` and `confidence` are about their belonging
+    together.
+    """
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if request.missing or response.missing:
         return _cut(ends, request, response, noticed, confidence)
