@@ -69,12 +69,11 @@ class Pairing:
         self._overtaken: Adu | None = None
         """The request before the open one, if its response may still come."""
         self._is_surely_overtaken = False
-        """True if the master of the overtaken request was certainly still waiting for its
-        response."""
+        """True if the master of the overtaken request was certainly still waiting."""
         self._requests = 0
         self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
-        """For each of the last overtaken requests that got a response: the number of requests until
-        then."""
+        """The number of requests heard when each of the last overtaken requests got its
+        response."""
         self._has_told = False
         """True if it was said that there are two masters."""
         self._unanswered: dict[tuple[int, bytes], int] = {}

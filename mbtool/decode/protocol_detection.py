@@ -313,11 +313,9 @@ class _ProtocolCandidate:
         self.decoded: list[Decoded] = []
         """The results held until this candidate is accepted."""
         self.is_confirmed = False
-        """True if the evidence is enough to accept this candidate; from then on it is never ruled
-        out."""
+        """True once the evidence is enough to accept this candidate; then it is never ruled out."""
         self.is_ruled_out = False
-        """True if the evidence speaks against this candidate; from then on it is never
-        confirmed."""
+        """True once the evidence speaks against this candidate; then it is never confirmed."""
         self.malformed = 0
         """The number of ADUs that did not have the structure of their function."""
         self._connection = connection

@@ -44,7 +44,7 @@ class Unpacker:
     def __init__(self) -> None:
         self._zstd = zstandard.ZstdDecompressor()
         self._left = MAX_RECORD
-        """How many bytes may still be unpacked."""
+        """The number of bytes that may still be unpacked."""
 
     def allow(self, size: int) -> None:
         """Raise the limit, as the reader has gone `size` bytes forward in the log."""
@@ -60,7 +60,7 @@ class Unpacker:
     def unpack(self, content: bytes) -> bytes:
         """Return the records of a chunk, of which `content` is all that follows its length.
 
-        Raises ValueError, with what is wrong for the user, if they are not whole.
+        Raises ValueError, whose text tells the user what is wrong, if the records are not whole.
         """
         if len(content) < PLAIN_DATA_AT:
             raise ValueError("a record that ends too early")
@@ -90,9 +90,9 @@ class Unpacker:
 
 
 def data_length(content: bytes) -> int | None:
-    """The length of a chunk's content by the length of its data; None if it is no chunk.
+    """The length of a chunk's content, computed from the length of its data; None if no chunk.
 
-    `content` is its beginning, ZSTD_DATA_AT + 4 bytes if there are so many.
+    `content` is the beginning of the chunk's content, up to ZSTD_DATA_AT + 4 bytes.
     """
     if len(content) < PLAIN_DATA_AT:
         return None

@@ -135,8 +135,8 @@ class CompleteFile:
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
         """Write `new` over the last `old_size` bytes of the file, which begin at `at`, and beyond.
 
-        It is written back to front: the end, what lies between, and last the bytes over the old
-        ones.
+        The bytes are written back to front: first the end of `new`, then its middle, last the bytes
+        that replace the old ones.
         """
         end = len(new) - old_size
         self._write(at + end, new[end:])

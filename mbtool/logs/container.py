@@ -76,7 +76,7 @@ class Container:
 
     @property
     def pending(self) -> bool:
-        """True if anything was added since the last flush."""
+        """True if anything was added since the last flush to the file."""
         return bool(self._chunk or self._sealed)
 
     def add_topic(self, name: str, schema_name: str, schema: bytes) -> Topic:
@@ -143,7 +143,7 @@ class Container:
     def flush(self, *, sync: bool) -> None:
         """Write everything that was added since the last flush to the file.
 
-        Raises OutputError if it cannot be written; it is then dropped.
+        Raises OutputError if the data cannot be written; then they are dropped.
         """
         self._seal()
         if self._sealed:

@@ -25,9 +25,9 @@ class Damage:
         self._first = ""
         self._places = 0
         self._skipped = 0
-        """How many bytes of the log were skipped in all."""
+        """The number of bytes of the log that were skipped in all."""
         self._hole = 0
-        """How many bytes that may have held items were skipped since the last item."""
+        """The number of skipped bytes, since the last GAP event, that may have held items."""
         self._hole_at = 0
 
     def __bool__(self) -> bool:

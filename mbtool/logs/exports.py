@@ -33,7 +33,7 @@ _encode = msgspec.json.Encoder().encode
 
 _EPOCH = datetime(1970, 1, 1)
 _FORMULA = ("=", "+", "-", "@")
-"""What a text begins with that a spreadsheet takes for a formula."""
+"""A spreadsheet takes a text that begins with one of these for a formula."""
 _ONE_LINE = str.maketrans("\r\n", "  ")
 
 CSV_COLUMNS = (

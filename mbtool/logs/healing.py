@@ -54,8 +54,8 @@ _BLOCKS = {
     Opcode.ATTACHMENT: (16, 2),
     Opcode.METADATA: (0, 2),
 }
-"""How many bytes a record begins with before its blocks, and how many blocks follow: each is a
-length of 4 bytes and as many bytes. In an attachment the data and the CRC come behind them."""
+"""For each kind of record: the number of bytes before its blocks, and the number of blocks. A block
+is a length of 4 bytes and as many bytes. An attachment's data and CRC follow its blocks."""
 
 _FIXED = {Opcode.FOOTER: _FOOTER_CONTENT, Opcode.DATA_END: _DATA_END_CONTENT}
 
@@ -90,9 +90,9 @@ class Hole(NamedTuple):
 
 
 class SoundRecords:
-    """Reads the data section of a log; gives what is sound and the holes between.
+    """Reads the data section of a log; returns the sound records and the holes between them.
 
-    `repaired` is called with an error for each record that is damaged and of which nothing is lost.
+    `repaired` is called with an error for each damaged record of which nothing is lost.
     """
 
     def __init__(self, records: RecordStream, repaired: Callable[[DamageError], None]) -> None:
@@ -100,9 +100,9 @@ class SoundRecords:
         self._repaired = repaired
         self._unpacker = Unpacker()
         self._why = ""
-        """What is wrong with the record that was checked last."""
+        """The fault of the record that was checked last."""
         self.crc_before = 0
-        """The CRC of all bytes before the record that was given last."""
+        """The CRC of all bytes before the record that was returned last."""
 
     def read(self) -> McapRecord | Hole:
         """Return the next record; the content of a chunk is unpacked.
@@ -123,7 +123,7 @@ class SoundRecords:
         return self._healed(record) or self._passed_over(record) or self._search()
 
     def search(self) -> Hole:
-        """Go to the next record that proves itself, however the bytes before it look."""
+        """Go to the next record that proves itself (by its CRC), whatever the bytes before it."""
         self._why = "no record"
         return self._search()
 
@@ -148,7 +148,7 @@ class SoundRecords:
             return record  # The filler of a log; the record behind it may be damaged.
         if not self._may_begin(_HEAD + len(content)):
             return None
-        # A changed bit makes a chunk a record that readers have to pass over.
+        # One changed bit in the opcode can turn a chunk into a record that readers ignore.
         return None if is_zstd(content) and opcode != Opcode.MESSAGE else record
 
     def _sound_chunk(self, record: McapRecord) -> McapRecord | None:
@@ -170,7 +170,7 @@ class SoundRecords:
         return self._attachment_crc(0, length) is not False
 
     def _healed(self, record: McapRecord | None) -> McapRecord | None:
-        """The record at the position, if only its opcode or a length is damaged; None if not."""
+        """The record at the position if only its opcode or a length is damaged; otherwise None."""
         offset, why = self._records.position, self._why
         head = self._records.look(_HEAD)
         stated = len(record.content) if record is not None else None
@@ -227,7 +227,7 @@ class SoundRecords:
         return self._proven(opcode, ahead, length) is not None
 
     def _proven(self, opcode: int, ahead: int, length: int | None) -> bytes | None:
-        """The content of a record `ahead` bytes after the position, if it proves itself.
+        """The content of the record `ahead` bytes after the position, if it proves itself.
 
         The opcode and the length are those that the record should have. A chunk is unpacked.
         """

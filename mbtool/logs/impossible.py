@@ -1,7 +1,7 @@
 """Counts the items of a log that are left out because a number in them is impossible."""
 
-# The types of the fields say what a number can be (modbus/transaction.py). The recorder writes no
-# other, so such an item was made by another program or by hand.
+# The types of the fields give the range of each number (modbus/transaction.py). The recorder writes
+# no number outside it, so such an item was made by another program or by hand.
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SHOWN = 40
 
 
 class ImpossibleItems:
-    """How many items were left out, and why the first one was."""
+    """The number of items that were left out, and the fault of the first one."""
 
     def __init__(self) -> None:
         self._count = 0

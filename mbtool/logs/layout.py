@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "mbtool"
 LIBRARY = "mbtool "
-"""What a log's header names as its library: this, and the version."""
+"""The library in a log's header is this text, followed by the version of mbtool."""
 FORMAT_VERSION = 1
 
 CAPTURE = "mbtool.capture"
@@ -32,13 +32,13 @@ PROFILE_MEDIA_TYPE = "application/json"
 
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""What comes before a message's data: channel id, sequence number, log time, publish time."""
+"""The head of a message, before its data: channel id, sequence number, log time, publish time."""
 
 PRIVATE = 0x80
 """The first private opcode; readers skip private records that they do not know."""
 
 MAX_RECORD = 64 << 20
-"""Bytes of the longest record, and of the largest uncompressed chunk, that a reader accepts."""
+"""The most bytes that a reader accepts in a record, and in an uncompressed chunk."""
 
 
 def packed(*records: McapRecord) -> bytes:

@@ -14,8 +14,8 @@ SPEC = "spec"
 PORTS = "ports"
 RTU_PORTS = "rtu_ports"
 ANY_PORT = "any"
-"""In a link's metadata PORTS and RTU_PORTS are keys with lists of TCP ports. This text in the list
-of PORTS means every TCP port."""
+"""In a link's metadata, PORTS and RTU_PORTS are keys of lists of TCP ports. The text ANY_PORT in
+the list PORTS means every TCP port."""
 
 
 def all_assignments(log: LogReader, given: Assignments) -> Assignments:

@@ -58,7 +58,7 @@ def check_end(records: RecordStream) -> None:
     found = records.crc
     records.take(_CRC_SIZE)
     if summary_start == 0:
-        # So it is in a log that was not closed, also if its summary was just being written.
+        # A log that was not closed has summary_start 0, even if its summary was being written.
         if offsets_start or crc:
             raise records.damaged(offset, _FOOTER_WRONG)
     elif summary_start != start or crc not in (0, found):

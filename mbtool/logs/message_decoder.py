@@ -49,8 +49,9 @@ _LIST_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     schemas.TRANSACTION: msgspec.json.Decoder(list[NamedTransaction]),
     schemas.WIRE_EVENT: msgspec.json.Decoder(list[EventMessage]),
 }
-# The fields of a Chunk have the same names in the log, so it needs no ChunkMessage between. Only a
-# Packet has a link type; in a text the quotes around the name would be escaped.
+# The fields of a Chunk have the same names in the log, so a Chunk is decoded directly, without a
+# ChunkMessage. Only a Packet has a link type; inside a text, the quotes around that name would be
+# escaped.
 _CHUNKS_DECODER: msgspec.json.Decoder[Any] = msgspec.json.Decoder(list[Chunk])
 _OF_A_PACKET = b'"link_type"'
 _NOT_DECODABLE = (msgspec.MsgspecError, ValueError, RecursionError)
@@ -74,13 +75,13 @@ class MessageDecoder:
         self.end_ns = 0
         """The log time (ns) of the last item that was decoded; 0 before the first."""
         self.impossible = ImpossibleItems()
-        """The items that were left out because a number in them is impossible."""
+        """Counts the items that were left out because a number in them is impossible."""
 
     def batches(self, record: McapRecord, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
         """Give the items of the wanted schemas in a chunk, or in a record outside of chunks.
 
-        What cannot be decoded is left out and counted as damage. A GAP event stands in its place,
-        in a list of its own.
+        A message that cannot be decoded is left out and counted as damage. A GAP event stands in
+        its place, in a list of its own.
         """
         data = record.content
         if record.opcode != Opcode.CHUNK:
@@ -93,7 +94,7 @@ class MessageDecoder:
                 yield from self._decoded(batch)
 
     def _walk(self, data: bytes, at: int, wanted: frozenset[str], batch: _Batch) -> int:
-        """Collect up to BATCH wanted messages; returns where to go on."""
+        """Collect up to BATCH wanted messages; return the offset at which to go on."""
         # Half of the time of reading a log is spent in this loop.
         end = len(data)
         padded = data + bytes(_MESSAGE.size)  # So that each head can be unpacked whole.
@@ -192,7 +193,7 @@ class MessageDecoder:
             self._damage.add_hole(error, offset, len(content))
 
     def _unknown(self, channel: int, offset: int, data: bytes) -> str:
-        """Find the schema of a channel that was defined in a chunk that is left out."""
+        """Find the schema of a channel whose definition is lost with a chunk."""
         if not self._damage:
             what = f"a message of an unknown channel ({channel})"
             self._damage.add(self._records.damaged(offset, what))

@@ -18,7 +18,7 @@ MAX_POINTS = 65536
 
 
 class PointChanges:
-    """Takes transactions in order. The first value of a point counts as a change."""
+    """Finds changed points in transactions. The first value of a point counts as a change."""
 
     def __init__(self, limit: int = MAX_POINTS) -> None:
         self._limit = limit

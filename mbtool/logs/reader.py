@@ -77,8 +77,7 @@ class LogReader(ClosesOnExit):
         self._sound = SoundRecords(self._records, self._damage.add)
         self._messages = MessageDecoder(self._records, self._damage)
         self._crc_holds = True
-        """False once the stream was read twice in part, so that the CRC of all its bytes is
-        unknown."""
+        """False once a part of the stream was read twice: then the CRC of its bytes is unknown."""
         self.capture = {}
         self.links = {}
         self.devices = {}
@@ -146,7 +145,7 @@ class LogReader(ClosesOnExit):
         if isinstance(record, Hole) or record.opcode != Opcode.HEADER:
             raise self._records.damaged(len(layout.MAGIC), "the header record is missing")
         header = self._records.parse(record, Header.read)
-        # A changed byte of one of the two leaves the other.
+        # One of the two is enough: a damaged byte may have changed the other.
         if header.profile != PROFILE and not header.library.startswith(LIBRARY):
             raise InputError(
                 f"{self._name}: an MCAP file of profile {header.profile!r}, "
@@ -187,7 +186,7 @@ class LogReader(ClosesOnExit):
             self.closed = True
             return
         expected = int.from_bytes(record.content, "little")
-        # The damage that was found explains a wrong CRC.
+        # Damage that was found before explains a wrong CRC.
         if not self._damage and expected not in (0, self._sound.crc_before):
             what = "the CRC of the data section does not match"
             self._damage.add(self._records.damaged(record.offset, what))

@@ -65,7 +65,7 @@ class RecordStream:
         self.crc = 0
         """The CRC of all bytes that were taken, until `restart_crc`."""
         self._end: InputError | None = None
-        """Why the stream gives no more bytes, although it may not have ended."""
+        """The error that stopped reading the stream; None if there was none."""
 
     @property
     def end(self) -> int:
@@ -106,7 +106,7 @@ class RecordStream:
     def look(self, size: int, ahead: int = 0) -> bytes:
         """Return `size` bytes that begin `ahead` bytes after the position, and do not take them.
 
-        There are fewer only where the file ends or cannot be read on.
+        Returns fewer bytes only where the file ends or cannot be read further.
         """
         missing = ahead + size - len(self._held)
         if missing > 0:

@@ -64,7 +64,7 @@ _SHARED = frozenset((schemas.POINT_VALUE, schemas.LOG))
 
 _IS_MESSAGE = int(Opcode.MESSAGE)
 MAX_HEAD_RECORDS = 100
-"""How many records are looked at for a sign that the file is a log."""
+"""At most this many records are searched for a sign that the file is a log."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,20 +78,20 @@ class LogLoss:
     what: str
     """What is damaged, for the user."""
     begin_ns: int | None
-    """The log time at which it begins: that of the last message before it, or as the summary says.
-    None if unknown."""
+    """The log time (ns) at which the lost part begins: that of the last message before it, or as
+    the summary says. None if unknown."""
     end_ns: int | None
-    """The log time at which it ends."""
+    """The log time (ns) at which the lost part ends; None if unknown."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Recovered:
-    """What became of a log."""
+    """The result of a recovery: what was copied and what was lost."""
 
     messages: int = 0
-    """How many messages were copied."""
+    """The number of messages copied."""
     lost_messages: int | None = None
-    """How many were lost; None if unknown."""
+    """The number of messages lost; None if unknown."""
     losses: int = 0
     lost_bytes: int = 0
     remark: str = ""
@@ -114,7 +114,7 @@ class Recovery:
         self._by_channel: dict[int, Topic | None] = {}
         self._now_ns: int | None = None
         self._waiting: Hole | None = None
-        """A loss that is told when the time behind it is known."""
+        """A loss that is reported as soon as the time of the next message is known."""
         self._ends = False
         self.result = Recovered()
 

@@ -54,7 +54,7 @@ class LogSummary:
         self.other_offsets: list[int] = []
         """The file offsets of attachments and metadata, in order."""
         self.messages: int | None = None
-        """How many messages the log holds."""
+        """The number of messages in the log; None if the summary does not tell."""
 
     def chunks_in(self, begin: int, end: int) -> list[ChunkPlace]:
         """The chunks that begin in a range of file offsets."""

@@ -207,7 +207,7 @@ def _finding(code: str, item: NamedTransaction, ts_ns: int) -> LogMessage:
 
 
 def _clean(values: Mapping[str, str]) -> dict[str, str]:
-    """Replace what UTF-8 cannot encode: a command line may contain bytes that are no text."""
+    """Replace characters that UTF-8 cannot encode: a command line may hold any bytes."""
     return {_text(key): _text(value) for key, value in values.items()}
 
 

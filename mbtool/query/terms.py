@@ -46,7 +46,7 @@ class Term:
     number: float | None = None
     """The number itself, if the term is a number; else None."""
     is_endpoint: bool = False
-    """True for an address with a port, which equals a text without port if the addresses do."""
+    """True for an address with a port; a text without a port equals it if the addresses do."""
     is_host: bool = False
     """True for an address, which has no port."""
     constant: str | None = None
@@ -62,7 +62,7 @@ class Term:
 
 
 def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
-    """Say why a comparison can never be true, and what to write instead; None if it can.
+    """The reason why a comparison can never be true, and what to write instead; else None.
 
     `membership` is True for `left in right`.
     """
@@ -76,7 +76,7 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
 
 
 def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
-    """Say why a comparison of a name with a number never holds, or holds for no number alone.
+    """The reason why a comparison of a name with a number out of its range is useless; else None.
 
     `compare` is the operator: `==`, `!=`, `in`, `not in`, `<`, `<=`, `>` or `>=`.
     """
@@ -139,7 +139,7 @@ def host_of(endpoint: str | None) -> str | None:
 
 
 def is_at(endpoint: str, text: str) -> bool:
-    """True if an endpoint equals a text, or its address does."""
+    """True if an endpoint, or its address without the port, equals a text."""
     return endpoint == text or host_of(endpoint) == text.strip("[]")
 
 

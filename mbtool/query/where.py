@@ -10,7 +10,8 @@
 #
 # Two operators are added to those of Python. `like` compares a whole text with wildcards: * for any
 # characters, ? for one. `matches` looks for a regular expression of Python anywhere in a text. Of a
-# list, one member must fit. An address with a port equals a text without one if the address does.
+# list, one member must fit. An address with a port equals a text without a port if the addresses
+# are equal.
 #
 # A comparison is false if one of its names does not apply to the transaction. The expression is
 # parsed, never evaluated as Python. Everything that is not a comparison is an error, and so is a
@@ -97,7 +98,7 @@ def parse_where(text: str) -> Where:
         raise UsageError(f"--where takes at most {MAX_LENGTH} characters, not {len(text)}")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python warns of "\d", which is a valid text here.
+            warnings.simplefilter("ignore")  # Python warns of "\d", which is valid in a pattern.
             tree = ast.parse(_WORDS_AND_TEXTS.sub(_as_call, text), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise UsageError(f"--where {_short(text)!r} is not an expression; {_EXAMPLE}") from error
@@ -209,7 +210,7 @@ class _Compiler:
             return lambda text: found.fullmatch(text) is not None
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Of patterns that a later Python may read anew.
+                warnings.simplefilter("ignore")  # Warnings about patterns for later Pythons.
                 found = re.compile(pattern)
         except re.error as error:
             place = "" if error.pos is None else f" at character {error.pos + 1}"
@@ -285,9 +286,9 @@ def _wildcards(pattern: str) -> str:
 
 
 def _of_endpoints(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
-    """The comparison of an address that has a port with texts that need not have one, if it is one.
+    """The comparison for an address with a port and texts that may lack one; None for others.
 
-    `"10.0" in source` is none: there any part of the text will do.
+    `"10.0" in source` is not such a comparison: there the text may be any part of the address.
     """
     is_equality = isinstance(sign, ast.Eq | ast.NotEq)
     if right.is_endpoint and left.constant is not None and is_equality:
