@@ -1,4 +1,4 @@
-"""Types of arrays, and reading structures at many places of some bytes at once."""
+"""Types of arrays, and functions that read structures at many offsets at once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Octets = npt.NDArray[np.uint8]
 
 
 def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Read a structure at each of some places; all of it lies inside `octets`."""
+    """Read a structure at each offset of `places`; all structures lie inside `octets`."""
     # Copying whole items of plain bytes is several times as fast as copying fields.
     size = dtype.itemsize
     count = max(len(octets) - size + 1, 0)
@@ -23,12 +23,12 @@ def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[
 
 
 def pieces(octets: Octets, starts: Int64s, sizes: Int64s) -> Octets:
-    """The bytes of many pieces, behind each other: `sizes` bytes from each of `starts` on."""
+    """The bytes of many pieces in one array: `sizes[i]` bytes from `starts[i]` on, for each i."""
     return octets[ranges(starts, sizes)]
 
 
 def ranges(starts: Int64s, sizes: Int64s) -> Int64s:
-    """The numbers of many ranges, behind each other: `sizes` numbers from each of `starts` on."""
+    """The numbers of many ranges in one array: `sizes[i]` numbers from `starts[i]` on."""
     ends = np.cumsum(sizes)
     total = int(ends[-1]) if len(ends) else 0
     return np.repeat(starts - ends + sizes, sizes) + np.arange(total)

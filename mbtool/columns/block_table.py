@@ -1,4 +1,4 @@
-"""Makes one table of what the packets of a block completed, in order."""
+"""Makes one table of the transactions that a block's packets completed, in order."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ class TransactionBatch:
     table: pa.Table
     """All transactions, in order, with the columns of schema.py."""
     records: list[Record]
-    """In order, the events, and the transactions that were made one by one, which are in the table
-    too."""
+    """The events, in order, and the transactions decoded one by one; the table has these too."""
 
 
 class BlockTables:

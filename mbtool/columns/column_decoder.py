@@ -1,9 +1,10 @@
 """Decodes blocks of packets: plain stretches of connections as arrays, all else by the Decoder."""
 
 # Every packet that is in no plain stretch is fed to the Decoder, in its place in the file. Where a
-# stretch begins, the Decoder says whether the connection is at rest there. If it is, the stretch's
-# transactions are read from the arrays, and the Decoder is told of them (plain_stretch.py). If it
-# is not, the packets up to the stretch's next request are fed, and it is asked again.
+# stretch begins, the Decoder tells if the connection is at rest (nothing of it is open or held). If
+# it is, the stretch's transactions are read from the arrays, and the Decoder is told of them
+# (plain_stretch.py). If it is not, the packets up to the stretch's next request are fed, and it is
+# asked again.
 #
 # So the Decoder owns what is known of connections, and its results are the same as if it had been
 # fed every packet. The results of a block are sorted by the packet that completed them.
@@ -42,15 +43,15 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
 
 _LINK_HEADER = np.dtype("V32")
-"""More bytes than the headers of the link layer have that headers.py reads."""
+"""The first 32 bytes of a packet: more than the link layer headers that headers.py reads."""
 _SMALLEST_ADU = 8
 _LAST_ADUS = RECENT_BYTES // _SMALLEST_ADU
-"""So many ADUs have RECENT_BYTES bytes at least."""
+"""This many ADUs have at least RECENT_BYTES bytes."""
 
 
 @dataclass(slots=True)
 class PlainRows:
-    """Transactions that were read from arrays; an element of each array for each of them."""
+    """Transactions that were read from arrays. Each array has one element per transaction."""
 
     block: PacketBlock
     connections: list[Connection]
@@ -58,17 +59,17 @@ class PlainRows:
     addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
     """The addresses on the link layer of the first request and response of each stretch."""
     connection: Int64s
-    """The index of its stretch in `connections`."""
+    """The index of the transaction's stretch in `connections` and `addresses`."""
     has_addresses: Bools
     """True if request and response have the same addresses as the first ones of their stretch."""
     request_ip_at: Int64s
-    """The length of the header of the link layer of its request."""
+    """The length, in bytes, of the link layer header of the request's packet."""
     response_ip_at: Int64s
     request: Int64s
     """The index of the request's packet in the block."""
     response: Int64s
     request_begin: Int64s
-    """Where its request's ADU begins in the data of the block."""
+    """The offset of the request's ADU in the data of the block."""
     request_size: Int64s
     response_begin: Int64s
     response_size: Int64s
@@ -82,17 +83,17 @@ class PlainRows:
 
 @dataclass(slots=True)
 class DecodedBlock:
-    """What the packets of a block completed."""
+    """The transactions and events that the packets of a block completed."""
 
     plain: PlainRows | None = None
     records: list[tuple[int, Record]] = field(default_factory=list)
-    """What the Decoder gave, in order. The numbers say where it belongs among the plain rows: a
+    """The Decoder's records in order, each with a number that sorts it among the plain rows. A
     plain row has the number that `order_of` gives for its response's packet."""
 
 
 def order_of(packets: Int64s) -> Int64s:
-    """The places, in the order of a block's results, of what packets completed themselves."""
-    return 2 * packets + 1  # What the time of a packet completes elsewhere comes before.
+    """The sort numbers of results that packets themselves completed, by the packets' indices."""
+    return 2 * packets + 1  # 2 * packet is for what its time completes elsewhere.
 
 
 class ColumnDecoder:
@@ -104,7 +105,7 @@ class ColumnDecoder:
         self._ports = frozenset(ports)
         self._flows = FlowNumbers()
         self.plain_rows = 0
-        """How many transactions were read from arrays so far."""
+        """The number of transactions read from arrays so far."""
 
     def feed(self, block: PacketBlock) -> DecodedBlock:
         headers = read_headers(block, self._ports)
@@ -145,7 +146,7 @@ class ColumnDecoder:
 
 
 class _BlockPass:
-    """One pass over a block: feeds packets, and takes the stretches of resting connections."""
+    """One pass over a block: feeds packets, and takes the stretches of connections at rest."""
 
     def __init__(
         self,
@@ -166,9 +167,9 @@ class _BlockPass:
         self._times: list[int] = self._segments.ts_ns.tolist()
         self._rows = _TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """The segments before this one were fed, or the Decoder was told of their times."""
+        """The segments before this index were fed, or the Decoder was told of their times."""
         self._used = 0
-        """The connections of the segments before this one are in the order of their last use."""
+        """The segments before this index are counted in the order of the connections' last use."""
         self._decoded = DecodedBlock()
         self._taken: list[tuple[int, int, Connection]] = []
         """The first and the last transaction, exclusive, of each stretch that was taken."""
@@ -202,13 +203,13 @@ class _BlockPass:
         self._note_used(len(self._times))
         self._decoder.note_time(int(self._block.ts_ns.max()))
         for connection, end_ns in self._ends_ns.items():
-            # Times of other connections, within the stretch, may have been told to it since.
+            # Its own time may lag behind: later packets inside the stretch moved the clock on.
             connection.note_time(end_ns)
         self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
         return self._decoded
 
     def _fed_segments(self) -> list[tuple[int, int]]:
-        """The segments in no stretch: their packets in the block, and their places."""
+        """The packet index and the segment index of each segment that is in no stretch."""
         order, bounds = self._stretches.order, self._stretches.bounds
         change = np.zeros(len(order) + 1, np.int64)
         change[self._rows.request_place[bounds[:-1]]] += 1
@@ -218,7 +219,7 @@ class _BlockPass:
         return list(zip(packets.tolist(), places.tolist(), strict=True))
 
     def _feed(self, packet: int, place: int) -> None:
-        """Feed a packet; `place` is its place among the segments, or -1."""
+        """Feed a packet; `place` is its index among the segments, or -1 if it is no segment."""
         if place < 0:
             behind = int(np.searchsorted(self._segments.index, packet))
             self._pass_times(behind)
@@ -240,7 +241,7 @@ class _BlockPass:
             self._decoded.records += [(2 * packet, record) for record in records]
 
     def _note_used(self, until: int) -> None:
-        """Bring the connections of the segments up to one into the order of their last use."""
+        """Mark the connections of the segments before `until` as used, in the segments' order."""
         some = self._numbers[self._used : until]
         self._used = max(self._used, until)
         last = np.full(len(self._flows.ends), -1)
@@ -250,7 +251,7 @@ class _BlockPass:
         self._decoder.reassembler.note_used(self._flows.ends[flow] for flow in last_used)
 
     def _take(self, at: int, end: int) -> bool:
-        """Take the transactions from one on, if their connection is at rest there."""
+        """Take the transactions from `at` to `end` if their connection is at rest at the first."""
         rows = self._rows
         place = int(self._stretches.order[rows.request_place[at]])
         ends = self._flows.ends[int(self._numbers[place])]
@@ -268,14 +269,14 @@ class _BlockPass:
 
 
 class _TransactionArrays:
-    """What is known of the transactions in all stretches of a block."""
+    """The arrays of the transactions in all stretches of a block."""
 
     def __init__(self, stretches: Stretches, segments: Segments) -> None:
         found, order = stretches.transactions, stretches.order
         self._found = found
         self._order = order
         self.request_place, self.response_place = found.request, found.response
-        """Where the segments of each are in the order of connections."""
+        """For each transaction, the index of its request's and response's segment in `order`."""
         requests, responses = order[found.request], order[found.response]
         self.request_packet = segments.index[requests]
         self._response_packet = segments.index[responses]
@@ -289,12 +290,12 @@ class _TransactionArrays:
         self._response_ns = segments.ts_ns[responses]
 
     def packets(self, at: int, until: int, end: int) -> Int64s:
-        """The segments of a transaction, and up to `until`, the next one, unless that is `end`."""
+        """The segments from transaction `at` up to `until`, or to the end of `at` if that is `end`."""
         stop = self.response_place[at] + 1 if until == end else self.request_place[until]
         return self._order[self.request_place[at] : stop]
 
     def stretch(self, block: PacketBlock, at: int, end: int) -> PlainStretch:
-        """The transactions of a stretch from one on, as the Decoder is told of them."""
+        """The transactions from `at` to `end` in the form in which the Decoder takes them."""
         some = slice(at, end)
         first, last = int(self.request_place[at]), int(self.response_place[end - 1])
         codes, latency_ns = self._found.code[some], self._response_ns[some] - self._request_ns[some]
@@ -327,7 +328,7 @@ class _TransactionArrays:
 
     @staticmethod
     def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
-        """The header of the link layer of each packet, zeros behind it, and its length."""
+        """One row per packet: its link layer header, padded with zeros, and the header's length."""
         headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
         headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
         headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0

@@ -1,7 +1,7 @@
 """Numbers the flows of a capture: the pairs of ends between which segments were sent."""
 
 # A flow is found by a hash of its two ends, and the ends are compared. Of two flows with one hash
-# the first has a number, and the segments of the other are not read as arrays.
+# only the first has a number; the segments of the other are not read as arrays.
 #
 # Memory: at most MAX_FLOWS flows are known; beyond that all are forgotten, and numbered anew.
 
@@ -44,7 +44,7 @@ class FlowNumbers:
         self.ends: list[FlowEnds] = []
         """The ends of each flow, by its number, as the reassembler knows them."""
         self._hashes = np.zeros(0, np.uint64)
-        """In order; the next three are in the same order."""
+        """The hashes of the flows, sorted; the next three arrays are in the same order."""
         self._numbers = np.zeros(0, np.int64)
         self._lower = np.zeros(0, np.uint64)
         self._upper = np.zeros(0, np.uint64)

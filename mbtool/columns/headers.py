@@ -10,7 +10,8 @@
 #     other      everything else, of which the decoder takes no notice
 #
 # The rules are those of packets/link_layer.py, segment.py and tunnels.py; in doubt a packet is
-# hidden. Only plain packets may be read as arrays; the decoder is fed all but the others.
+# hidden. Only plain packets may be read as arrays. The decoder is fed all packets but those of the
+# kind "other".
 
 from __future__ import annotations
 
@@ -28,13 +29,13 @@ if TYPE_CHECKING:
     from mbtool.columns.packet_block import PacketBlock
 
 _IP_PLACES = {1: (12, 14), 113: (14, 16), 276: (0, 20)}
-"""By link type, where the EtherType and the IP header are."""
+"""By link type, the offsets of the EtherType and of the IP header."""
 _RAW_TYPES = frozenset((12, 14, 101, 228, 229))
 """Link types of packets that begin with the IP header."""
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
-"""HSR, PPPoE and MPLS, and a third VLAN tag."""
+"""EtherTypes after which this module does not look for IP: HSR, PPPoE, MPLS, a third VLAN tag."""
 _TUNNELS = (4, 41, 47)
 _UDP, _ICMPV6 = 17, 58
 _VXLAN_PORT = 4789
@@ -58,7 +59,7 @@ _PAIR = np.dtype(">u2")
 
 @dataclass(slots=True)
 class Segments:
-    """The segments of followed connections in a block, one element for each, in their order."""
+    """The segments of followed connections in a block. Each array has one element per segment."""
 
     index: Int64s
     """The indices of their packets in the block."""
@@ -75,7 +76,7 @@ class Segments:
     ip_at: Int64s
     """The length of the header of the link layer, in front of the IP header."""
     begin: Int64s
-    """Where in the data of the block the payload begins."""
+    """The offset of the payload in the data of the block."""
     size: Int64s
     """The bytes of the payload; 0 in a segment that is not plain."""
     ts_ns: Int64s
@@ -83,7 +84,7 @@ class Segments:
 
 @dataclass(slots=True)
 class Headers:
-    """What the headers of a block say."""
+    """The packets of a block, sorted by what their headers say."""
 
     segments: Segments
     hidden: Int64s
@@ -93,7 +94,7 @@ class Headers:
 
 
 def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
-    """Sort the packets of a block by what they are; `ports` are those that are followed."""
+    """Sort the packets of a block by their kind; `ports` are the TCP ports that are followed."""
     is_followed = np.zeros(1 << 16, np.bool_)
     is_followed[list(ports)] = True
     kinds, at, hidden = _network(block)
@@ -111,7 +112,7 @@ def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
 
 
 def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
-    """The EtherType of each packet, where its IP header is, and which packets are hidden."""
+    """For each packet: its EtherType, the offset of its IP header, and True if it is hidden."""
     hidden = np.zeros(len(block), np.bool_)
     kind_at, at = np.zeros(len(block), np.int64), np.zeros(len(block), np.int64)
     is_raw = np.zeros(len(block), np.bool_)
@@ -151,7 +152,7 @@ def _is_one_of(values: Int64s, known: tuple[int, ...]) -> Bools:
 
 
 def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed: Bools) -> Bools:
-    """Mark as hidden the IPv6 packets with other headers than these; find those of TCP."""
+    """Find the IPv6 packets with TCP; mark those hidden that are neither TCP, UDP nor ICMPv6."""
     apart = np.zeros(len(block), np.bool_)
     some = np.flatnonzero(six)
     if not len(some):
@@ -171,7 +172,7 @@ def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed
 def _ipv4(
     block: PacketBlock, some: Int64s, at: Int64s, hidden: Bools, is_followed: Bools
 ) -> Segments:
-    """Read IPv4 packets that begin at `at`; mark as hidden those that may carry others."""
+    """Read the IPv4 headers at the offsets `at`; mark packets hidden that may carry others."""
     headers = gather(block.data, at, _IPV4_HEADER)
     header = (headers["first"] & 0x0F).astype(np.int64) * 4
     total = headers["total"].astype(np.int64)

@@ -2,10 +2,10 @@
 
 # A block holds at most BLOCK_PACKETS packets, and about BLOCK_BYTES bytes of the file, so memory
 # does not grow with the file. The records of a pcap file are walked once: each tells where the next
-# one begins. What their headers say is then read from all at once. Files of other kinds are read
-# packet by packet, by the reader of packets/.
+# one begins. Then the headers of all records are read at once. Files of other kinds are read packet
+# by packet, by the reader of packets/.
 #
-# Errors are those of packets/: all packets before a damaged place come first.
+# Errors are raised as in packets/: after all packets before the damage.
 
 from __future__ import annotations
 
@@ -50,21 +50,21 @@ class PacketBlock:
     data: Octets
     """The bytes of all packets, and others between them; SPARE bytes follow the last packet."""
     starts: Int64s
-    """Where in `data` each packet begins."""
+    """The offset in `data` at which each packet begins."""
     captured: Int64s
-    """How many bytes of each packet the file has."""
+    """The number of bytes of each packet in the file."""
     original: Int64s
-    """How many bytes each packet had on the wire."""
+    """The number of bytes that each packet had on the wire."""
     ts_ns: Int64s
-    """When each was captured, in UTC ns."""
+    """When each packet was captured, in UTC ns."""
     file: str
     """The capture file, as the user named it."""
     first_number: int
     """The number of the first packet in its file, counted from 1."""
     links: list[tuple[str, int]]
-    """The names and link types of the interfaces that captured them."""
+    """The names and link types of the interfaces that captured the packets."""
     interfaces: Int64s | None = None
-    """Of each packet the index of its interface in `links`; None if all have the first."""
+    """The index of each packet's interface in `links`; None if all have the first one."""
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -99,7 +99,7 @@ def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
 
 
 class _Source:
-    """A stream that is read in large pieces. An error waits until all before it was taken."""
+    """A stream read in large pieces. An error is raised once all bytes before it are taken."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -120,7 +120,7 @@ class _Source:
         return self._held[:size]
 
     def take(self, size: int) -> bytes:
-        """Remove and return the next bytes; fewer at the end. Raises what reading raised."""
+        """Remove and return the next bytes, fewer at the end. Raises a held error of reading."""
         taken = self.peek(size)
         if len(taken) < size and self._error is not None:
             raise self._error
@@ -134,7 +134,7 @@ class _Source:
         self._held = self._held[size:]
 
     def raise_error(self) -> None:
-        """Raise what reading raised, if it did."""
+        """Raise the held error of reading, if there is one."""
         if self._error is not None:
             raise self._error
 
@@ -175,7 +175,7 @@ class _PcapBlocks:
         self._source.raise_error()
 
     def _walk(self, data: bytes) -> tuple[list[int], int, int]:
-        """The places of whole records, the end of the last, and a length that is impossible."""
+        """The offsets of whole records, the end of the last, and an impossible length or 0."""
         length_of = struct.Struct(self._form.order + "I").unpack_from
         header, end = self._header, len(data)
         places: list[int] = []

@@ -18,12 +18,12 @@ _RISING = (
     "request_ns", "response_ns", "latency_ns", "time", "request_packet", "response_packet",
     "transaction_id",
 )  # fmt: skip
-"""Columns whose values differ little from row to row: their differences are written."""
+"""Columns whose values change little from row to row: only the differences are written."""
 _VARIED = ("request_raw", "response_raw", "request_values", "response_values")
 """Columns whose values seldom repeat, so that a dictionary of them costs time and space."""
 
 ROWS = 65_536
-"""So many transactions that come one by one are written together."""
+"""Transactions that come one by one are written in groups of this many."""
 
 
 class ParquetRows:
@@ -53,7 +53,7 @@ class ParquetRows:
             self._writer.write_table(table)
 
     def close(self) -> None:
-        """Write what is held, and the end of the file."""
+        """Write the transactions still held, and the end of the file."""
         self._write_rows()
         self._writer.close()
 

@@ -47,7 +47,7 @@ _WRITE_WORDS = WRITE_SEVERAL - {_WRITE_COILS}
 _FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])
 _PAIR = np.dtype(">u2")
 _FIXED = 5
-"""The bytes of a PDU that has a function code, an address, and a quantity or value."""
+"""The size in bytes of a PDU of a function code, an address, and a quantity or value."""
 _COUNTED = 6
 """The bytes of a request to write several, up to its byte count."""
 
@@ -58,10 +58,10 @@ class PlainTables:
     def __init__(self) -> None:
         self._namer = Namer()
         self._names: dict[int, NamedTransaction] = {}
-        """By function, address and quantity, the first row of each, with its names."""
+        """The first row of each function, address and quantity, with its names."""
 
     def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
-        """The table of some rows, and those transactions among them that are of unusual form."""
+        """The table of all rows, and again the transactions among them that are of unusual form."""
         usual = _Usual(rows)
         chosen = np.flatnonzero(usual.is_usual)
         others = np.flatnonzero(~usual.is_usual).tolist()
@@ -133,7 +133,7 @@ class PlainTables:
     def _names_of(
         self, rows: PlainRows, usual: _Usual, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
-        """The first row of each function, address and quantity, and which of them a row is like."""
+        """The first row of each function, address and quantity; by row, the index of its like."""
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
         kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
         for key, index in zip(kinds.tolist(), chosen[first].tolist(), strict=True):
@@ -143,7 +143,7 @@ class PlainTables:
 
 
 class _Usual:
-    """Which rows are of usual form, and the fields of their PDUs."""
+    """Finds the plain rows of usual form, and reads the fields of their PDUs."""
 
     def __init__(self, rows: PlainRows) -> None:
         self._data = data = rows.block.data
@@ -187,7 +187,7 @@ class _Usual:
         self.exception = np.where(is_exception, second, -1)
 
     def _is_padded(self, is_exception: Bools) -> Bools:
-        """True if bits behind the last value are set, which is a finding."""
+        """True where unused bits of the last byte are set: such a row needs a finding."""
         used = self._value % 8
         request_end = self._request + self._request_size - 1
         response_end = self._response + self._response_size - 1
@@ -197,7 +197,7 @@ class _Usual:
         return is_padded
 
     def request_values(self, chosen: Int64s) -> pa.Array:
-        """What the requests write; null for reads."""
+        """The values that the requests write; null for reads."""
         code, value = self._code[chosen], self._value[chosen]
         words, bits = self._writes_words[chosen], self._writes_bits[chosen]
         single = np.isin(code, [_WRITE_COIL, *_WRITE_WORD])
@@ -212,7 +212,7 @@ class _Usual:
         return _list(*values, ~(words | bits))
 
     def response_values(self, chosen: Int64s) -> pa.Array:
-        """What the responses bring; null for writes and exception responses."""
+        """The values in the responses; null for writes and exception responses."""
         is_ok = self.exception[chosen] < 0
         words, bits = self._reads_words[chosen] & is_ok, self._reads_bits[chosen] & is_ok
         begin = self._response[chosen] + 2
@@ -221,7 +221,7 @@ class _Usual:
     def _values(
         self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
     ) -> tuple[Any, Int64s]:
-        """The registers and bits of rows behind each other, and where those of each row begin."""
+        """The registers and bits of all rows in one array, and the index where each row begins."""
         counts = np.where(words | bits, counts, 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         if not bits.any():
@@ -260,7 +260,7 @@ def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
 
 
 def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
-    """A column of texts, each named by its index."""
+    """A column of texts: each row has the text at its index in `texts`, or null if missing."""
     index = pa.array(
         np.where(missing, 0, indices) if missing is not None else indices, mask=missing
     )
@@ -268,7 +268,7 @@ def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> p
 
 
 def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
-    """A column of texts, each named by its index; null where the text is None."""
+    """A column of texts: each row has the text at its index in `texts`; null if that is None."""
     missing = np.array([text is None for text in texts], np.bool_)
     return _words([text or "" for text in texts], indices, missing[indices])
 

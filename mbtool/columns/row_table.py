@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 def row_table(transactions: Sequence[NamedTransaction]) -> pa.Table:
     """The table of some transactions.
 
-    Raises InputError for numbers that no transaction has, which another program may have written to
-    a log.
+    Raises InputError for a number that its column cannot hold: another program may have written it
+    to a log.
     """
     rows = [_row(one) for one in transactions]
     columns = [_column(field, [row[field.name] for row in rows]) for field in SCHEMA]

@@ -7,7 +7,7 @@ import pyarrow as pa
 Table = pa.Table
 
 _WORD = pa.dictionary(pa.int32(), pa.string())
-"""Texts of which few differ."""
+"""The type of columns with few different texts."""
 _NUMBERS = pa.list_(pa.uint16())
 _POINT = pa.struct(
     [

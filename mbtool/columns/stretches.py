@@ -1,11 +1,11 @@
 """Finds in the segments of a block the plain stretches of connections, and their transactions."""
 
-# What a plain stretch is, decode/plain_stretch.py says. A segment follows the one before it of its
+# decode/plain_stretch.py defines a plain stretch. A segment follows the one before it of its
 # connection if sequence number and acknowledgement are the next ones of both directions. Then a
 # request, its response, and all that only acknowledges between them follow one another, whatever
-# came before. Whether the connection stands where a stretch begins, only the decoder knows.
+# came before. Only the decoder knows if the connection is at rest where a stretch begins.
 #
-# A hidden packet may be of any connection: no stretch goes over one.
+# A hidden packet (headers.py) may belong to any connection, so every stretch ends before it.
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _MBAP = np.dtype(
 
 @dataclass(slots=True)
 class PlainTransactions:
-    """The transactions of all plain stretches in a block, those of one stretch behind each other.
+    """The transactions of all plain stretches in a block, one stretch after the other.
 
-    Each array has an element for each transaction.
+    Each array has one element per transaction.
     """
 
     request: Int64s
-    """The place of the request's segment in `order`."""
+    """The index of the request's segment in `Stretches.order`."""
     response: Int64s
     transaction_id: Int64s
     unit: Int64s
@@ -55,12 +55,12 @@ class Stretches:
     """The plain stretches of a block."""
 
     order: Int64s
-    """The segments of the block by connection, then in their order: indices of Segments."""
+    """The indices of the block's segments in `Segments`, sorted by connection, then by time."""
     flows: Int64s
     """The number of the flow of each segment in `order`."""
     transactions: PlainTransactions
     bounds: Int64s
-    """The index of each stretch's first transaction, and at the end the number of transactions."""
+    """The index of each stretch's first transaction; last, the number of transactions."""
 
 
 def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
@@ -102,7 +102,7 @@ def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -
 def _pair(
     segments: Segments, order: Int64s, breaks: Int64s, data: Octets
 ) -> tuple[PlainTransactions, Int64s]:
-    """Pair requests and responses; return them, and which of them begin a stretch."""
+    """Join requests and responses; return transactions, and the indices that begin a stretch."""
     places = np.flatnonzero(segments.size[order] > 0)
     chosen = order[places]
     size, from_master = segments.size[chosen], segments.from_master[chosen]

@@ -19,12 +19,12 @@
 # as masters and slaves begin and end their ADUs with a segment:
 #
 # - In step, a length of up to LONGEST_LENGTH is possible if the ADU ends with a segment, or if the
-#   next header follows. Schneider's UMAS (function 5AH) sends such ADUs.
-# - Out of step, an ADU of an unknown function, or a longer one, is accepted if it also begins with
-#   a segment. An ADU of a known function must begin with a segment, or end like those.
-# - While such an ADU is incomplete, a whole ADU behind its header that begins and ends with a
-#   segment shows that the header is none. If the header's function is known, whose PDU has another
-#   length, any whole ADU that ends with a segment shows it.
+# next header follows. Schneider's UMAS (function 5AH) sends such ADUs. - Out of step, an ADU of an
+# unknown function, or a longer one, is accepted if it also begins with a segment. An ADU of a known
+# function must begin with a segment, or end like the ADUs accepted in step. - While such an ADU is
+# incomplete, a whole ADU behind its header that begins and ends with a segment shows that the
+# header is none. If the header's function is known, whose PDU has another length, any whole ADU
+# that ends with a segment shows it.
 #
 # Without `by_segments`, which bytes are dropped depends on the bytes only, never on the ends of
 # chunks.
@@ -64,7 +64,7 @@ LONG_HEADER = re.compile(
     rb"(?s)..\x00\x00(?:\x00[%c-\xff]|[\x01-%c].|%c[\x00-%c])"
     % (MIN_LENGTH, (LONGEST_LENGTH >> 8) - 1, LONGEST_LENGTH >> 8, LONGEST_LENGTH & 0xFF)
 )
-"""The same with a length of up to LONGEST_LENGTH."""
+"""A transaction id, protocol id 0 and a length from MIN_LENGTH to LONGEST_LENGTH."""
 
 
 class MbapSplitter:

@@ -1,4 +1,4 @@
-"""The size of an RTU frame by its structure and by its CRC, and why bytes are no frame."""
+"""Tells the size of an RTU frame from its structure and its CRC, and why bytes are no frame."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _VARIABLE = frozenset(
     for code, layout in enumerate(layouts)
     if layout.length(b"") is None
 )
-"""The functions whose frames have a length that more bytes than the function code tell."""
+"""The functions whose frame length depends on more bytes than the function code."""
 
 
 def frame_size(start: bytes, direction: Direction) -> int | None:

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 def _beginnings(direction: Direction) -> re.Pattern[bytes]:
     """A pattern that matches where a frame may begin.
 
-    That is any byte (the unit) before a function code of which the frame's length can be known. It
-    is also the last byte received, since the function code may follow.
+    A frame may begin at any byte (the unit) before a function code that tells the frame's length,
+    and at the last byte received, since the function code may follow.
     """
     known = bytes(code for code in range(256) if frame_size(bytes((0, code)), direction) != 0)
     return re.compile(rb"(?s).(?:[" + re.escape(known) + rb"]|\Z)")

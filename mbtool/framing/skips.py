@@ -15,7 +15,7 @@ Reason = tuple[EventKind, str, Checksum | None]
 the bytes are a frame with one."""
 
 MAX_RUN = 1024
-"""A run of so many bytes becomes an event and the next run begins, so that memory is bounded."""
+"""A run that has this many bytes becomes an event and a new run begins, to limit memory."""
 
 
 class SkipRun:
@@ -34,7 +34,7 @@ class SkipRun:
 
     @property
     def room(self) -> int:
-        """How many more bytes fit into the run."""
+        """The number of bytes that still fit into the run."""
         return MAX_RUN - len(self._bytes)
 
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:

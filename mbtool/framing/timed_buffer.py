@@ -20,12 +20,12 @@ class TimedBuffer:
     def __init__(self) -> None:
         self._data = bytearray()
         self._taken = 0
-        """How many bytes were ever taken."""
+        """The number of bytes taken so far."""
         self._marks: deque[tuple[int, int, Origin | None]] = deque()
-        """For each `append` of which bytes are left: the number of bytes appended up to its end
-        since the buffer was made, the time of its bytes in ns, and their origin."""
+        """For each `append` that has bytes left in the buffer: the number of bytes ever appended up
+        to its end, the time of its bytes in ns, and their origin."""
         self._last_end = 0
-        """The same number for the last `append` that was taken wholly."""
+        """The number of bytes ever appended up to the end of the last `append` taken wholly."""
 
     def __len__(self) -> int:
         return len(self._data)

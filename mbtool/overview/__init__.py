@@ -1,1 +1,1 @@
-"""What a capture shows as a whole: statistics and inventory; no I/O, no clock."""
+"""Sums up a whole capture: statistics and inventory; no I/O, no clock."""

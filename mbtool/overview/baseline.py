@@ -1,15 +1,14 @@
 """Compares an inventory with an older one, and names what is new."""
 
-# Each change is told once, by what says most:
+# Each change is reported once, in its most telling form:
 #
-# - of a host that is new, nothing else is told; of a unit that is new, only that;
+# - of a new host, and of a new unit, nothing else is reported;
 # - a master that asks a unit for the first time is one change, with the functions and addresses
-#   that it alone uses; it is a new writer if it writes and did not write to the unit before;
-# - a function that is new tells its addresses; only of functions that are known, wider ranges are
-#   told;
+#   that only this master uses; it is a new writer if it did not write to the unit before;
+# - a new function is reported with its addresses, a known function only with wider ranges;
 # - a text counts as changed only if the older inventory has another one of the same name. Run
 #   indicators change as a machine is started and stopped, and are no identity;
-# - units that never answered are told together for each master that asked: a scan is one change.
+# - units that never answered are one change for each master that asked: a scan is one change.
 #
 # A master that is no longer heard is no change: it may ask less often than the capture is long.
 #
@@ -37,7 +36,7 @@ _UNANSWERED = (Role.SILENT, Role.UNHEARD)
 
 
 class ChangeKind(StrEnum):
-    """What is new."""
+    """The kinds of changes from an older inventory."""
 
     HOST = "new host"
     UNIT = "new unit"
@@ -51,7 +50,7 @@ class ChangeKind(StrEnum):
 
 
 class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One thing that is otherwise than in the older inventory."""
+    """One difference from the older inventory."""
 
     kind: ChangeKind
     host: str
@@ -59,7 +58,7 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     unit: int | None = None
     text: str
     first_ns: int | None = None
-    """When the unit was first seen, in UTC ns; None for what was not seen."""
+    """When the unit was first seen, in UTC ns; None if it was not seen."""
 
     @property
     def where(self) -> str:
@@ -89,7 +88,7 @@ def _key(row: SlaveRow) -> tuple[str, int | None, int]:
 
 
 def _with_line_of(old: InventoryDocument, new: InventoryDocument) -> InventoryDocument:
-    """The older inventory, its only serial line named as the only one of the newer."""
+    """The older inventory. If each inventory has one serial line, it gets the newer one's name."""
     old_lines = {row.host for row in old.slaves if row.port is None}
     new_lines = {row.host for row in new.slaves if row.port is None}
     if len(old_lines) != 1 or len(new_lines) != 1 or old_lines == new_lines:
@@ -191,7 +190,7 @@ def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator
 
 
 def _what(row: SlaveRow, master: str, kind: ChangeKind) -> str:
-    """What a new master asks; of a new writer only what it writes."""
+    """The functions and addresses that a new master asks; for a new writer, those it writes."""
     is_writer = kind is ChangeKind.WRITER
     uses = [use for use in row.uses if use.master == master and (use.writes or not is_writer)]
     return "; ".join(_use_text(use, with_master=False) for use in uses)
@@ -224,7 +223,7 @@ def _identity(before: SlaveRow, row: SlaveRow) -> Iterator[str]:
 
 
 def _macs(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
-    """Hosts whose MAC address is another, slaves and masters, each once."""
+    """Changes for hosts (slaves and masters) that have a new MAC address, one for each host."""
     before: dict[str, list[str]] = {}
     old_rows: list[SlaveRow | MasterRow] = [*old.slaves, *old.masters]
     new_rows: list[SlaveRow | MasterRow] = [*new.slaves, *new.masters]
@@ -246,7 +245,7 @@ def _macs(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryC
 
 
 def _absent(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
-    """Units that answered, and that the newer inventory does not have at all; by host."""
+    """Changes for units that answered before and are missing in the newer inventory, by host."""
     present = {_key(row) for row in new.slaves}
     gone: dict[tuple[str, int | None], list[SlaveRow]] = {}
     for row in old.slaves:

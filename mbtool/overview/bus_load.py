@@ -1,4 +1,4 @@
-"""Tells what the time of a serial line goes into: characters, slaves, missing answers, pauses."""
+"""Divides the time of a serial line into characters, slaves, missing answers and pauses."""
 
 # A line of two wires does one thing at a time:
 #
@@ -7,8 +7,8 @@
 #     missing      from the end of a request to when the master gave up waiting
 #     pauses       all the rest: the master asks nothing
 #
-# How long a master waits for an answer is estimated once for each master (master_tape.py), as what
-# follows a missing answer may also be a pause.
+# The time that a master waits for an answer is estimated once for each master (master_tape.py),
+# because the time after a missing answer may also hold a pause.
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineTime:
-    """How long the line was kept by something, in ns."""
+    """How long a line was busy, in ns: with characters, slaves and missing answers."""
 
     characters_ns: int
     slaves_ns: int
@@ -40,7 +40,7 @@ class BusLoad:
     watched_ns: int
     spent: LineTime
     other_ns: int
-    """Characters that belong to no frame."""
+    """The time of characters that belong to no frame, in ns."""
 
     def share(self, ns: int) -> float:
         """A time as a share of the time that the line was watched, 0 to 1."""
@@ -57,7 +57,7 @@ class BusLoad:
 
 
 def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> LineTime:
-    """How long the requests of a tally kept the line."""
+    """How long the requests of a tally kept the line busy."""
     return LineTime(
         characters_ns=link.wire_ns(tally.wire_bytes),
         slaves_ns=tally.latency.total,
@@ -66,7 +66,7 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
 
 
 def bus_load(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> BusLoad | None:
-    """The time of a line by all its requests; None if its baud rate or its times are unknown, or if
+    """The load of a line by all its requests; None if its baud rate or its times are unknown, or if
     its settings changed.
     """
     if link.format is None or link.is_mixed or not link.watched_ns:

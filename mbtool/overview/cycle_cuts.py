@@ -1,6 +1,7 @@
 """Cuts a sequence of requests into cycles, where it repeats itself."""
 
-# See poll_cycle.py for what this is a part of. Memory: some lists of the requests that are given.
+# poll_cycle.py calls this module and explains the method. Memory: some copies of the list of
+# requests that it passes.
 
 from __future__ import annotations
 
@@ -15,16 +16,17 @@ if TYPE_CHECKING:
 P = TypeVar("P", bound="Hashable")
 
 MIN_CYCLES = 3
-"""So often a cycle must be seen to count as one: two equal pieces may be chance."""
+"""A cycle counts only if it was seen at least this often: two equal pieces may be chance."""
 MIN_REQUESTS = 6
-"""The least requests of all cycles of one list: one poll thrice in a row is no cycle."""
+"""The cycles of a list have at least this many requests in all: one poll three times is no
+cycle."""
 _TRANSITIONS = 64
-"""At most so many transitions are tried, the most frequent first. A list that is longer has all of
-its transitions equally often, so any of them will do."""
+"""At most this many transitions (from one poll to another) are tried, the most frequent first. In a
+longer list all transitions are equally frequent, so any of them will do."""
 _SAME_PACE = 0.25
-"""A master has one pace if its pauses differ by at most this share of the time for each step."""
+"""A master has one pace if its pauses differ by at most this share of the mean time of a step."""
 _TIED = 0.02
-"""Cuts whose shares differ by at most this are equally good."""
+"""Two ways to cut are equally good if the shares of requests they explain differ by up to this."""
 
 
 class PollStart(NamedTuple, Generic[P]):
@@ -34,8 +36,8 @@ class PollStart(NamedTuple, Generic[P]):
     begin_ns: int
     end_ns: int
     is_missing: bool
-    """True if at least one of the attempts got no answer. Where the last one got none, `end_ns` is
-    when the master gave it up."""
+    """True if at least one of the attempts got no answer. If the last attempt got none, `end_ns` is
+    when the master gave up."""
 
 
 class CutCycles(NamedTuple, Generic[P]):
@@ -43,7 +45,7 @@ class CutCycles(NamedTuple, Generic[P]):
 
     starts: Sequence[PollStart[P]]
     cuts: Sequence[int]
-    """Where cycles begin; the last one, where the sequence ends."""
+    """The indices in `starts` at which cycles begin; the last one is the end of the sequence."""
     usual: tuple[P, ...]
     share: float
     """The share of the requests that are in cycles of the usual form."""
@@ -74,7 +76,7 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
 
 
 def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
-    """Cut before each place; the sequence's head and tail count if they are whole cycles."""
+    """Cut before each index of `places`; head and tail count if they are parts of a cycle."""
     cuts = [*places, len(starts)]
     if starts[0].poll == first:
         cuts.insert(0, 0)
@@ -91,7 +93,7 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
 
 
 def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -> CutCycles[P]:
-    """The same cycles, cut after the longest pause; if pauses are equal, before what came first."""
+    """The same cycles, cut after the longest pause; with equal pauses, before the first poll."""
     usual, pauses = cycles.usual, step_pauses(cycles)
     first = pauses.index(max(pauses))
     if _is_one_pace(pauses, cycles):
@@ -102,7 +104,7 @@ def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -
 
 
 def _step_ns(cycles: CutCycles[P]) -> float:
-    """The mean time of a step of the usual cycle."""
+    """The mean time from one request to the next, in ns."""
     starts = cycles.starts
     return (starts[-1].begin_ns - starts[0].begin_ns) / max(len(starts) - 1, 1)
 
@@ -131,7 +133,7 @@ def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
 
 
 def has_one_pace(cycles: CutCycles[P]) -> bool:
-    """True if all pauses in the usual cycle are about equal, as of a master without a timer."""
+    """True if all pauses in the usual cycle are about equal: the master uses no timer."""
     return _is_one_pace(step_pauses(cycles), cycles)
 
 
@@ -140,7 +142,7 @@ def _is_one_pace(pauses: Sequence[float], cycles: CutCycles[P]) -> bool:
 
 
 def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
-    """The times of the usual cycles: of those without and with a missing answer."""
+    """The times (ns) of the usual cycles: of those without, and of those with a missing answer."""
     whole: list[int] = []
     missing: list[int] = []
     for (begin, end), is_usual in _marked(cycles):
@@ -152,5 +154,5 @@ def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
 
 
 def number_of_other_cycles(cycles: CutCycles[P]) -> int:
-    """How many cycles have another form. The last one may be unfinished and does not count."""
+    """The number of cycles of another form, without the last cycle: it may be unfinished."""
     return sum(not is_usual for _, is_usual in _marked(cycles)[:-1])

@@ -22,7 +22,7 @@ _MICROSECOND = 1000
 
 
 class Bucket(NamedTuple):
-    """How many durations there were of `low_ns` and more, but less than `high_ns`."""
+    """The number of durations from `low_ns` up to, but not including, `high_ns`."""
 
     low_ns: int
     high_ns: int
@@ -37,7 +37,7 @@ class Distribution:
     def __init__(self, limit: int = MAX_BUCKETS) -> None:
         self._limit = limit
         self._buckets: dict[int, int] = {}
-        """By the least duration that falls into a bucket, how many did."""
+        """The number of durations in each bucket, by the least duration (ns) of the bucket."""
         self.bits = _EXACT_BITS
         self.count = 0
         self.total = 0
@@ -76,13 +76,13 @@ class Distribution:
 
     @property
     def error(self) -> float:
-        """By how much a percentile may be off at most, as a share of it; 0 if it is exact."""
+        """The largest error of a percentile, as a share of it (0 to 1); 0 if it is exact."""
         return 0.0 if self.bits == _EXACT_BITS else 0.5**self.bits
 
     def percentile(self, percent: float) -> int:
-        """The duration (ns) that so many percent do not exceed (nearest rank); 0 if there is none.
+        """The duration (ns) that `percent` of all do not exceed (nearest rank); 0 if there is none.
 
-        0 < percent <= 100.
+        `percent` is above 0 and at most 100.
         """
         rank = -(-self.count * percent // 100)
         seen = 0

@@ -12,8 +12,8 @@
 #       score = 100 * explained / (explained + 5 * contradicted + 2)
 #
 #   where the model code counts as MODEL_WEIGHT explained requests and the name as NAME_WEIGHT. A
-#   contradiction counts as much as five requests that ended as predicted. The 2 stand for
-#   what was not asked.
+#   contradiction counts as much as five requests that ended as predicted. The 2 keeps
+#   the score low after few requests.
 #
 # If the profile does not fit, the score is at most UNCONFIRMED.
 
@@ -81,7 +81,7 @@ def _score(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> int:
 
 
 def _doubt(result: MatchResult, confirmation: str, score: int) -> str:
-    """Why the best profile is no identification; empty if it is one."""
+    """The reason why the best profile does not fit for sure; empty if it fits."""
     best = result.matches[0]
     asked = _requests(best.explained + best.contradicted)
     ties = _ties(result)
@@ -112,7 +112,7 @@ def _requests(count: int) -> str:
 
 
 def _confirmation(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> str:
-    """What speaks for this device and for few others; empty if nothing does."""
+    """The evidence for this device that few others would give; empty if there is none."""
     if match.is_model:
         return "its model code and its answers"
     if _names_model(slave, profile):
@@ -131,10 +131,10 @@ def _names_model(slave: ObservedSlave, profile: Profile) -> bool:
 
 
 def _boundaries(slave: ObservedSlave, profile: Profile) -> int:
-    """Count the places where accepted addresses end as the profile says: a request behind them, or
-    over their end, was refused.
+    """Count the ends of accepted address ranges that are as the profile says.
 
-    A device refuses addresses far from all others whatever it is.
+    An end counts if the device refused a request directly behind it, or one across it. Refused
+    addresses far from accepted ones do not count: every device refuses those.
     """
     accepted = slave.known_addresses()
     ends = set()

@@ -5,8 +5,8 @@
 #
 # Limits: MAX_SLAVES units and MAX_MASTERS masters; MAX_USES pairs of a master and a function in
 # all; MAX_REQUESTS different requests that are compared with profiles; MAX_TEXTS texts of each
-# name, MAX_MACS addresses for each host; the ranges of inventory_ranges.py. What is beyond a limit
-# is counted in `left_out`. MAX_POLLS only limits what is looked up quickly.
+# name, MAX_MACS addresses for each host; the ranges of inventory_ranges.py. Whatever is beyond a
+# limit is counted in `left_out`. MAX_POLLS only limits the requests that are looked up quickly.
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ MAX_MACS = 4
 
 MODEL_CODE = "model code"
 _WHOLE_DEVICE = frozenset((0, 255))
-"""Units by which a master addresses a host itself (MODBUS Messaging on TCP/IP V1.0b, 4.4.2)."""
+"""Unit ids that address the host itself (MODBUS Messaging on TCP/IP V1.0b, 4.4.2)."""
 _GATEWAY_EXCEPTIONS = frozenset(
     (ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 )
-"""Exceptions of a gateway whose unit did not answer."""
+"""Exceptions that a gateway sends when the unit behind it does not answer."""
 _UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCAST))
 
 
@@ -103,12 +103,12 @@ class _SeenSlave:
 
     @property
     def unreached(self) -> int:
-        """How many requests only a gateway answered."""
+        """The number of requests that only a gateway answered."""
         return sum(self.exceptions[code] for code in _GATEWAY_EXCEPTIONS)
 
     @property
     def answered(self) -> int:
-        """How many requests the unit itself answered."""
+        """The number of requests that the unit itself answered."""
         silent = sum(self.outcomes[one] for one in _UNANSWERED)
         return self.outcomes.total() - silent - self.unreached
 
@@ -122,7 +122,7 @@ class _SeenMaster:
     seen: _Seen
     requests: int = 0
     slaves: set[int] = field(default_factory=set)
-    """The numbers of the slaves it asked, in the order in which they appeared."""
+    """The slaves that this master asked, by `id()`."""
     written: set[int] = field(default_factory=set)
 
 
@@ -202,7 +202,7 @@ class Inventory:
         )
 
     def _begin(self, transaction: NamedTransaction, master: str | None) -> _Poll | None:
-        """Find or make what a request belongs to; None if there is no room for its slave."""
+        """Find or make the entries that a request belongs to; None if its slave has no room."""
         slave = self._slave(transaction)
         if slave is None:
             return None
@@ -311,7 +311,7 @@ def _count(
     master: _SeenMaster | None,
     uses: tuple[_SeenUse, ...],
 ) -> None:
-    """Count a transaction at everything that it belongs to."""
+    """Count a transaction in the entries that it belongs to."""
     request_ns, response_ns = transaction.request_ns, transaction.response_ns
     start_ns = request_ns if request_ns is not None else response_ns or 0
     end_ns = response_ns if response_ns is not None else start_ns
@@ -322,7 +322,7 @@ def _count(
     elif response_ns is not None and response_ns > slave.answered_ns:
         slave.answered_ns = response_ns
     if request_ns is None:
-        return  # Nobody is known to have asked.
+        return  # The capture lacks the request.
     for use in uses:
         use.requests += 1
         if transaction.exception == ExceptionCode.ILLEGAL_FUNCTION:
@@ -343,7 +343,7 @@ def _widen(
 
 
 def _note_identity(slave: _SeenSlave, transaction: NamedTransaction) -> None:
-    """Keep the texts that a response gives of its slave."""
+    """Keep the texts in a response by which the slave identifies itself."""
     if transaction.response_raw is None or transaction.exception is not None:
         return
     function = transaction.function
@@ -438,5 +438,5 @@ def _bare(host: str | None) -> str | None:
 
 
 def _host_key(host: str) -> tuple[tuple[int, int | str], ...]:
-    """Sorts hosts by their numbers: 10.0.0.9 before 10.0.0.10, and names behind them."""
+    """A key that sorts hosts by their numbers (10.0.0.9 before 10.0.0.10), names last."""
     return tuple((0, int(part)) if part.isdecimal() else (1, part) for part in host.split("."))

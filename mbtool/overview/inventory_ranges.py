@@ -3,8 +3,8 @@
 # A range is a pair: its first and its last address, both included. The ranges of a set are sorted,
 # and at least one address lies between two of them.
 #
-# A set holds at most MAX_RANGES ranges. A scan of every second register would need more; what then
-# touches no range of the set is only counted.
+# A set holds at most MAX_RANGES ranges. A scan of every second register would need more; beyond
+# the limit, a range that touches none of the set is only counted.
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MAX_RANGES = 1024
 SHOWN = 8
-"""How many ranges or names a text lists, unless it is told otherwise."""
+"""The number of ranges or names that a text lists by default."""
 _LAST_ADDRESS = 0xFFFF
 
 AddressRange = tuple[int, int]
@@ -32,12 +32,12 @@ class AddressRanges:
         self._firsts: list[int] = []
         self._lasts: list[int] = []
         self.left_out = 0
-        """How many ranges were not added, because the set has MAX_RANGES."""
+        """The number of ranges that were not added because the set already had MAX_RANGES."""
         for first, last in ranges:
             self.add(first, last)
 
     def add(self, first: int, last: int) -> None:
-        """Add the addresses from `first` to `last`; those behind FFFFH do not exist."""
+        """Add the addresses from `first` to `last`; addresses above FFFFH do not exist."""
         last = min(last, _LAST_ADDRESS)
         if not 0 <= first <= last:
             return

@@ -17,22 +17,22 @@ MODBUS_PORT = 502
 
 
 class Role(StrEnum):
-    """What a row is on the network or the line."""
+    """The role of a unit or host on the network or the line."""
 
     SLAVE = "slave"
     GATEWAY = "gateway"
     """A slave at a host where several units answer."""
     SILENT = "silent"
-    """It was asked, and never answered."""
+    """A unit that was asked and never answered."""
     UNHEARD = "unheard"
-    """It was asked, and the capture would not show its answers."""
+    """A unit that was asked, but whose answers the capture could not show."""
     BROADCAST = "broadcast"
     """Unit 0 of a serial line: all slaves at once, of which none answers."""
     MASTER = "master"
 
 
 class FunctionUse(msgspec.Struct, kw_only=True):
-    """What one master asked of one unit by one function code."""
+    """The requests of one master to one unit with one function code."""
 
     function: int
     name: str
@@ -42,13 +42,13 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     """True if the addresses are written, False if they are read."""
     requests: int = 0
     ranges: list[AddressRange] = []
-    """The addresses asked for, without those of `refused`."""
+    """The requested addresses, without those in `refused`."""
     refused: list[AddressRange] = []
     """The addresses that were only answered with an exception."""
     unsupported: int = 0
-    """How many of the requests were answered with exception 01, illegal function."""
+    """The number of requests that were answered with exception 01, illegal function."""
     left_out: int = 0
-    """How many further ranges there are, beyond the limit of inventory_ranges.py."""
+    """The number of further ranges, beyond the limit of inventory_ranges.py."""
 
     @property
     def all_ranges(self) -> list[AddressRange]:
@@ -56,10 +56,10 @@ class FunctionUse(msgspec.Struct, kw_only=True):
 
 
 class IdentityText(msgspec.Struct, frozen=True, kw_only=True):
-    """A text that a slave gives of itself."""
+    """A text by which a slave identifies itself."""
 
     function: int
-    """2BH, 11H, or the function of the vendor that reports a model code."""
+    """The function that gave the text: 2BH, 11H, or a vendor's function for a model code."""
     name: str
     text: str
 
@@ -70,7 +70,7 @@ class ProfileFit(msgspec.Struct, kw_only=True):
     profile: str | None = None
     """The profile that fits; None if none fits."""
     score: int = 0
-    """How sure that is, 0 to 100, of the profile that fits or else of the nearest."""
+    """How well the profile that fits, or else the nearest one, explains the slave: 0 to 100."""
     nearest: str | None = None
     """The profile that comes nearest, if none fits."""
     why: str = ""
@@ -88,23 +88,23 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     role: Role = Role.SLAVE
     transports: list[str] = []
     device: str | None = None
-    """The profile that the user or the log names for it."""
+    """The profile that the user or the log names for the unit."""
     macs: list[str] = []
     makers: list[str] = []
     identity: list[IdentityText] = []
     fit: ProfileFit | None = None
-    """None if it was not looked at: it never answered, or there are too many slaves."""
+    """None if the unit was not compared with profiles, as it never answered or is one too many."""
     uses: list[FunctionUse] = []
     transactions: int = 0
     answered: int = 0
     unanswered: int = 0
-    """How many requests had no answer, or only a gateway's that the unit did not respond."""
+    """The number of requests without any answer, or with only an exception of a gateway."""
     exceptions: dict[int, int] = {}
-    """How many exception responses there were, by exception code."""
+    """The number of exception responses, by exception code."""
     first_ns: int = 0
     last_ns: int = 0
     answered_ns: int = 0
-    """The time of its last answer; 0 if it never answered."""
+    """The time of the unit's last answer, in UTC ns; 0 if it never answered."""
 
     @property
     def place(self) -> tuple[str, int | None]:
@@ -122,31 +122,31 @@ class SlaveRow(msgspec.Struct, kw_only=True):
 
 
 class MasterRow(msgspec.Struct, kw_only=True):
-    """A host that asks."""
+    """A host that sends requests."""
 
     host: str
     macs: list[str] = []
     makers: list[str] = []
     requests: int = 0
     slaves: int = 0
-    """How many units it asked."""
+    """The number of units that it sent requests to."""
     written: int = 0
-    """How many units it wrote to."""
+    """The number of units that it wrote to."""
     first_ns: int = 0
     last_ns: int = 0
 
 
 class InventoryDocument(msgspec.Struct, kw_only=True):
-    """Everything that captures tell of the hosts in them."""
+    """The hosts in one or more captures."""
 
     format: str
-    """INVENTORY_FORMAT, in what this program writes."""
+    """The version of the format; this program writes INVENTORY_FORMAT."""
     files: list[str] = []
     transactions: int = 0
     slaves: list[SlaveRow] = []
     masters: list[MasterRow] = []
     left_out: dict[str, int] = {}
-    """How many things of which kind were not kept, because there were too many."""
+    """By kind, the number of things that were not kept because there were too many."""
 
 
 def shown_host(host: str, port: int | None) -> str:
@@ -157,7 +157,7 @@ def shown_host(host: str, port: int | None) -> str:
 
 
 def iso_time(ns: int) -> str:
-    """A time in UTC, as ISO 8601 has it, to the microsecond; empty for a time before year 1."""
+    """A time in UTC ns as ISO 8601 with microseconds; empty outside years 1 to 9999."""
     try:
         moment = datetime.fromtimestamp(ns // 1_000_000_000, UTC)
     except (OverflowError, ValueError, OSError):

@@ -1,6 +1,6 @@
-"""How long a link was watched, how its time was spent, and in which hours answers were missing."""
+"""Measures how long a link was watched, and counts missing answers by hour."""
 
-# Memory: MAX_HOURS hours for each link, the oldest is given up first.
+# Memory: MAX_HOURS hours for each link; beyond that the oldest hour is dropped.
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class HourCount(NamedTuple):
     begin_ns: int
     requests: int
     missing: int
-    """How many of them got no answer."""
+    """The number of requests that got no answer."""
 
 
 class Hours:
@@ -47,13 +47,13 @@ class Hours:
 
 
 class LinkStatistics:
-    """One bus, or one slave's address on a network."""
+    """The times and settings of one link: a bus, or a slave's address on a network."""
 
     def __init__(self, format_of: Callable[[str], SerialFormat | None]) -> None:
         self._format_of = format_of
         self.transport: Transport | None = None
         self.format: SerialFormat | None = None
-        """The settings of a serial line; None on a network, and where its bytes have no times."""
+        """The settings of a serial line; None on a network, or if the bytes have no times."""
         self.has_times = True
         """False if the bytes of the line have no times, as in a file of bytes alone."""
         self.is_mixed = False
@@ -104,10 +104,10 @@ class LinkStatistics:
 
     @property
     def watched_ns(self) -> int:
-        """The time from the first request to the end of the last response, of each capture."""
+        """The time (ns) from the first request to the last response's end, summed over captures."""
         begin, end = self._span or (0, 0)
         return self._earlier_ns + end - begin
 
     def wire_ns(self, count: int) -> int:
-        """How long so many bytes take on the line, in ns; 0 if its baud rate is unknown."""
+        """How long `count` bytes take on the line, in ns; 0 if its baud rate is unknown."""
         return 0 if self.format is None else count * self.format.character_ns

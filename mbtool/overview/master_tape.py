@@ -1,4 +1,4 @@
-"""What one master asked last on one link, in order, to rebuild its poll cycle from."""
+"""Keeps the last requests of one master on one link, to rebuild its poll cycle."""
 
 # Memory: the last MAX_ASKED requests.
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from mbtool.overview.poll_statistics import PollStatistics
 
 MAX_ASKED = 2048
-"""Enough for three cycles of a list of 680 polls."""
+"""The number of requests kept: enough for three cycles of a list of 680 polls."""
 
 
 class MasterTape:
@@ -24,7 +24,7 @@ class MasterTape:
         self._last: Asked[PollStatistics] | None = None
 
     def add(self, asked: Asked[PollStatistics]) -> bool:
-        """Take the next request. True if it repeats the one before it, which got no answer."""
+        """Take the next request; True if it repeats the one before, and that had no answer."""
         last, self._last = self._last, asked
         self._asked.append(asked)
         return last is not None and last.is_missing and last.poll is asked.poll

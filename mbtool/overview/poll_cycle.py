@@ -1,4 +1,4 @@
-"""Rebuilds the lists that a master polls in cycles, from what it asked and when."""
+"""Rebuilds the lists that a master polls in cycles, from its requests and their times."""
 
 # A list is a sequence of polls that a master asks in order, again and again, each time after a
 # period or at once. A master may have several lists with different periods, repeat a request that
@@ -51,15 +51,17 @@ MOST = 0.9
 MANY = 0.4
 """The share of requests that a cycle must explain to be a list at all."""
 _REGULAR = 0.2
-"""A period is regular if it differs from the poll's median by at most this share of it..."""
+"""A period is regular if it differs from the poll's median period by at most this share of the
+median."""
 _REGULAR_SHARE = 0.7
-"""...and a poll if this share of its periods is. Of two alternating periods only half are."""
+"""A poll is regular if at least this share of its periods are. Of two alternating periods only half
+are."""
 _PERIOD_SUM = 1.3
-"""The mean period of a regular poll is at most so many times its median. A poll that comes thrice
-in a cycle, close together, has a short median."""
+"""The mean period of a regular poll is at most this many times its median period. A poll that comes
+thrice in a cycle, close together, has a short median."""
 _SOON = 0.5
-"""A request repeats the one before if it comes at most this share of the timeout after it. What
-comes later is the next cycle of a list of one poll."""
+"""A request repeats an equal one without answer if it comes at most this share of the timeout after
+the master gave that one up. A later one is the next cycle of a list of one poll."""
 _EQUAL_PERIODS = 1.08
 _EVEN = 0.1
 """Distances are even if they differ by at most this share of their mean."""
@@ -70,34 +72,34 @@ _LONGER_THAN_SHORT = 4
 _CONSTANT_SHARE = 0.8
 """A poll belongs to a list if it comes equally often in this share of the list's cycles."""
 _SLACK_NS = 5_000_000
-"""Pauses that differ by less are equal: a master's program and its system are not faster."""
+"""Pauses that differ by less than this, in ns, are equal: no master keeps time more exactly."""
 _NEAR = 0.25
 """A cycle time is near the median if it differs by at most this share of it."""
 
 
 class Asked(NamedTuple, Generic[P]):
-    """A request of the master, by its poll, and when it was over."""
+    """A request of the master: its poll and its times."""
 
     poll: P
     begin_ns: int
     end_ns: int
-    """When the response was complete; when the request was, if there is none."""
+    """When the response was complete or, without a response, when the request was."""
     is_missing: bool
-    """True if the slave should have answered and did not."""
+    """True if the slave had to answer and did not."""
 
 
 @dataclass(frozen=True, slots=True)
 class PollStep(Generic[P]):
-    """A place in a list."""
+    """One step of a list: a poll, and how long it takes."""
 
     poll: P
     pause_ns: int
-    """The median time from the end of the step before to the beginning of this one."""
+    """The median time from the end of the previous step to the beginning of this one."""
     took_ns: int
     """The median time from the beginning of the first request to the end of the last response, or
     to when the master gave up."""
     missing: int
-    """In how many cycles at least one answer was missing."""
+    """The number of cycles in which at least one answer of this step was missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +107,11 @@ class PollList(Generic[P]):
     """A list that a master polls in cycles. Times are in ns."""
 
     steps: tuple[PollStep[P], ...]
-    """In the order in which they are asked; the first one follows the longest pause."""
+    """The steps in the order of the requests; the first one follows the longest pause."""
     cycles: int
-    """How many cycles went through the list exactly."""
+    """The number of cycles that went through the list exactly."""
     other_cycles: int
-    """How many cycles lacked a step, had one more, or were in another order."""
+    """The number of cycles that lacked a step, had one more, or were in another order."""
     times: tuple[int, ...]
     """The time of each cycle, from its beginning to the next one's, in order of length."""
     whole_ns: int | None
@@ -135,7 +137,7 @@ class PollList(Generic[P]):
 
     @property
     def missing_cost_ns(self) -> int | None:
-        """By how much missing answers make a cycle longer; None if that cannot be told."""
+        """The time by which missing answers make a cycle longer; None if that is unknown."""
         if self.whole_ns is None or self.missing_ns is None:
             return None
         return max(self.missing_ns - self.whole_ns, 0)
@@ -143,14 +145,14 @@ class PollList(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class PollLists(Generic[P]):
-    """What a master polls in cycles, and what it asks besides."""
+    """The lists that a master polls in cycles, and its other requests."""
 
     lists: tuple[PollList[P], ...]
     """The shortest period first."""
     between: Mapping[P, int]
-    """How often each poll was asked that is in no list, repetitions not counted."""
+    """For each poll that is in no list, the number of its requests without repetitions."""
     timeout_ns: int | None
-    """How long the master waits for an answer, as far as can be seen; None if none is missing."""
+    """The estimated time that the master waits for an answer; None if no answer is missing."""
 
 
 def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
@@ -226,7 +228,7 @@ def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
 
 
 def _faster_polls(cycles: CutCycles[P]) -> set[P]:
-    """The polls of a usual cycle that have a period of their own, a whole part of the cycle."""
+    """The polls that come several times in the usual cycle, at a shorter period of their own."""
     counts = Counter(cycles.usual)
     repeated = {poll for poll, count in counts.items() if count > 1}
     if not repeated or len(repeated) == len(counts):
@@ -307,7 +309,7 @@ def _regular_period(times: Sequence[int]) -> float | None:
 
 
 def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[int]) -> bool:
-    """True if these times come equally often, at least once, in each cycle of a group."""
+    """True if a poll, sent at `times`, comes equally often (not 0) in each cycle of a group."""
     cycles = usual_cycles(_only(starts, group))
     if cycles is None:
         return False
@@ -334,7 +336,7 @@ def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
 
 
 def _has_pace(cycles: CutCycles[P]) -> bool:
-    """True unless it is one poll at random times, as when an operator writes now and then."""
+    """False for a single poll at irregular times, such as an operator's occasional write."""
     if len(cycles.usual) > 1:
         return True
     starts = [start for start in cycles.starts if start.poll == cycles.usual[0]]
@@ -347,7 +349,7 @@ def _has_pace(cycles: CutCycles[P]) -> bool:
 
 
 def _asked_often(starts: Sequence[PollStart[P]]) -> set[P]:
-    """The polls that are asked at least half as often as the poll in the middle."""
+    """The polls that are asked at least half as often as the median poll."""
     counts = Counter(start.poll for start in starts)
     least = median(counts.values()) / 2
     return {poll for poll, count in counts.items() if count >= least}

@@ -14,7 +14,7 @@ _PERIOD_BUCKETS = 256
 
 
 class PollKey(NamedTuple):
-    """Requests that are equal in all of this are one poll."""
+    """The fields that identify a poll: requests that are equal in all of them are one poll."""
 
     link: str
     master: str
@@ -66,19 +66,19 @@ class PollStatistics:
         self.device = first.device
         self.tally = RequestTally()
         self.period = Distribution(_PERIOD_BUCKETS)
-        """From one request to the next. Repetitions of a request without answer do not count."""
+        """The times (ns) from one request to the next, repetitions of unanswered ones left out."""
         self.repetitions = 0
-        """How many requests came right after an equal one that got no answer."""
+        """The number of requests that came right after an equal one without answer."""
         self._last_ns: int | None = None
 
     def begin(self, at_ns: int) -> None:
-        """Note that the poll is asked, and that this is no repetition."""
+        """Note a request of the poll that is no repetition."""
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
         self._last_ns = at_ns
 
     def cut(self) -> None:
-        """Begin anew: no period reaches from one capture into the next."""
+        """End a capture: no period reaches from one capture into the next."""
         self._last_ns = None
 
     @property

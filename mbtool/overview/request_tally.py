@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_EXCEPTIONS = 256
-"""All exception codes there are: a code is one byte."""
+"""The number of possible exception codes: a code is one byte."""
 
 
 class RequestTally:
     """Outcomes and latencies of some requests.
 
-    What is not captured counts apart, as the device cannot be blamed for it.
+    Transactions of which the capture lacks a part have an outcome of their own: they are no fault
+    of the device.
     """
 
     __slots__ = (
@@ -35,9 +36,9 @@ class RequestTally:
         self.exceptions: dict[int, int] = {}
         self.exception_names: dict[int, str] = {}
         self.retries = 0
-        """How many requests repeat an equal one that got no answer."""
+        """The number of requests that repeat an equal one without answer."""
         self.latency = Distribution()
-        """From the end of the request to the start of the response."""
+        """The times from the end of the request to the start of the response, in ns."""
         self.request_bytes = 0
         """Bytes of the requests' ADUs as captured."""
         self.response_bytes = 0
@@ -83,7 +84,7 @@ class RequestTally:
 
     @property
     def unanswered(self) -> int:
-        """How many requests the slave left without an answer."""
+        """The number of requests that the slave left without an answer."""
         return self.count(Outcome.NO_ANSWER)
 
 

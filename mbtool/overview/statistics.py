@@ -1,15 +1,15 @@
 """Counts and times everything that a capture or a live link shows."""
 
 # Each transaction is counted at once, by its poll. Periods, poll cycles and hours need requests in
-# the order of their times; a transaction without answer may come long after later ones. So they
-# wait in a heap until WINDOW later ones have come; what comes later still is left out of periods
-# and counted as `late`.
+# the order of their times; a transaction without answer may come long after later ones. So
+# transactions wait in a heap until WINDOW later ones have come; one that comes later still is left
+# out of periods and counted in `late`.
 #
 # Memory. MAX_POLLS polls; if there are more, the one that was not asked for longest is given up,
 # and what it has counted goes to its group (link, unit, function). MAX_GROUPS groups, MAX_LINKS
 # links with MAX_HOURS hours each, MAX_PAIRS pairs of hosts, MAX_TAPES masters with their last
-# requests. What has no room is counted together, under no name. A poll takes 2 to 10 KB in
-# practice, and 130 KB if it has ever new latencies and periods.
+# requests. Everything beyond these limits is counted together, under no name. A poll takes 2 to 10
+# KB in practice, and 130 KB if all its latencies and periods differ.
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ _NO_FRAME = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN
 Group = tuple[str, int, int]
 """Link, unit and function."""
 OTHER_LINKS = ""
-"""The name of the link under which all links are counted for which there is no room."""
+"""The name under which the links beyond MAX_LINKS are counted."""
 
 
 class Statistics:
-    """Takes transactions and events; the parts of its result can be read at any time."""
+    """Counts transactions and events; its attributes, the results, can be read at any time."""
 
     def __init__(self, format_of: Callable[[str], SerialFormat | None] = lambda _: None) -> None:
         """`format_of` gives the settings of a serial link; None if they are unknown."""
@@ -58,9 +58,9 @@ class Statistics:
         self.links: dict[str, LinkStatistics] = {}
         self.polls: OrderedDict[PollKey, PollStatistics] = OrderedDict()
         self.polls_seen = 0
-        """How many polls there were, those included that were given up."""
+        """The number of polls so far, including those that were given up."""
         self.groups: dict[Group, RequestTally] = {}
-        """What belongs to no poll: responses without request, and polls that were given up."""
+        """Transactions that belong to no poll: responses without request, and polls given up."""
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
@@ -94,7 +94,7 @@ class Statistics:
             tape.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
-        """Put in order what still waits: all of it, or what was asked before a time."""
+        """Put the waiting transactions in order: all, or those whose request came before a time."""
         while self._heap and (before_ns is None or self._heap[0][0] < before_ns):
             self._order(*heappop(self._heap))
 

@@ -1,7 +1,8 @@
-"""Counts how the TCP connections of each master to each slave were opened, closed and kept."""
+"""Counts how the TCP connections of each master to each slave were opened, kept and closed."""
 
-# What closed a connection, and the keep-alive probes on it, are read from the message of its
-# CLOSED event, which logs hold too. Memory: one tally for each pair of hosts, the caller's bound.
+# The reason for closing a connection, and its keep-alive probes, are read from the message of its
+# CLOSED event, which logs hold too. Memory: one tally for each pair of hosts; the caller limits
+# their number.
 
 from __future__ import annotations
 

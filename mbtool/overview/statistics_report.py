@@ -1,4 +1,4 @@
-"""Puts what was counted together, link by link, for tables and documents."""
+"""Arranges the counts of `Statistics` by link, for tables and documents."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class PollReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterReport:
-    """What one master asks of a link in cycles."""
+    """The lists that one master polls in cycles on a link."""
 
     master: str
     """The master's host; empty on a serial line."""
     requests: int
-    """The number of the last requests that were looked at."""
+    """The number of requests that were examined, the last ones."""
     lists: PollLists[PollStatistics]
 
 
@@ -73,7 +73,7 @@ class LinkReport:
     hours: list[HourCount]
 
     def rate(self, count: int) -> float | None:
-        """So many requests as requests per second; None if no time passed."""
+        """The requests per second if `count` requests were seen; None if no time passed."""
         return count * 1e9 / self.watched_ns if self.watched_ns else None
 
 

@@ -64,8 +64,8 @@ from mbtool.packets.stream_events import (
 )
 
 PATIENCE = 3
-"""If the capture swapped two packets of a connection, at most so many other packets of it lie
-between the two."""
+"""If the capture swapped two packets of a connection, at most this many other packets of the
+connection lie between the two."""
 PATIENCE_NS = 100_000_000
 """The longest time between two packets which the capture swapped, in ns."""
 HOLE_NS = 10_000_000_000
@@ -110,7 +110,7 @@ class TcpConnection:
         """The time of the segment taken last, in ns."""
         self.keep_alives = 0
         self.unanswered_probes = 0
-        """How many keep-alive probes one end has sent since the other end last sent anything."""
+        """The keep-alive probes that one end has sent since the other end last sent anything."""
         self._prober: Stream | None = None
         """The direction of the end that sent the last keep-alive probe."""
         self._master_is_lower = master_is_lower
@@ -121,8 +121,7 @@ class TcpConnection:
         requests = Stream(Direction.REQUEST, identity.master, identity.slave)
         responses = Stream(Direction.RESPONSE, identity.slave, identity.master)
         self._directions = ((requests, responses), (responses, requests))
-        """Two pairs of streams, the sender's first: one if the master sends, one if the slave
-        does."""
+        """Pairs of streams, the sender's first: the first pair is for segments of the master."""
         out.append(StreamOpened(ts_ns, identity, joined))
 
     @property
@@ -133,14 +132,14 @@ class TcpConnection:
 
     @property
     def rest(self) -> RestPlace | None:
-        """Where the connection stands; None if it has ended, or if something is held or open."""
+        """The numbers of the next bytes; None if the connection has ended or holds something."""
         ways = self._directions[0]
         if self.closed or not all(way.is_at_rest for way in ways):
             return None
         return RestPlace(*(way.next_sequence for way in ways), *(way.position for way in ways))
 
     def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
-        """Take segments up to a response, in order, that were read elsewhere; it is at rest."""
+        """Take segments that were read elsewhere, in order, up to a response; nothing is held."""
         for (stream, _), passed in zip(self._directions, (requests, responses), strict=True):
             stream.pass_plain(passed, self._arrivals)
         self._arrivals += responses.last_segment
@@ -178,8 +177,8 @@ class TcpConnection:
     ) -> None:
         """Take a segment of this connection; a closed connection ignores it.
 
-        The caller sorts the two ends by port and address; `from_lower` is True if the lower sent
-        it. `origin` is the packet that brought it.
+        The caller sorts the two ends by port and address; `from_lower` is True if the lower end
+        sent the segment. `origin` is the packet that brought the segment.
         """
         self.last_ns = self._now_ns = ts_ns
         if self.closed:
@@ -368,7 +367,7 @@ class TcpConnection:
 
         `force` gives up all holes.
         """
-        # Each pass delivers a piece or closes a hole, so the loop ends.
+        # Each pass delivers a piece or gives up a hole, so the loop ends.
         moved = True
         while moved:
             moved = False
@@ -385,7 +384,7 @@ class TcpConnection:
                 moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
-        """Stop waiting for the bytes before the first held piece, if they had time enough to come.
+        """Give up the hole before the first held piece, if its bytes had enough time to come.
 
         Returns True if a piece or a gap was delivered.
         """

@@ -53,10 +53,10 @@ _IPV4_HEADER = struct.Struct(">BxHHHBBH")
 _IPV6_HEADER = struct.Struct(">IHBB")
 
 Key = tuple[bytes, bytes, int, int]
-"""What the fragments of one packet have in common: source address, destination address, protocol (0
-in IPv6) and identification."""
+"""The fields that the fragments of one packet have in common: source address, destination address,
+protocol (0 in IPv6) and identification."""
 _Header = tuple[Key, int, int, bool, int, int]
-"""What the headers of a fragment say: its key, the protocol at the start of the packet's payload,
+"""The fields of a fragment's headers: its key, the protocol at the start of the packet's payload,
 the fragment's offset in that payload, True if it is the last fragment, and the offsets in the
 captured packet at which its data begins and ends."""
 
@@ -79,7 +79,7 @@ class Overlap(Enum):
 
     NONE = 0
     SAME = 1
-    """Where fragments overlap they have the same bytes, but they begin or end at other places."""
+    """Where fragments overlap they have the same bytes, but their beginnings or ends differ."""
     DIFFERENT = 2
     """Where fragments overlap they have different bytes, or they contradict the packet's length."""
 
@@ -105,7 +105,7 @@ class Datagram:
     pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
     """Start, end and bytes of each piece of the payload, in order, without overlaps."""
     held: int = 0
-    """How many bytes of the packet the pieces cover."""
+    """The number of bytes of the packet that the pieces cover."""
     total: int | None = None
     """The length of the packet's payload in bytes; None until its last fragment has come."""
     overlap: Overlap = Overlap.NONE
@@ -259,7 +259,7 @@ class Fragments:
 
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
-    """Read the fragment that an IP packet at an offset is; None if it is no fragment of TCP."""
+    """Read the IP packet at an offset as a fragment; None if it is no fragment of TCP."""
     found = None
     if len(data) >= at + 20 and data[at] >> 4 == 4:
         found = _read_ipv4(data, at, original_length)

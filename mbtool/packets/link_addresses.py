@@ -1,8 +1,8 @@
 """Reads MAC addresses and VLAN in the header of the link layer."""
 
 # Ethernet begins with the receiver's and the sender's address. The cooked headers of Linux have the
-# sender's only: type 113 at byte 6, type 276 at byte 12, each 8 bytes long, of which a length in
-# front says how many count. VLAN tags follow as link_layer.py describes them; each begins behind
+# sender's only: type 113 at byte 6, type 276 at byte 12, each in a field of 8 bytes, with the
+# address's length in front. VLAN tags follow as link_layer.py describes them; each begins behind
 # its EtherType with 4 bits of priority and 12 bits of id. The id 0 only carries a priority.
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from mbtool.core import LinkAddresses
 from mbtool.packets.link_layer import HSR, TAGGED, VLAN
 
 MAX_CACHED_HEADERS = 4096
-"""Headers whose addresses are kept; beyond that the one that was not used longest is dropped."""
+"""The addresses of this many headers are kept; beyond that the least recently used are dropped."""
 
 _MAC = 6
 _ETHERNET, _COOKED, _COOKED_V2 = 1, 113, 276

@@ -44,7 +44,7 @@ def behind_ethernet(data: bytes, at: int) -> int:
 def _behind(data: bytes, kind: bytes, at: int) -> int:
     """The offset of the IP header behind the tags and headers that begin at an offset, or NOT_IP.
 
-    `kind` is the EtherType of the first of them.
+    `kind` is the EtherType of the first of these tags and headers.
     """
     while kind in TAGGED:  # A tag ends with the EtherType of what follows.
         at += 6 if kind == HSR else 4

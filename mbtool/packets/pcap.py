@@ -44,14 +44,14 @@ PCAP_MAGICS = tuple(_FORMATS)
 
 
 class PcapForm(NamedTuple):
-    """What the header of a pcap file tells of its records."""
+    """The form of a pcap file's records, as the file header gives it."""
 
     order: str
     """The byte order, as struct writes it."""
     unit_ns: int
     """The nanoseconds in one unit of the fraction of a second."""
     extra: int
-    """How many bytes more than usual the header of each record has."""
+    """The number of bytes that each record's header has beyond the usual 16."""
     link_type: int
 
 

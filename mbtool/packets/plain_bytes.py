@@ -12,17 +12,17 @@ class PlainBytes(NamedTuple):
     tail: bytes
     """The last of these bytes: stream.RECENT_BYTES of them, or all if there are fewer."""
     last_segment: int
-    """Which segment of the stretch brought the last byte, counted from 1 over both directions."""
+    """The number of the segment that brought the last byte, counted from 1 over both directions."""
     last_ns: int
-    """The time of that segment, in UTC ns."""
+    """The time of the segment that brought the last byte, in UTC ns."""
 
 
 class RestPlace(NamedTuple):
-    """Where a connection stands that waits for nothing and holds nothing."""
+    """The numbers of the next bytes of a connection that waits for nothing and holds nothing."""
 
     request_sequence: int
     """The sequence number of the next byte of a request."""
     response_sequence: int
     request_position: int
-    """The position of that byte in its direction, as in a StreamPlace."""
+    """The position of the next byte of a request in its direction, as in a StreamPlace."""
     response_position: int

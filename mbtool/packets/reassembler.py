@@ -52,11 +52,11 @@ if TYPE_CHECKING:
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
-"""How many connections may hold bytes at once until the bytes before those have come."""
+"""At most this many connections hold bytes at once, until the bytes before those have come."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096
-"""How many messages are remembered, so that each is given only once for an interface."""
+"""At most this many messages are remembered, so that each is given only once for an interface."""
 _SERIAL_HINT = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
 _TCP_HEADER_SEEN = 14
 """The number of bytes of the TCP header up to and including its flags."""
@@ -89,7 +89,8 @@ class TcpReassembler:
         self._packet: Packet | None = None
         """The packet that is being read."""
         self._ip_at = 0
-        """The offset of its IP header; 0 if the header of the link layer is of no interest."""
+        """The offset of the IP header in `_packet`; 0 if its link layer header is of no
+        interest."""
 
     def feed(self, packet: Packet) -> list[StreamItem]:
         """Take a packet; return what it completes. Never raises, whatever the packet contains."""
@@ -120,7 +121,7 @@ class TcpReassembler:
         return self._connections.get(("", *ends))
 
     def may_drop(self, now_ns: int, more: int) -> bool:
-        """True if a connection may be dropped until a time while `more` packets come."""
+        """True if a connection may be dropped until `now_ns`, if at most `more` are opened."""
         if len(self._connections) + more > MAX_CONNECTIONS:
             return True
         oldest_ns = min((one.last_ns for one in self._connections.values()), default=now_ns)
@@ -131,8 +132,8 @@ class TcpReassembler:
     ) -> list[tuple[int, list[StreamItem]]]:
         """Note packets of followed connections that were read elsewhere.
 
-        `times[start:end]` are their times in ns, ascending. Returns what these times deliver of
-        other connections, each with the index of its time.
+        `times[start:end]` are the packets' times in ns, ascending. Returns the items of other
+        connections that become due at these times, each list with the index of its time.
         """
         delivered = []
         at = start
@@ -147,7 +148,7 @@ class TcpReassembler:
         return delivered
 
     def note_used(self, flows: Iterable[FlowEnds]) -> None:
-        """Take connections as used least recently, in this order, after all others."""
+        """Mark connections as the most recently used ones, the last one as the very latest."""
         for ends in flows:
             if ("", *ends) in self._connections:
                 self._connections.move_to_end(("", *ends))

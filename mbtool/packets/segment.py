@@ -48,7 +48,7 @@ class TcpPlace(NamedTuple):
 
 
 class TcpSegment(NamedTuple):
-    """A TCP segment. It is a tuple, which is quick to make, since each packet makes one."""
+    """A TCP segment. A NamedTuple, as it is quick to make and each packet makes one."""
 
     source: bytes
     source_port: int
@@ -59,7 +59,7 @@ class TcpSegment(NamedTuple):
     flags: int
     payload: bytes
     missing: int
-    """How many bytes at the end of the payload the capture did not keep."""
+    """The number of bytes at the end of the payload that the capture did not keep."""
 
 
 def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:

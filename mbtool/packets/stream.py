@@ -1,4 +1,4 @@
-"""One direction of a TCP connection: which bytes have come, which are held, which are missing."""
+"""Follows one direction of a TCP connection: delivered, held and missing bytes."""
 
 # A position counts the bytes of the stream from its beginning and, unlike a sequence number, does
 # not wrap. A sequence number becomes a position by its distance from the next expected sequence
@@ -48,7 +48,8 @@ class HeldBytes(NamedTuple):
     """Empty if the capture did not keep the bytes."""
     acknowledged: int
     """The position that the other direction must reach before these bytes are delivered, since
-    their segment acknowledges it. 0 if they need not wait, for example as it was reached before.
+    their segment acknowledges it. 0 if the bytes need not wait, for example because that position
+    was reached before.
     """
     ts_ns: int
     arrival: int
@@ -107,7 +108,7 @@ class Stream:
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
-        """Of all bytes delivered, those captured last: the number and the time of their packet."""
+        """The number and the time (ns) of the latest packet whose bytes were delivered."""
         self._recent = b""
         self._gaps: list[tuple[int, int]] = []
         self._acknowledgements: list[tuple[int, int, int]] = []
@@ -130,7 +131,8 @@ class Stream:
     def take_syn(self, sequence: int) -> int:
         """Begin the stream behind a SYN, if it has no beginning yet.
 
-        `sequence` is the number of the SYN. Returns the one after it: that of the first byte.
+        `sequence` is the number of the SYN. Returns the next number, which is that of the first
+        byte.
         """
         sequence = sequence + 1 & _MASK
         if self.beginning is None:
@@ -138,11 +140,11 @@ class Stream:
         return sequence
 
     def decide_syn(self, sequence: int) -> None:
-        """Find out if the sender counts its SYN, which carried bytes, as one sequence number.
+        """Find out if the sender counts its SYN (one with bytes) as one sequence number.
 
-        `sequence` is the number of the bytes after those in the SYN, or the acknowledgement of
-        those in the SYN. RFC 793 (3.3) says that a SYN counts. The stacks of some test tools do not
-        count it: then `sequence` is one lower than expected.
+        `sequence` is the number of the first byte after those in the SYN, or the acknowledgement of
+        the bytes in the SYN. RFC 793 (3.3) says that a SYN counts. The stacks of some test tools do
+        not count it: then `sequence` is one lower than expected.
         """
         if self.syn_end is None:
             return
@@ -182,7 +184,7 @@ class Stream:
         return (self.origin or 0) + self.position & _MASK
 
     def pass_plain(self, passed: PlainBytes, arrivals: int) -> None:
-        """Take bytes that came in order and were read elsewhere, behind `arrivals` segments."""
+        """Take bytes that were read elsewhere, in order; `arrivals` segments came before them."""
         self.advance(passed.tail, passed.size)
         self.latest = (arrivals + passed.last_segment, passed.last_ns)
 
@@ -249,7 +251,7 @@ class Stream:
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:
-        """Move the position on by `length` bytes that end with `data`; missing if that is empty."""
+        """Move on by `length` bytes, whose last ones are `data`; empty if they are missing."""
         self.position += length
         if not data:
             self._recent = b""
@@ -272,7 +274,7 @@ class Stream:
     def take_late(self, piece: HeldBytes) -> bytes:
         """The bytes of a piece that come after their hole was given up; empty if there are none.
 
-        Bytes are returned only once for each such hole.
+        Bytes are returned only once for each hole that was given up.
         """
         for gap in self._gaps:
             start, end = max(gap[0], piece.start), min(gap[1], piece.end)
@@ -301,7 +303,7 @@ class Stream:
     def hold(self, piece: HeldBytes) -> bool:
         """Hold those bytes of a piece that are not held yet.
 
-        Returns True if its other bytes, which are held already, differ from those held.
+        Returns True if bytes of the piece that are held already differ from the held copy.
         """
         differs = False
         merged: list[HeldBytes] = []

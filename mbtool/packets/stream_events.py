@@ -1,4 +1,4 @@
-"""What the reassembler reports beside the bytes of connections: their begin, gaps, events, end."""
+"""Items that the reassembler returns beside bytes: a connection's begin, gaps, events and end."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class StreamGap:
     connection: Connection
     direction: Direction
     missing: int
-    """How many bytes are missing; 0 if unknown, since the sequence numbers jumped too far."""
+    """The number of missing bytes; 0 if unknown, since the sequence numbers jumped too far."""
     kind: EventKind = EventKind.GAP
     """GAP, or CUT if the capture kept only part of a packet."""
 
@@ -61,9 +61,9 @@ class StreamClosed:
     connection: Connection
     reason: CloseReason
     keep_alives: int = 0
-    """How many keep-alive probes both ends sent."""
+    """The number of keep-alive probes of both ends."""
     unanswered_probes: int = 0
-    """How many of the last keep-alive probes got no answer."""
+    """The number of keep-alive probes at the end of the connection that got no answer."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 GRE_IN_FRAGMENTS = -2
-"""What find_inner returns instead of an offset if the packet is a fragment that carries GRE."""
+"""The result of find_inner, instead of an offset, for a fragment that carries GRE."""
 MAX_TUNNELS = 4
-"""How many tunnels are read at most if each contains the next."""
+"""The most tunnels that are read if each contains the next."""
 
 _VXLAN_PORT = 4789
 _VXLAN_FLAG = 0x08
