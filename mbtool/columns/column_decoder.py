@@ -290,7 +290,7 @@ class _TransactionArrays:
         self._response_ns = segments.ts_ns[responses]
 
     def packets(self, at: int, until: int, end: int) -> Int64s:
-        """The segments from transaction `at` up to `until`, or to the end of `at` if that is `end`."""
+        """The segments from transaction `at` up to `until`; only those of `at` if that is `end`."""
         stop = self.response_place[at] + 1 if until == end else self.request_place[until]
         return self._order[self.request_place[at] : stop]
 

@@ -93,7 +93,8 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     makers: list[str] = []
     identity: list[IdentityText] = []
     fit: ProfileFit | None = None
-    """None if the unit was not compared with profiles, as it never answered or is one too many."""
+    """None if the unit was not compared with profiles: it never answered, or a limit was
+    reached."""
     uses: list[FunctionUse] = []
     transactions: int = 0
     answered: int = 0
