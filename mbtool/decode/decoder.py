@@ -163,7 +163,7 @@ class Decoder:
         return [] if bus is None else self._to_records(bus.close())
 
     def break_lines(self) -> list[Record]:
-        """End all serial links, as bytes may be missing; connections have sequence numbers."""
+        """End all serial links, as bytes may be missing; TCP connections notice that themselves."""
         return [record for link in [*self._buses] for record in self.end_line(link)]
 
     @property

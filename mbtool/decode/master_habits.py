@@ -19,7 +19,8 @@ UNUSUAL = 3
 """A response that takes this many times as long as usual is slow."""
 MIN_LATE_NS = 30_000_000
 FIRST_LATE_NS = 100_000_000
-"""`late_ns` and `silence_ns` before the first response: no master times out sooner by default."""
+"""The result (ns) of `late_ns` and `silence_ns` before the first response: no master times out
+sooner by default."""
 FORGET = 20
 """Each response lowers the longest latency by 1/FORGET of itself: TCP may have retransmitted the
 segment of the slowest response."""
@@ -49,14 +50,14 @@ class MasterHabits:
         self._latest_answered = 0
         """The highest number of a request that had its response."""
         self.last_response_ns = 0
-        """When the last response was complete."""
+        """When the last response was complete, in ns."""
         self._slowest_ns: dict[int | None, int] = {}
-        """By function code, the longest that a response took; it falls by 1/FORGET each time."""
+        """By function code, the longest latency in ns; each response lowers it by 1/FORGET."""
         self._usual_ns: dict[int | None, int] = {}
-        """By function code, the mean latency of the last responses, in which a slow one counts as
-        twice the mean."""
+        """By function code, the mean latency of the last responses, in ns. A slow response counts
+        as twice the mean."""
         self._fastest_ns: dict[int | None, int] = {}
-        """By function code, the shortest time that a response took."""
+        """By function code, the shortest latency, in ns."""
         self._in_a_row = 0
         """The number of requests in a row that came while no other one waited."""
         self.is_sequential = False

@@ -95,7 +95,7 @@ class NetworkPairing:
         self._requests = 0
         """The number of requests so far."""
         self._unanswered: dict[tuple[int, bytes], int] = {}
-        """By unit and PDU, how many requests in a row had no answer."""
+        """By unit and PDU, the number of requests in a row that had no answer."""
         self._dropped = DroppedRequests()
         self.response_is_cut = False
         """True while the capture has only the start of a response that is not yet read."""
@@ -143,8 +143,8 @@ class NetworkPairing:
     ) -> list[Transaction]:
         """Note that the capture lacks `lost` bytes of one direction here; 0 if nobody knows.
 
-        `end` is the position behind them, if that is known. Returns the requests whose responses
-        were among them.
+        `end` is the position behind the lost bytes, if that is known. Returns the transactions of
+        requests whose responses are lost.
         """
         done: list[Transaction] = []
         if direction is Direction.REQUEST:

@@ -30,7 +30,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     """None if the capture lacks the request."""
     place: AduPlace | None = None
     is_pipelined: bool = False
-    """True if its master sent it while others waited for their responses."""
+    """True if the master sent it while other requests waited for their responses."""
     exists: bool = True
     """False for a request that the capture lacks, if the number of lost bytes does not show that
     there was one."""
@@ -70,7 +70,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         """True if a response has the form that the request asks for."""
         if self.adu is None or self.adu.missing:
             return True  # The capture lacks what it asks for.
-        expected = ExpectedResponse.of(self.adu.pdu)  # Remembered, so it is the quick way.
+        expected = ExpectedResponse.of(self.adu.pdu)  # Cached, so this is the quick way.
         if response.missing:
             size = response.size - _ADDED_BYTES[response.transport]
             return expected is not None and expected.fits_start(response.pdu, size)

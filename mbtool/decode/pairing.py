@@ -77,7 +77,7 @@ class Pairing:
         self._has_told = False
         """True if it was said that there are two masters."""
         self._unanswered: dict[tuple[int, bytes], int] = {}
-        """By unit and PDU, how many requests in a row had no answer."""
+        """By unit and PDU, the number of requests in a row that had no answer."""
 
     def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction | WireEvent]:
         """Take the next ADU, in order of time; return what it completes.

@@ -31,31 +31,35 @@ if TYPE_CHECKING:
 LATE = 1.0
 """The cost of a request that its master gives up: the unit of all costs here."""
 UNANSWERED = 1.2
-"""The cost of one request without a response in time. More than LATE: if a request was given up and
-the next one has no response in time either, the next response may still belong to the first."""
+"""The cost (in units of LATE) of one request without a response in time. More than LATE: if a
+request was given up and the next one has no response in time either, the next response may still
+belong to the first."""
 UNLIKELY = 0.25
-"""Extra cost of a response to a given-up request. Only used to choose between readings that cost
-about the same."""
+"""Extra cost (in units of LATE) of a response to a given-up request. Only used to choose between
+readings that cost about the same."""
 MARGIN = 0.9
-"""A reading is dropped if it costs this much more than the cheapest. Less than LATE, so that the
-responses to pipelined requests are not held back."""
+"""A reading is dropped if it costs this much more (in units of LATE) than the cheapest. Less than
+LATE, so that the responses to pipelined requests are not held back."""
 MISFIT = 2.0
-"""The cost of a response whose form does not fit its request. Costs are in units of LATE."""
+"""The cost (in units of LATE) of a response whose form does not fit its request."""
 OUT_OF_ORDER = 2.0
-"""Extra cost of a response to a request when a later request already has its response."""
+"""Extra cost (in units of LATE) of a response to a request when a later request already has its
+response."""
 UNASKED = 6.0
-"""The cost of a response that no request asked for: more than all other costs together."""
+"""The cost (in units of LATE) of a response that no request asked for: more than all other costs
+together."""
 TOO_EARLY = 1.0
-"""Extra cost of a response in less than half the shortest latency of this slave so far."""
+"""Extra cost (in units of LATE) of a response in less than half the shortest latency of this slave
+so far."""
 TOO_SLOW = 0.5
-"""Extra cost of a response that comes after `MasterHabits.slow_ns`, if its request is not given
-up."""
+"""Extra cost (in units of LATE) of a response that comes after `MasterHabits.slow_ns`, if its
+request is not given up."""
 OTHER_ID = 4.0
-"""The cost of a response to a request that the capture lacks, although a captured request with the
-same id waits."""
+"""The cost (in units of LATE) of a response to a request that the capture lacks, although a
+captured request with the same id waits."""
 NOT_LIKELY = 0.95
-"""The cost of a response to a request that the capture lacks, if possibly there was no such
-request. Above MARGIN, so that a captured request gets the response if it can."""
+"""The cost (in units of LATE) of a response to a request that the capture lacks, if possibly there
+was no such request. Above MARGIN, so that a captured request gets the response if it can."""
 
 MAX_LATE = 4
 """The number of given-up requests, the newest ones, that may get a late response.
@@ -218,7 +222,7 @@ class PairReading:
 
 
 def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> bool:
-    """True if an earlier request is answered before a later one, or never."""
+    """True if a slave that answers the later request has answered the earlier one or never will."""
     if one.adu is None or other.adu is None:
         return not habits.ids_vary
     return one.adu.transaction_id == other.adu.transaction_id
@@ -333,7 +337,7 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
 
 
 def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
-    """The numbers of first requests whose responses can have `lost` bytes together."""
+    """Each n for which the responses to the first n requests can have `lost` bytes together."""
     sums = {0}
     any_size = 0
     for count, one in enumerate(waiting, 1):
@@ -346,7 +350,7 @@ def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
 
 
 def without_costly(readings: list[PairReading]) -> list[PairReading]:
-    """The readings that are nearly as cheap as the cheapest one; of equal ones only one."""
+    """The readings nearly as cheap as the cheapest; of those with equal waiting requests, one."""
     limit = min(reading.cost for reading in readings) + MARGIN
     kept: dict[tuple[int, ...], PairReading] = {}
     for reading in sorted(readings, key=likely_cost):

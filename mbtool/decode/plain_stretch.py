@@ -4,7 +4,8 @@
 # follows each request, with its transaction id, unit and function, in at most TIMEOUT_NS; each
 # segment acknowledges all bytes that came before it; and times do not go back. A connection at rest
 # decodes such a stretch in one way only, whatever it knows of its master. So the transactions can
-# be read from arrays (columns/), and the decoder only has to know afterwards what it would know.
+# be read from arrays (columns/), and afterwards the decoder is told what it would have learned from
+# them.
 
 from __future__ import annotations
 

@@ -81,9 +81,11 @@ class TapPair:
         self._answered_ns: int | None = None
         """When the last response ended; None if a request has followed."""
         self._ahead_ns = 0
-        """By how many ns responses seem early, learned from pairs; negative if they seem late."""
+        """The time, in ns, by which responses seem early (negative: late), learned from earlier
+        ones."""
         self._misplaced = 0
-        """Frames that only the other side can have sent; -1 once the ports are known."""
+        """The number of frames that only the other side can have sent; -1 once the ports are
+        known."""
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one.

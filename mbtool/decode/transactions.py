@@ -39,8 +39,10 @@ def with_response(
     verdicts: tuple[Verdict, ...],
     confidence: float = 1.0,
 ) -> Transaction:
-    """A request with its response; `verdicts` and `confidence` are about their belonging
-    together.
+    """The transaction of a request and its response.
+
+    `verdicts` and `confidence` tell how surely the two belong together; they are combined with
+    those of the two frames.
     """
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if request.missing or response.missing:
@@ -187,7 +189,7 @@ class _RequestFacts(msgspec.Struct, frozen=True):
     sub_function: int | None
     address: int | None
     quantity: int | None
-    """How many registers or bits; 1 for a write of a single value."""
+    """The number of registers or bits; 1 for a write of a single value."""
     write_address: int | None
     write_quantity: int | None
     values: tuple[int, ...] | None

@@ -11,10 +11,10 @@
 from __future__ import annotations
 
 ENOUGH_COPIES = 3
-"""So many requests in a row must come twice if silences are not heard, or if a request has come
-once."""
+"""This many requests in a row must come twice before the adapter counts as echoing, if silences are
+not heard or if some request has come only once."""
 ENOUGH_SINGLE = 3
-"""After so many requests in a row without a copy, the adapter does not echo any more."""
+"""After this many requests in a row without a copy, the adapter counts as not echoing."""
 ECHOES = "this adapter echoes what it sends: the second copy of each request is no request"
 ECHO = "the adapter's echo of the request before"
 
@@ -33,7 +33,7 @@ class AdapterEcho:
         self.reason = ECHOES
         """The reason that the next copy gets: ECHOES the first time, then ECHO."""
         self.last = b""
-        """The last frame if that was a request and no copy of it has come; otherwise empty."""
+        """The last frame if it was a request and has not been copied; otherwise empty."""
         self._is_certain = False
         """True if the form of the request in `last` rules out a response."""
         self._is_copied = False
@@ -43,7 +43,7 @@ class AdapterEcho:
         self._singles = 0
         """The number of requests in a row that came only once."""
         self._has_single = False
-        """True if a request has ever come once."""
+        """True if some request has come only once."""
 
     def awaits(self, data: bytes) -> bool:
         """True if `data`, the bytes held, may become the copy of the last request."""

@@ -15,97 +15,106 @@ from __future__ import annotations
 # Who speaks: the cost of a frame as a request or as a response, given the bus state.
 
 REQUEST = 1.0
-"""The cost of a request while none is pending: the ordinary case."""
+"""The cost, in bits, of a request while none is pending: the ordinary case."""
 NEW_REQUEST = 2.0
-"""Extra cost of a request that this line has not carried before: masters poll the same list."""
+"""Extra cost, in bits, of a request that this line has not carried before: masters poll the same
+list."""
 RESPONSE = 0.0
-"""The cost of a response that fits the pending request."""
+"""The cost, in bits, of a response that fits the pending request."""
 PREVIOUS_UNANSWERED = 5.0
-"""Extra cost of a request that differs from the one still pending: on a bad line, one request in
-thirty gets no response."""
+"""Extra cost, in bits, of a request that differs from the one still pending: on a bad line, one
+request in thirty gets no response."""
 RETRY = 4.0
-"""Extra cost of a request that equals the one still pending, as a retry does. A start value,
-which the line statistics replace."""
+"""Extra cost, in bits, of a request that equals the one still pending, as a retry does. A start
+value, which the line statistics replace."""
 RETRY_LIMITS = (2.0, 7.0)
 """The least and the most, in bits, that the learned cost of a retry can become."""
 SECOND_RETRY = 2.0
-"""Extra cost of a retry of a retry: a slave that missed two requests often misses the third."""
+"""Extra cost, in bits, of a retry of a retry: a slave that missed two requests often misses the
+third."""
 REPEAT_AFTER_RESPONSE = 5.0
-"""Extra cost of a request that equals the one just answered, if silences cannot tell it from a
-second response: masters usually go on to the next request of their list. A start value, which the
-line statistics replace."""
+"""Extra cost, in bits, of a request that equals the one just answered, if silences cannot tell it
+from a second response: masters usually go on to the next request of their list. A start value,
+which the line statistics replace."""
 REPEAT_AFTER_RESPONSE_LIMITS = (0.0, 10.0)
 """The least and the most, in bits, that the learned cost of a request that equals the one just
 answered can become. It becomes 0 for a master that sends a single request again and again."""
 REPEAT_AGAIN = 1.0
-"""Extra cost of the same request once more after it was repeated and answered: a master that writes
-one value in a loop goes on with it."""
+"""Extra cost, in bits, of the same request once more after it was repeated and answered: a master
+that writes one value in a loop goes on with it."""
 LATE_RESPONSE = 2.0
-"""The cost of a response to the overdue request, after its retry or after damaged bytes."""
+"""The cost, in bits, of a response to the overdue request, after its retry or after damaged
+bytes."""
 LATE_RESPONSE_TO_OTHER = 5.0
-"""The cost of a response to the overdue request when the master has already sent a different
-request: about as rare as no response at all."""
+"""The cost, in bits, of a response to the overdue request when the master has already sent a
+different request: about as rare as no response at all."""
 MISMATCHED_RESPONSE = 10.0
-"""The cost of a response that has the unit and function of the pending request, but cannot answer
-it."""
+"""The cost, in bits, of a response that has the unit and function of the pending request, but
+cannot answer it."""
 UNREQUESTED_RESPONSE = 12.0
-"""The cost of a response that fits neither the pending nor the overdue request."""
+"""The cost, in bits, of a response that fits neither the pending nor the overdue request."""
 RESPONSE_AFTER_DAMAGE = 4.0
-"""The cost of a response without a request when damaged bytes came before it and no request is
-pending: its request may be among the damaged bytes."""
+"""The cost, in bits, of a response without a request when damaged bytes came before it and no
+request is pending: its request may be among the damaged bytes."""
 RESPONSE_AT_START = 6.0
-"""The cost of a response as the first frame of a capture: its request came before the capture
-began."""
+"""The cost, in bits, of a response as the first frame of a capture: its request came before the
+capture began."""
 UNREQUESTED_EXCEPTION = 4.0
-"""Extra cost of an exception response that follows damaged bytes, if its function was never
-requested of its unit: masters poll the same list."""
+"""Extra cost, in bits, of an exception response that follows damaged bytes, if its function was
+never requested of its unit: masters poll the same list."""
 REQUEST_FITS_PENDING = 9.0
-"""Extra cost of calling a frame a request when its unit, function and byte count are those of the
-expected response, and as a request it is implausible or was never heard before."""
+"""Extra cost, in bits, of calling a frame a request when its unit, function and byte count are
+those of the expected response, and as a request it is implausible or was never heard before."""
 ECHO_OF_READ = 16.0
-"""The cost of a response that equals its request, if slaves do not echo that function. For a read
-of bits, 24 bits of data would have to agree by chance."""
+"""The cost, in bits, of a response that equals its request, if slaves do not echo that function.
+For a read of bits, 24 bits of data would have to agree by chance."""
 REQUEST_EQUALS_RESPONSE = 12.0
-"""Extra cost of a request that equals the last response: it is probably that response again."""
+"""Extra cost, in bits, of a request that equals the last response: it is probably that response
+again."""
 UNLIKE_FIRST_RESPONSE = 6.0
-"""Extra cost of a second response to the same request, if it differs in length from the first, or
-if only one of the two is an echo."""
+"""Extra cost, in bits, of a second response to the same request, if it differs in length from the
+first, or if only one of the two is an echo."""
 ECHO_OF_UNKNOWN_FUNCTION = 4.0
-"""The cost of a response that equals its request, if mbtool does not know whether slaves echo that
-function."""
+"""The cost, in bits, of a response that equals its request, if mbtool does not know whether slaves
+echo that function."""
 ECHO_IN_TIME = -1.0
-"""Taken off the cost of an echo of an unknown function that arrives within this line's longest
+"""Bits taken off the cost of an echo of an unknown function that arrives within this line's longest
 response time: masters wait longer before a retry, so the frame is no retry."""
 MALFORMED = 6.0
-"""The cost of a frame whose CRC is correct but whose PDU breaks the rules of its function: a test
-tool or an odd device sent it."""
+"""The cost, in bits, of a frame whose CRC is correct but whose PDU breaks the rules of its
+function: a test tool or an odd device sent it."""
 IMPLAUSIBLE_REQUEST = 6.0
-"""Extra cost of a frame with the length of a request and contents that no master sends."""
+"""Extra cost, in bits, of a frame with the length of a request and contents that no master
+sends."""
 RESERVED_UNIT = 3.0
-"""Extra cost of a frame with a unit of 248 to 255, which are reserved (Serial Line V1.02, 2.2)."""
+"""Extra cost, in bits, of a frame with a unit of 248 to 255, which are reserved (Serial Line V1.02,
+2.2)."""
 EARLY_REQUEST = 4.0
-"""Extra cost of a request when another one has been pending for less than this line's longest
-response time: masters wait longer."""
+"""Extra cost, in bits, of a request when another one has been pending for less than this line's
+longest response time: masters wait longer."""
 SLOW_DOUBLINGS = 3.0
 """An echo of a function that was not heard before may take up to 8 times (3 doublings) as long as
 the longest response of this line: writes to an EEPROM do."""
 SHORT_PAUSE = 5.0
-"""Extra cost of a request that equals the one just answered and comes sooner than this master ever
-goes on after a response: it is probably the response to a retry."""
+"""Extra cost, in bits, of a request that equals the one just answered and comes sooner than this
+master ever goes on after a response: it is probably the response to a retry."""
 SHORT_PAUSE_SHARE = 0.5
-"""A pause is short if it is shorter than this share of the shortest pause of the line."""
+"""A pause (from a response to the next request) is short if it is shorter than this share of the
+shortest pause of the line so far."""
 LATE = 3.0
-"""The cost of a response that takes longer than the longest response time of this line."""
+"""The cost, in bits, of a response that takes longer than the longest response time of this
+line."""
 LATE_PER_DOUBLING = 3.0
-"""Extra cost of a late response for each doubling of this line's longest response time."""
+"""Extra cost, in bits, of a late response for each doubling of this line's longest response
+time."""
 MAX_LATENESS = 8.0
 """The most bits that the lateness of a response costs: even later ones are no less likely."""
 MAX_ECHO_LATENESS = 14.0
 """The most bits that lateness costs for an echo. It is higher than for other responses, since a
 late echo may be a retry instead: some masters wait very long before a retry."""
 SHORT_TIMEOUT = 4.0
-"""Extra cost of a retry for each halving of the usual least timeout of masters, 200 ms, if this
-master's timeout is not known."""
+"""Extra cost, in bits, of a retry for each halving of the usual least timeout of masters, 200 ms,
+if this master's timeout is not known."""
 LATE_BEFORE_TIMEOUT = 3.0
 """The most bits that lateness costs for an echo if the master is known to wait that long."""
 LATE_AS_OTHERS = 2.0
@@ -122,15 +131,15 @@ SOONER = 0.8
 """An echo was a response, not a retry, if the master sends its next request in less than this share
 (0 to 1) of the time that the echo took: after a retry it would have waited as long again."""
 SILENT_UNIT = 3.5
-"""The cost of an echo from a unit that has never sent any other response, on a line where other
-units have: the unit may be absent, and the echo may be a retry of the master."""
+"""The cost, in bits, of an echo from a unit that has never sent any other response, on a line where
+other units have: the unit may be absent, and the echo may be a retry of the master."""
 MIN_UNANSWERED = 1.0
-"""The least extra cost of one more request without a response, to a unit that is probably
+"""The least extra cost, in bits, of one more request without a response, to a unit that is probably
 absent."""
 REVERSED_PAIR = 6.0
-"""Extra cost of an echo when the silence before it is more than twice the silence before its
-request, and no frame so far had a certain direction: the two frames are probably a response and the
-next request."""
+"""Extra cost, in bits, of an echo when the silence before it is more than twice the silence before
+its request, and no frame so far had a certain direction: the two frames are probably a response and
+the next request."""
 
 # Where frames are: the cost of the segments of a path.
 
@@ -140,70 +149,72 @@ such runs are rare on a good line. A start value, which the line statistics repl
 SKIP_LIMITS = (3.0, 10.0)
 """The least and the most, in bits, that the learned cost of the first skipped byte can become."""
 NOISE = 7.0
-"""The cost of a skipped byte of 00, F8, FC, FE or FF directly after a frame: receivers hear such
-bytes when the bus changes direction. A start value, which the line statistics replace."""
+"""The cost, in bits, of a skipped byte of 00, F8, FC, FE or FF directly after a frame: receivers
+hear such bytes when the bus changes direction. A start value, which the line statistics replace."""
 NOISE_LIMITS = (2.0, 9.0)
 """The least and the most, in bits, that the learned cost of noise after a frame can become."""
 MIN_NOISE_IN_WINDOW = 4.0
-"""The least cost of noise after a frame. Each run of skipped bytes makes the next run in the same
-window 1 bit cheaper, but not cheaper than this."""
+"""The least cost, in bits, of noise after a frame. Each run of skipped bytes makes the next run in
+the same window 1 bit cheaper, but not cheaper than this."""
 SKIP_PER_BYTE = 0.25
-"""The cost of each skipped byte after the first, and of each byte of a damaged frame."""
+"""The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0
 """The most bits that the length of a damaged frame costs if silences bound the frame and frames are
 never glued on this line: its length is then certain."""
 CRC_COINCIDENCE = 16.0
-"""The cost of taking bytes for no frame although they have a known form and a correct CRC: chance
-makes such a CRC once in 65,536 times."""
+"""The cost, in bits, of taking bytes for no frame although they have a known form and a correct
+CRC: chance makes such a CRC once in 65,536 times."""
 UNKNOWN_CRC_COINCIDENCE = 8.0
-"""The cost of taking bytes for no frame although they have a correct CRC at some length that their
-function does not tell: about 256 lengths were tried, so chance makes one of them fit more often."""
+"""The cost, in bits, of taking bytes for no frame although they have a correct CRC at some length
+that their function does not tell: about 256 lengths were tried, so chance makes one of them fit
+more often."""
 DAMAGED = 10.0
-"""The cost of a frame of the expected size with a wrong CRC."""
+"""The cost, in bits, of a frame of the expected size with a wrong CRC."""
 DAMAGED_OTHER_SIZE = 3.0
-"""Extra cost of a damaged frame that lost bytes, or whose size only the silences around it tell."""
+"""Extra cost, in bits, of a damaged frame that lost bytes, or whose size only the silences around
+it tell."""
 ONE_WRONG_BIT = 2.0
-"""The cost of a damaged frame whose CRC becomes correct by changing one bit. Of 400 frames of 20
-bytes with any other damage, one would show this by chance."""
+"""The cost, in bits, of a damaged frame whose CRC becomes correct by changing one bit. Of 400
+frames of 20 bytes with any other damage, one would show this by chance."""
 ONE_WRONG_BIT_PER_BYTE = 0.1
-"""Extra cost of each byte of a frame with one wrong bit: in a longer frame, more bits could by
-chance make the CRC correct."""
+"""Extra cost, in bits, of each byte of a frame with one wrong bit: in a longer frame, more bits
+could by chance make the CRC correct."""
 RARE_ONE_BIT = 2.0
-"""Extra cost of explaining damage by one wrong bit. A start value, which the line statistics
-replace."""
+"""Extra cost, in bits, of explaining damage by one wrong bit. A start value, which the line
+statistics replace."""
 RARE_ONE_BIT_LIMITS = (0.2, 8.0)
 """The least and the most, in bits, that the learned cost of one wrong bit can become."""
 NOT_UNDERSTOOD = 1.0
-"""Extra cost of supposing that the addressee did not understand a damaged frame either: the damage
-may have occurred on the wire, or only in this tap."""
+"""Extra cost, in bits, of supposing that the addressee did not understand a damaged frame either:
+the damage may have occurred on the wire, or only in this tap."""
 EXPECTED_CONTENT = -6.0
-"""Taken off the cost of a damaged or incomplete frame of which more than two bytes are as expected:
-a request heard before, the expected byte count of a response, or a write whose byte count agrees
-with its quantity."""
+"""Bits taken off the cost of a damaged or incomplete frame of which more than two bytes are as
+expected: a request heard before, the expected byte count of a response, or a write whose byte count
+agrees with its quantity."""
 UNEXPECTED_DAMAGED = 3.0
-"""Extra cost of a damaged frame that the bus state does not expect, or whose size only the silences
-around it tell."""
+"""Extra cost, in bits, of a damaged frame that the bus state does not expect, or whose size only
+the silences around it tell."""
 INCOMPLETE = 0.5
-"""The cost of the beginning of a frame whose other bytes may still arrive: waiting for them costs
-little."""
+"""The cost, in bits, of the beginning of a frame whose other bytes may still arrive: waiting for
+them costs little."""
 INCOMPLETE_IN_PLACE = -4.0
-"""Taken off the cost of an incomplete frame that follows a frame or a silence: a frame probably
-begins there."""
+"""Bits taken off the cost of an incomplete frame that follows a frame or a silence: a frame
+probably begins there."""
 INCOMPLETE_OVER_FRAME = 10.0
-"""Extra cost of an incomplete frame where a complete frame begins at the same byte."""
+"""Extra cost, in bits, of an incomplete frame where a complete frame begins at the same byte."""
 INCOMPLETE_DUE_OVER_FRAME = 7.0
-"""Extra cost of an incomplete frame where a complete frame begins at the same byte, if the bus
-state expects the longer, incomplete one."""
+"""Extra cost, in bits, of an incomplete frame where a complete frame begins at the same byte, if
+the bus state expects the longer, incomplete one."""
 INCOMPLETE_PER_BYTE = 0.1
-"""Extra cost of each byte of an incomplete frame: the longer the wait for its end, the less
-probable is it that the end comes."""
+"""Extra cost, in bits, of each byte of an incomplete frame: the longer the wait for its end, the
+less probable is it that the end comes."""
 INCOMPLETE_DUE_PER_BYTE = 0.02
-"""Extra cost of each byte of an incomplete frame that the bus state expects."""
+"""Extra cost, in bits, of each byte of an incomplete frame that the bus state expects."""
 INCOMPLETE_UNEXPECTED = 1.5
-"""Extra cost of an incomplete frame that the bus state does not expect."""
+"""Extra cost, in bits, of an incomplete frame that the bus state does not expect."""
 GLUED = 2.0
-"""The cost of a frame that begins without a silence before it. A start value, which the line
-statistics replace."""
+"""The cost, in bits, of a frame that begins without a silence before it. A start value, which the
+line statistics replace."""
 BEHIND_NOISE = 4.0
 """The most bits that a frame costs because skipped bytes hide the silence before it, if a silence
 follows it: then it is not part of the registers of a longer frame, whose CRC would follow."""
@@ -214,33 +225,33 @@ NEVER_GLUED = 5.0
 """If the learned cost of glued frames (frames without a silence between them) is above this, mbtool
 supposes that frames on this line are never glued."""
 SPLIT = 2.0
-"""The cost of a silence of t3.5 inside a frame. A start value, which the line statistics
+"""The cost, in bits, of a silence of t3.5 inside a frame. A start value, which the line statistics
 replace."""
 SPLIT_LIMITS = (0.2, 5.0)
 """The least and the most, in bits, that the learned cost of a silence inside a frame can become."""
 SPLIT_MORE = 0.25
-"""The cost of each further silence inside the same frame: an adapter that splits a frame in two
-often splits it into more pieces."""
+"""The cost, in bits, of each further silence inside the same frame: an adapter that splits a frame
+in two often splits it into more pieces."""
 UNKNOWN_FORM_BURST = 2.0
-"""The cost of a frame of no known form that has a correct CRC and extends from one silence to the
-next."""
+"""The cost, in bits, of a frame of no known form that has a correct CRC and extends from one
+silence to the next."""
 UNKNOWN_FORM = 6.0
-"""The cost of a frame of no known form that has a correct CRC but no silences at both ends. Any of
-253 lengths might have had a correct CRC by chance, which is 8 bits less evidence."""
+"""The cost, in bits, of a frame of no known form that has a correct CRC but no silences at both
+ends. Any of 253 lengths might have had a correct CRC by chance, which is 8 bits less evidence."""
 UNKNOWN_FORM_DUE = 2.0
-"""The cost of a frame of no known form and without silences at both ends, if it begins with the
-unit and function of a request that is pending, overdue or just answered: these two bytes are 16
-bits of evidence."""
+"""The cost, in bits, of a frame of no known form and without silences at both ends, if it begins
+with the unit and function of a request that is pending, overdue or just answered: these two bytes
+are 16 bits of evidence."""
 ENDS_IN_ZERO = 5.0
-"""Extra cost of a frame of no known form that ends in 00: its CRC is correct without that byte too.
-One frame in 256 ends in 00, and one stray byte in four is 00, so the frequency of stray bytes on
-this line decides."""
+"""Extra cost, in bits, of a frame of no known form that ends in 00: its CRC is correct without that
+byte too. One frame in 256 ends in 00, and one stray byte in four is 00, so the frequency of stray
+bytes on this line decides."""
 ENDS_IN_ZERO_MORE = 6.0
-"""Extra cost of each further 00 at the end of a frame of no known form: one byte in 256 of a CRC is
-00 (8 bits), but one stray byte in four (2 bits)."""
+"""Extra cost, in bits, of each further 00 at the end of a frame of no known form: one byte in 256
+of a CRC is 00 (8 bits), but one stray byte in four (2 bits)."""
 ZERO_BEFORE_SILENCE = 1.5
-"""Taken off ENDS_IN_ZERO if a silence follows the 00 at the end of the frame: a stray byte usually
-has a silence before it as well."""
+"""Bits taken off ENDS_IN_ZERO if a silence follows the 00 at the end of the frame: a stray byte
+usually has a silence before it as well."""
 
 # The beam: which paths the search (search.py) drops because they cost too much.
 

@@ -45,7 +45,7 @@ class FastPath:
         `max_size` is how many bytes are held when the search decides without waiting for a silence.
         """
         self.needed = MIN_FRAME
-        """How many bytes must be held before anything can be decided."""
+        """The number of bytes that must be held before anything can be decided."""
         self._model = bus_model
         self._speaker = speaker
         self._max_size = max_size

@@ -38,8 +38,8 @@ USUAL_RETRIES = 3
 """Masters seldom repeat a request more often than this."""
 
 CostParts = tuple[float, float]
-"""The cost of a frame in two parts, in bits: one for the bus state, one for the silence before the
-frame."""
+"""The cost, in bits, of a frame in two parts, in bits: one for the bus state, one for the silence
+before the frame."""
 
 
 def frame_cost(
@@ -88,7 +88,9 @@ def _request_cost(
 
 
 def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
-    """The cost of repeating the request just answered sooner than this line's usual pause."""
+    """The cost, in bits, of repeating the request just answered sooner than this line's usual
+    pause.
+    """
     if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
         return 0.0
     is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
@@ -98,7 +100,7 @@ def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> floa
 def _early_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, at_ns: int, *, is_retry: bool
 ) -> float:
-    """The cost of a request so early that the master should still wait for a response."""
+    """The cost, in bits, of a request so early that the master should still wait for a response."""
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         return costs.EARLY_REQUEST
@@ -118,7 +120,7 @@ def _may_be_second_response(answered: PendingRequest | None, unit: int, pdu: byt
 
 
 def _new_request_cost(pdu: bytes) -> float:
-    """The cost of a request that this line has not carried before."""
+    """The cost, in bits, of a request that this line has not carried before."""
     request = parse_pdu(pdu, Direction.REQUEST)
     if pdu[0] in FUNCTIONS and request.problem is None and not keeps_limits(request):
         return costs.NEW_REQUEST + costs.MALFORMED
@@ -175,7 +177,7 @@ def _late_response_cost(
 def _fitting_response_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, pdu: bytes, at_ns: int
 ) -> CostParts:
-    """The cost of a response that fits the pending request."""
+    """The cost, in bits, of a response that fits the pending request."""
     silence_ns, is_echo = at_ns - pending.awaited_from_ns, pdu == pending.pdu
     by_time = _lateness_cost(history, pending, silence_ns, is_echo=is_echo)
     if by_time and _is_only_a_response(history, pending, pending.unit, pdu):
@@ -200,7 +202,7 @@ def _fitting_response_cost(
 def _lateness_cost(
     history: LineHistory, pending: PendingRequest, silence_ns: int, *, is_echo: bool
 ) -> float:
-    """The cost of the silence between a request and its response."""
+    """The cost, in bits, of the silence between a request and its response."""
     latency = history.latency
     if not is_echo:
         doublings = latency.doublings_late(silence_ns)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mbtool.serial_line.bus_state import BusState, PendingRequest
 
 MAX_REQUESTS = 1024
-"""How many requests of a line are remembered; beyond that, the one heard least recently is
+"""At most this many requests of a line are remembered; beyond that, the one heard least recently is
 forgotten."""
 
 PAUSE_GROWTH = 1.01
@@ -42,7 +42,7 @@ class LineHistory:
         self.all_echo_latencies = LatencyStatistics()
         """The response times of all writes in `echo_latencies` together."""
         self.unanswered: dict[int, int] = {}
-        """By unit, how many requests in a row had no response."""
+        """By unit, the number of requests in a row that had no response."""
         self.answering: set[int] = set()
         """The units of which a response was heard that cannot be a request sent again."""
         self.shortest_pause_ns = 0.0
@@ -69,7 +69,7 @@ class LineHistory:
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
     def master_still_waits(self, waited_ns: int) -> bool | None:
-        """True if a master still waits for its response after `waited_ns`, False if it may not.
+        """True if a master surely still waits for a response after `waited_ns`; else False.
 
         None if silences tell nothing.
         """
@@ -80,7 +80,7 @@ class LineHistory:
         return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
-        """The cost, in bits, of supposing that a unit answers which gave no response lately.
+        """The cost, in bits, of supposing that a unit answers though it gave no response lately.
 
         It grows with the number of requests in a row that the unit did not answer. If silences do
         not tell who speaks, it is higher for a request that equals its response, to a unit that
@@ -119,7 +119,7 @@ class LineHistory:
             self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
                 waited_ns = start_ns - pending.awaited_from_ns
-                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Otherwise it is a copy.
+                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Otherwise an adapter's copy.
                     self.timeout.learn(waited_ns)
 
     def learn_latency(

@@ -45,15 +45,15 @@ HOLD_NS = 300_000_000
 """How long an incomplete frame is held: more than the longest latency timer of an FTDI adapter,
 255 ms."""
 MAX_SILENCES = 16
-"""After so many silences the bytes held are decided, though a frame may be incomplete. A frame
-delivered in pieces of 32 bytes has 8 silences."""
+"""After this many silences of t3.5 the bytes held are decided, even if a frame may be incomplete. A
+frame of 256 bytes that comes in pieces of 32 bytes has 8 silences."""
 
 UNSURE = 0.79
 """The most confidence of a frame that is ambiguous: just below `SURE`."""
 
 LONG_NOISE = 2 * WINDOW
 """After so many bytes without a frame, a full window is searched only if a frame with a correct CRC
-begins in it: no damaged frame would mean anything."""
+begins in it: among so much noise, a damaged frame would mean nothing."""
 
 _MAX_GLUED = 2**-0.8
 """If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
@@ -92,7 +92,7 @@ class RtuSplitter:
         self._decided_size = 0
         """The number of bytes held that the last search took for an incomplete frame."""
         self._silence_count = 0
-        """How many silences of t3.5 there were since bytes were last given out."""
+        """The number of silences of t3.5 since bytes were last given out."""
         self._silences_at: list[int] = []
         """The offsets of the bytes held that have a silence of t3.5 before them."""
         self._noise_size = 0
@@ -102,7 +102,8 @@ class RtuSplitter:
         self._follows_silence = True
         """True if a silence of t3.5 precedes the frame given out last."""
         self._last_end: tuple[int, Verdict] | None = None
-        """The end of the last byte given out, and the verdict on a frame directly after it."""
+        """The end time (ns) of the last byte given out; the verdict on a frame directly after
+        it."""
 
     @property
     def is_idle(self) -> bool:
@@ -245,7 +246,7 @@ class RtuSplitter:
     ) -> None:
         """Search for an explanation of all bytes held; give them out except an incomplete frame.
 
-        `keep` is how many of the last bytes stay undecided.
+        `keep` is the number of bytes at the end that stay undecided.
         """
         end = len(self._data)
         if keep and self._noise_size >= LONG_NOISE and not has_frame(self._data, self._roles):
@@ -270,7 +271,7 @@ class RtuSplitter:
             if segment.kind is SegmentKind.FRAME:
                 self._emit_frame(size, self._classified(segment), events)
                 if self._take_copy(events):
-                    # The search took the copy for a frame, so what it says of the rest is wrong.
+                    # The search took the copy for a frame, so its later segments are wrong.
                     if self._data:
                         self._search(
                             events, may_continue=may_continue, must_decide=must_decide, keep=keep
