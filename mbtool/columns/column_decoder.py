@@ -93,14 +93,16 @@ class DecodedBlock:
 
 def order_of(packets: Int64s) -> Int64s:
     """The sort numbers of results that packets themselves completed, by the packets' indices."""
-    return 2 * packets + 1  # 2 * packet is for what its time completes elsewhere.
+    return (
+        2 * packets + 1
+    )  # The even number before is for results that only the packet's time completes.
 
 
 class ColumnDecoder:
     """Takes the blocks of one capture in order."""
 
     def __init__(self, decoder: Decoder, ports: Iterable[int]) -> None:
-        """`decoder` follows these TCP ports only, and across interfaces."""
+        """`decoder` follows only the TCP ports `ports`, and joins packets of all interfaces."""
         self._decoder = decoder
         self._ports = frozenset(ports)
         self._flows = FlowNumbers()
@@ -172,9 +174,9 @@ class _BlockPass:
         """The segments before this index are counted in the order of the connections' last use."""
         self._decoded = DecodedBlock()
         self._taken: list[tuple[int, int, Connection]] = []
-        """The first and the last transaction, exclusive, of each stretch that was taken."""
+        """Of each stretch taken: its first transaction, the one behind its last, its connection."""
         self._ends_ns: dict[TcpConnection, int] = {}
-        """When the last stretch of each connection ended."""
+        """By connection, when its last stretch ended, in ns."""
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
@@ -203,7 +205,8 @@ class _BlockPass:
         self._note_used(len(self._times))
         self._decoder.note_time(int(self._block.ts_ns.max()))
         for connection, end_ns in self._ends_ns.items():
-            # Its own time may lag behind: later packets inside the stretch moved the clock on.
+            # Since the stretch was taken, the connection may have been told earlier times, of
+            # packets of other connections.
             connection.note_time(end_ns)
         self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
         return self._decoded
@@ -245,7 +248,9 @@ class _BlockPass:
         some = self._numbers[self._used : until]
         self._used = max(self._used, until)
         last = np.full(len(self._flows.ends), -1)
-        last[some] = np.arange(len(some))  # Of equal indices the last one counts.
+        last[some] = np.arange(
+            len(some)
+        )  # Where an index occurs twice, numpy keeps the last value.
         flows = np.flatnonzero(last >= 0)
         last_used = flows[np.argsort(last[flows])].tolist()
         self._decoder.reassembler.note_used(self._flows.ends[flow] for flow in last_used)

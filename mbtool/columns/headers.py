@@ -62,7 +62,7 @@ class Segments:
     """The segments of followed connections in a block. Each array has one element per segment."""
 
     index: Int64s
-    """The indices of their packets in the block."""
+    """The indices of the segments' packets in the block."""
     is_plain: Bools
     lower: Uint64s
     """The lower end of the connection: its port, then its address (port << 32 | address)."""
@@ -74,11 +74,11 @@ class Segments:
     acknowledged: Int64s
     flags: Int64s
     ip_at: Int64s
-    """The length of the header of the link layer, in front of the IP header."""
+    """The length, in bytes, of the link layer header in front of the IP header."""
     begin: Int64s
     """The offset of the payload in the data of the block."""
     size: Int64s
-    """The bytes of the payload; 0 in a segment that is not plain."""
+    """The number of payload bytes; 0 for a segment that is not plain."""
     ts_ns: Int64s
 
 

@@ -48,7 +48,7 @@ class PacketBlock:
     """Packets of a capture file. Each array has one element for each packet."""
 
     data: Octets
-    """The bytes of all packets, and others between them; SPARE bytes follow the last packet."""
+    """The bytes of all packets, with other bytes between them; SPARE bytes follow the last one."""
     starts: Int64s
     """The offset in `data` at which each packet begins."""
     captured: Int64s

@@ -49,7 +49,7 @@ _PAIR = np.dtype(">u2")
 _FIXED = 5
 """The size in bytes of a PDU of a function code, an address, and a quantity or value."""
 _COUNTED = 6
-"""The bytes of a request to write several, up to its byte count."""
+"""The size in bytes of a request to write several values, up to and with its byte count."""
 
 
 class PlainTables:
@@ -133,7 +133,7 @@ class PlainTables:
     def _names_of(
         self, rows: PlainRows, usual: _Usual, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
-        """The first row of each function, address and quantity; by row, the index of its like."""
+        """The first row of each function, address and quantity; by row, its index among these."""
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
         kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
         for key, index in zip(kinds.tolist(), chosen[first].tolist(), strict=True):

@@ -22,9 +22,9 @@
 # next header follows. Schneider's UMAS (function 5AH) sends such ADUs. - Out of step, an ADU of an
 # unknown function, or a longer one, is accepted if it also begins with a segment. An ADU of a known
 # function must begin with a segment, or end like the ADUs accepted in step. - While such an ADU is
-# incomplete, a whole ADU behind its header that begins and ends with a segment shows that the
-# header is none. If the header's function is known, whose PDU has another length, any whole ADU
-# that ends with a segment shows it.
+# incomplete, a whole ADU behind its header that begins and ends with a segment shows that it is no
+# header. If the header's function is known, whose PDU has another length, any whole ADU that ends
+# with a segment shows it.
 #
 # Without `by_segments`, which bytes are dropped depends on the bytes only, never on the ends of
 # chunks.

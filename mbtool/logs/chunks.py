@@ -58,7 +58,9 @@ class Unpacker:
         return True
 
     def unpack(self, content: bytes) -> bytes:
-        """Return the records of a chunk, of which `content` is all that follows its length.
+        """Return the unpacked records of a chunk.
+
+        `content` is the chunk record without its opcode and length.
 
         Raises ValueError, whose text tells the user what is wrong, if the records are not whole.
         """

@@ -48,8 +48,8 @@ class CompleteFile:
     def __init__(self, file: BinaryIO, name: str, head: bytes) -> None:
         """Write `head`: the magic and the first records.
 
-        `file` is empty and unbuffered, and `close` closes it. `name` stands in errors. Raises
-        OutputError.
+        `file` is empty and unbuffered, and `close` closes it. `name` appears in error messages.
+        Raises OutputError if the file cannot be written.
         """
         self._file = file
         self._name = name

@@ -123,7 +123,10 @@ class SoundRecords:
         return self._healed(record) or self._passed_over(record) or self._search()
 
     def search(self) -> Hole:
-        """Go to the next record that proves itself (by its CRC), whatever the bytes before it."""
+        """Go to the next record that proves itself, whatever bytes precede it.
+
+        A record proves itself by its CRC or by the record that begins behind it.
+        """
         self._why = "no record"
         return self._search()
 

@@ -55,7 +55,7 @@ _LIST_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
 _CHUNKS_DECODER: msgspec.json.Decoder[Any] = msgspec.json.Decoder(list[Chunk])
 _OF_A_PACKET = b'"link_type"'
 _NOT_DECODABLE = (msgspec.MsgspecError, ValueError, RecursionError)
-"""What msgspec raises for bytes that are no message; ValueError for text that is not UTF-8."""
+"""The errors of msgspec for bytes that are no message; ValueError for text that is not UTF-8."""
 
 _MESSAGE = struct.Struct("<BQH4xQ")
 """The head of a record and of the message in it: opcode, length, channel, log time."""

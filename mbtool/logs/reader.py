@@ -120,7 +120,7 @@ class LogReader(ClosesOnExit):
     def transaction_batches(self) -> Iterator[list[NamedTransaction]]:
         """Give only the transactions, in lists of up to some thousands; the fastest way to read.
 
-        A log is read once: call this or one of the others.
+        A log is read once: call only one of `items`, `transactions`, `evidence` and this.
         """
         for batch in self._read(frozenset({schemas.TRANSACTION})):
             # A GAP event is in a list of its own.

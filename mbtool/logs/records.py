@@ -49,11 +49,11 @@ class McapRecord(NamedTuple):
     """The file offset of the record."""
     opcode: int
     content: bytes
-    """What follows the opcode and the length; of a chunk that was checked, its unpacked records."""
+    """The bytes behind opcode and length; for a chunk that was checked, its unpacked records."""
 
 
 class RecordStream:
-    """Reads the records of a stream in order; `name` stands in errors."""
+    """Reads the records of a stream in order; `name` appears in error messages."""
 
     def __init__(self, stream: ByteStream, name: str) -> None:
         self._stream = stream
@@ -148,7 +148,7 @@ class RecordStream:
         return DamageError(f"{self._name}: damaged at byte {offset}: {what}")
 
     def cut(self, offset: int) -> InputError:
-        """The error for a file that ends, or cannot be read on, inside what begins at an offset."""
+        """The error for a file that ends, or cannot be read, inside the part behind an offset."""
         if self._end is not None:
             return self._end
         return CutError(

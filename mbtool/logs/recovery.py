@@ -72,9 +72,9 @@ class LogLoss:
     """A part of a log that is lost."""
 
     offset: int
-    """The file offset of its first byte."""
+    """The file offset of the first lost byte."""
     end: int
-    """The file offset behind its last byte."""
+    """The file offset behind the last lost byte."""
     what: str
     """What is damaged, for the user."""
     begin_ns: int | None

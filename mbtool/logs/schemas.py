@@ -147,7 +147,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
 
 @cache
 def json_schema(name: str) -> bytes:
-    """The schema of that name as JSON."""
+    """The schema called `name`, as JSON."""
     schema = _object(MESSAGE_TYPES[name])
     return msgspec.json.encode({"title": name, "description": _TITLES[name], **schema})
 

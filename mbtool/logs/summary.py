@@ -44,13 +44,13 @@ class ChunkPlace(NamedTuple):
 
 
 class LogSummary:
-    """What the summary of a log says."""
+    """The contents of a log's summary."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.chunks: list[ChunkPlace] = []
-        """In the order of their offsets."""
+        """The chunks of the log, sorted by offset."""
         self.other_offsets: list[int] = []
         """The file offsets of attachments and metadata, in order."""
         self.messages: int | None = None
@@ -68,7 +68,7 @@ class LogSummary:
 
 
 def read_summary(stream: BinaryIO, name: str) -> LogSummary | None:
-    """Read the summary of a log, and go back to where the stream stands.
+    """Read the summary of a log, and return the stream to its position before.
 
     Returns None if the stream cannot seek, or if there is no whole summary.
     """

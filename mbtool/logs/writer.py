@@ -136,7 +136,7 @@ class LogWriter(ClosesOnExit):
     def close(self, final: Mapping[str, str] | None = None) -> None:
         """Write what is in memory and the summary, and close the file.
 
-        `final` is metadata that is known only at the end: how many bytes and packets were dropped.
+        `final` is metadata that is known only at the end: the numbers of dropped bytes and packets.
         A second call does nothing. Raises OutputError if the file cannot be written; it is closed
         all the same.
         """

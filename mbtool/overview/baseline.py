@@ -67,7 +67,7 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 
 
 def changes(old: InventoryDocument, new: InventoryDocument) -> list[InventoryChange]:
-    """What is new in `new`, in the order of ChangeKind, then of hosts and units."""
+    """The differences of `new` from `old`, sorted by ChangeKind, then by host and unit."""
     old = _with_line_of(old, new)
     known = {_key(row): row for row in old.slaves}
     old_hosts = {row.place for row in old.slaves}
@@ -105,7 +105,7 @@ def _new_places(
     known: dict[tuple[str, int | None, int], SlaveRow],
     old_hosts: set[tuple[str, int | None]],
 ) -> Iterator[InventoryChange]:
-    """Hosts and units that the older inventory does not have."""
+    """Changes for hosts and units that the older inventory does not have."""
     places: dict[tuple[str, int | None], list[SlaveRow]] = {}
     scanned: dict[tuple[str | None, ChangeKind], list[SlaveRow]] = {}
     for row in new.slaves:
@@ -156,7 +156,7 @@ def _asked_by(rows: Iterable[SlaveRow]) -> str:
 
 
 def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator[InventoryChange]:
-    """What is new at a unit that both inventories have."""
+    """Changes at a unit that both inventories have."""
 
     def change(kind: ChangeKind, text: str) -> InventoryChange:
         return InventoryChange(

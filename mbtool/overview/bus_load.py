@@ -35,7 +35,7 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusLoad:
-    """The time of a serial line while it was watched."""
+    """How the time of a serial line was spent while it was watched."""
 
     watched_ns: int
     spent: LineTime

@@ -24,7 +24,7 @@ _TRANSITIONS = 64
 """At most this many transitions (from one poll to another) are tried, the most frequent first. In a
 longer list all transitions are equally frequent, so any of them will do."""
 _SAME_PACE = 0.25
-"""A master has one pace if its pauses differ by at most this share of the mean time of a step."""
+"""A master pauses evenly if its pauses differ by at most this share of the mean time of a step."""
 _TIED = 0.02
 """Two ways to cut are equally good if the shares of requests they explain differ by up to this."""
 
@@ -57,7 +57,7 @@ class CutCycles(NamedTuple, Generic[P]):
 
 
 def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
-    """Cut the sequence at the transition whose cycle explains most; None if none recurs."""
+    """Cut where the cycle explains most requests; None if no transition recurs often enough."""
     places: defaultdict[tuple[P, P], list[int]] = defaultdict(list)
     for at, (before, start) in enumerate(pairwise(starts), 1):
         places[before.poll, start.poll].append(at)

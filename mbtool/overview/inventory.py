@@ -1,7 +1,7 @@
 """Collects who is in a capture: every unit of every host, and every master."""
 
-# A row is one unit of one host and port; on a serial line, of the line. A request that repeats is
-# looked up, so that it costs a few counts.
+# A row is one unit of one host and port; on a serial line, of the line. A repeated request is found
+# in a table, so that it costs only a few counts.
 #
 # Limits: MAX_SLAVES units and MAX_MASTERS masters; MAX_USES pairs of a master and a function in
 # all; MAX_REQUESTS different requests that are compared with profiles; MAX_TEXTS texts of each

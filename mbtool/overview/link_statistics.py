@@ -90,7 +90,7 @@ class LinkStatistics:
         self.has_times = not is_serial or format_ is not None
 
     def end_span(self) -> None:
-        """Begin anew: the time between two captures does not count."""
+        """End a capture: the time until the next one does not count."""
         self._is_new = True
         if self._span is not None:
             self.first_ns, self.last_ns = self.whole_span()

@@ -70,11 +70,11 @@ _LONG_PAUSE = 0.2
 _LONGER_THAN_SHORT times the shortest."""
 _LONGER_THAN_SHORT = 4
 _CONSTANT_SHARE = 0.8
-"""A poll belongs to a list if it comes equally often in this share of the list's cycles."""
+"""A poll belongs to a list if it comes equally often in at least this share of its cycles."""
 _SLACK_NS = 5_000_000
 """Pauses that differ by less than this, in ns, are equal: no master keeps time more exactly."""
 _NEAR = 0.25
-"""A cycle time is near the median if it differs by at most this share of it."""
+"""A cycle time is near the median if it differs by at most this share of the median."""
 
 
 class Asked(NamedTuple, Generic[P]):
@@ -148,7 +148,7 @@ class PollLists(Generic[P]):
     """The lists that a master polls in cycles, and its other requests."""
 
     lists: tuple[PollList[P], ...]
-    """The shortest period first."""
+    """The lists, the one with the shortest period first."""
     between: Mapping[P, int]
     """For each poll that is in no list, the number of its requests without repetitions."""
     timeout_ns: int | None
@@ -172,8 +172,8 @@ def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
 def response_timeout(in_order: Sequence[Asked[P]]) -> int | None:
     """How long (ns) the master waits for an answer; None if no answer is missing.
 
-    This is nearly the shortest time from a request without answer to the next request: behind some
-    the master also pauses.
+    This is nearly the shortest time from a request without answer to the next request: after some
+    of them the master also pauses.
     """
     waits = sorted(
         after.begin_ns - one.end_ns for one, after in pairwise(in_order) if one.is_missing

@@ -64,12 +64,12 @@ class Statistics:
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
-        """By link and master's host."""
+        """The counts of connections, by link and the master's host."""
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
-        """By link and master's host."""
+        """The last requests of each master, by link and the master's host."""
         self.transactions = 0
         self.late = 0
-        """Transactions that came too late to be put in order."""
+        """The number of transactions that came too late to be put in order."""
         self._hosts: dict[str, str] = {}
         self._heap: list[tuple[int, int, PollStatistics, NamedTransaction]] = []
         self._ordered_ns = 0
@@ -119,7 +119,7 @@ class Statistics:
             self._order(*heappop(self._heap))
 
     def _order(self, at_ns: int, _taken: int, poll: PollStatistics, one: NamedTransaction) -> None:
-        """Take the requests in order of time."""
+        """Take the next request in order of time: count its hour, its cycle and its period."""
         self._ordered_ns = at_ns
         link = self.links[one.link]
         is_missing = one.outcome is Outcome.NO_ANSWER

@@ -25,17 +25,18 @@ class ConnectionTally:
     """The connections of one master to one slave."""
 
     opened: int = 0
-    """Connections whose beginning is in the capture."""
+    """The number of connections whose beginning is in the capture."""
     joined: int = 0
-    """Connections that were open before the capture."""
+    """The number of connections that were open before the capture."""
     refused_by_tap: int = 0
-    """Connections that a tap could not pass on."""
+    """The number of connections that a tap could not pass on."""
     closed: dict[str, int] = field(default_factory=dict)
-    """By reason: finished, reset, refused, replaced, idle, discarded, capture-end, other."""
+    """The number of closed connections by reason: finished, reset, refused, replaced, idle,
+    discarded, capture-end, other."""
     keep_alives: int = 0
-    """Keep-alive probes of both ends."""
+    """The number of keep-alive probes of both ends."""
     unanswered_keep_alives: int = 0
-    """Probes at the ends of connections that got no answer."""
+    """The number of keep-alive probes, the last ones of a connection, that got no answer."""
     most_at_once: int = 0
     """The most connections that were open at the same time."""
     _open: int = 0
@@ -67,7 +68,7 @@ class ConnectionTally:
 
     @property
     def refused(self) -> int:
-        """Connections that the slave or the tap refused."""
+        """The number of connections that the slave or the tap refused."""
         return self.closed.get("refused", 0) + self.refused_by_tap
 
 

@@ -44,7 +44,7 @@ class MasterReport:
     master: str
     """The master's host; empty on a serial line."""
     requests: int
-    """The number of requests that were examined, the last ones."""
+    """The number of last requests that were searched for lists."""
     lists: PollLists[PollStatistics]
 
 
@@ -66,10 +66,10 @@ class LinkReport:
     functions: list[FunctionReport]
     """Sorted by unit and function."""
     polls: list[PollReport]
-    """In the order in which they were first asked."""
+    """The polls in the order in which they were first asked."""
     masters: list[MasterReport]
     connections: list[tuple[str, ConnectionTally]]
-    """By the master's host."""
+    """The host of each master, and its connections."""
     hours: list[HourCount]
 
     def rate(self, count: int) -> float | None:

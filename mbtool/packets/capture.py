@@ -4,8 +4,8 @@
 # with the file. The stream is buffered: `read(n)` gives fewer than n bytes only at its end.
 #
 # A reader raises InputError where the file is damaged, and CutError where the file ends in the
-# middle of a record. Before that it gives all packets in front of that place. `name` is the file's
-# name in the text of these errors.
+# middle of a record. It gives all packets before that place first. `name` is the file's name in the
+# text of these errors.
 
 from __future__ import annotations
 

@@ -192,8 +192,7 @@ class Fragments:
 
     def __init__(self) -> None:
         self._datagrams: OrderedDict[tuple[str, Key], Datagram] = OrderedDict()
-        """The packets by the `scope` that `feed` was given and their key, in the order of their
-        first fragments."""
+        """The packets by `scope` (see `feed`) and key, in the order of their first fragments."""
         self._cost = 0
 
     @property

@@ -31,7 +31,7 @@ PCAP_HEADER = 24
 _NS_PER_SECOND = 1_000_000_000
 
 # By the magic's bytes in the file: the byte order of the file, the nanoseconds in one unit of the
-# fraction, and how many bytes more than usual the header of each record has.
+# fraction, and the number of bytes that the header of each record has beyond the usual 16.
 _FORMATS = {
     bytes.fromhex("a1b2c3d4"): (">", 1000, 0),
     bytes.fromhex("d4c3b2a1"): ("<", 1000, 0),

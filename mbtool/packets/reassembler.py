@@ -64,7 +64,7 @@ _TCP_HEADER_SEEN = 14
 FlowEnds = tuple[bytes, int, bytes, int]
 """Address and port of the lower end of a connection (by port, then address), and of the other."""
 _Key = tuple[str, bytes, int, bytes, int]
-"""What identifies a connection: the interface, or "" if flows are followed across interfaces; then
+"""The key of a connection: the interface, or "" if flows are followed across interfaces; then
 address and port of the lower end (by port, then address), and those of the other end."""
 
 
@@ -217,7 +217,7 @@ class TcpReassembler:
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)
-            if datagram.ending is DatagramEnd.WHOLE:  # First, so that its connection exists.
+            if datagram.ending is DatagramEnd.WHOLE:  # First, so that the connection exists.
                 self._feed_ip(data, 0, length, ts_ns, datagram.link)
             if place is not None and len(data) >= place.start + 4:
                 source_port, destination_port = struct.unpack_from(">HH", data, place.start)

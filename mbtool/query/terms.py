@@ -2,9 +2,9 @@
 
 # Each name has a kind (number, text, list, moment), and some names a fixed set of texts or a range
 # of numbers. A comparison of different kinds, or with a text or number that the name never has,
-# would select nothing without a word; so it is an error when the expression is parsed. A text may
-# be searched in a text (`"HR4" in reference`); there any part will do. A text that is compared with
-# a moment is read as ISO 8601.
+# would silently select nothing; so it is an error when the expression is parsed. A text may be
+# searched in a text (`"HR4" in reference`); there any part will do. A text that is compared with a
+# moment is read as ISO 8601.
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Term:
     is_endpoint: bool = False
     """True for an address with a port; a text without a port equals it if the addresses do."""
     is_host: bool = False
-    """True for an address, which has no port."""
+    """True for an address without a port."""
     constant: str | None = None
     """The text itself, if the term is a text in quotes; else None."""
     items: tuple[Term, ...] = ()

@@ -9,7 +9,7 @@
 #     source == "10.0.0.66" and time >= "2026-11-22T09:14"
 #
 # Two operators are added to those of Python. `like` compares a whole text with wildcards: * for any
-# characters, ? for one. `matches` looks for a regular expression of Python anywhere in a text. Of a
+# characters, ? for one. `matches` looks for a regular expression of Python anywhere in a text. In a
 # list, one member must fit. An address with a port equals a text without a port if the addresses
 # are equal.
 #
@@ -161,7 +161,7 @@ class _Compiler:
                     compare(values[at], values[at + 1]) for at, compare in enumerate(compares)
                 )
             except TypeError:
-                return False  # A name inside a list does not apply, so it cannot be ordered.
+                return False  # A value inside a list is missing, and None cannot be ordered.
 
         return holds
 
@@ -210,7 +210,7 @@ class _Compiler:
             return lambda text: found.fullmatch(text) is not None
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Warnings about patterns for later Pythons.
+                warnings.simplefilter("ignore")  # Python warns of patterns that may change later.
                 found = re.compile(pattern)
         except re.error as error:
             place = "" if error.pos is None else f" at character {error.pos + 1}"
