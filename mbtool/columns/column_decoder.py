@@ -93,9 +93,8 @@ class DecodedBlock:
 
 def order_of(packets: Int64s) -> Int64s:
     """The sort numbers of results that packets themselves completed, by the packets' indices."""
-    return (
-        2 * packets + 1
-    )  # The even number before is for results that only the packet's time completes.
+    # The even number before is for results that only the packet's time completes.
+    return 2 * packets + 1
 
 
 class ColumnDecoder:
@@ -248,9 +247,7 @@ class _BlockPass:
         some = self._numbers[self._used : until]
         self._used = max(self._used, until)
         last = np.full(len(self._flows.ends), -1)
-        last[some] = np.arange(
-            len(some)
-        )  # Where an index occurs twice, numpy keeps the last value.
+        last[some] = np.arange(len(some))  # Of equal indices numpy keeps the last value.
         flows = np.flatnonzero(last >= 0)
         last_used = flows[np.argsort(last[flows])].tolist()
         self._decoder.reassembler.note_used(self._flows.ends[flow] for flow in last_used)
