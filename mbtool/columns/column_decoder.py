@@ -93,7 +93,7 @@ class DecodedBlock:
 
 def order_of(packets: Int64s) -> Int64s:
     """The sort numbers of results that packets themselves completed, by the packets' indices."""
-    # The even number before is for results that only the packet's time completes.
+    # Odd numbers: results that a packet's bytes complete. Even: those that only its time completes.
     return 2 * packets + 1
 
 
@@ -173,7 +173,7 @@ class _BlockPass:
         """The segments before this index are counted in the order of the connections' last use."""
         self._decoded = DecodedBlock()
         self._taken: list[tuple[int, int, Connection]] = []
-        """Of each stretch taken: its first transaction, the one behind its last, its connection."""
+        """By stretch taken: its first transaction, the one behind its last, its connection."""
         self._ends_ns: dict[TcpConnection, int] = {}
         """By connection, when its last stretch ended, in ns."""
 
@@ -292,7 +292,7 @@ class _TransactionArrays:
         self._response_ns = segments.ts_ns[responses]
 
     def packets(self, at: int, until: int, end: int) -> Int64s:
-        """The segments from transaction `at` up to `until`; only those of `at` if that is `end`."""
+        """The segments of transaction `at`, with those before `until` unless that is `end`."""
         stop = self.response_place[at] + 1 if until == end else self.request_place[until]
         return self._order[self.request_place[at] : stop]
 

@@ -182,7 +182,7 @@ def _ipv4(
     is_odd = (header < 20) | ((headers["fragment"] & 0x3FFF) != 0)
     is_tcp = protocol == TCP
     start = at + header
-    # Without these bytes the ports, or the kind of packet, cannot be told.
+    # A TCP header captured only in part does not tell the ports or the kind of packet.
     is_odd |= is_tcp & ((captured < relative + header + 20) | (total < header))
     is_odd |= _is_one_of(protocol.astype(np.int64), _TUNNELS)
     is_udp = np.flatnonzero((protocol == _UDP) & ~is_odd & (captured >= relative + header + 4))

@@ -133,7 +133,7 @@ class PlainTables:
     def _names_of(
         self, rows: PlainRows, usual: _Usual, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
-        """The first row of each function, address and quantity; by row, its index among these."""
+        """A named row for each function, address and quantity; by row, the index of its name."""
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
         kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
         for key, index in zip(kinds.tolist(), chosen[first].tolist(), strict=True):

@@ -137,7 +137,8 @@ class ConnectionDecoder:
     def is_at_rest(self, request_position: int, response_position: int, now_ns: int) -> bool:
         """True if nothing is open or buffered, and all bytes before two positions are known.
 
-        The positions are those of the next bytes; `now_ns` is the time of the next segment.
+        The positions are those of the next byte of each direction; `now_ns` is the time of the next
+        segment.
         """
         return (
             all(splitter.is_idle for splitter in self._splitters.values())
@@ -147,7 +148,7 @@ class ConnectionDecoder:
         )
 
     def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
-        """Take transactions that were decoded elsewhere; `place` is where they began."""
+        """Take transactions that were decoded elsewhere and began at the positions in `place`."""
         requests, responses = stretch.requests.size, stretch.responses.size
         before = place.response_position + responses - stretch.last_response_size
         self._progress[Direction.REQUEST].pass_plain(requests, before)
@@ -157,7 +158,7 @@ class ConnectionDecoder:
         self._pairing.pass_plain(stretch)
 
     def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
-        """Tell lost bytes to the pairing: those of requests before those of their responses."""
+        """Report lost bytes to the pairing: lost requests first, then lost responses."""
         return [
             each
             for loss in sorted(losses, key=lambda loss: loss.direction is Direction.RESPONSE)

@@ -127,7 +127,7 @@ class Decoder:
         self._untimed: set[str] = set()
         """Serial links whose bytes have made-up times."""
         self._detectors: OrderedDict[Connection, ProtocolDetector] = OrderedDict()
-        """By connection, the one that was silent longest first."""
+        """The detector of each connection, the connection that was silent longest first."""
         self._interfaces: set[str] = set()
         """Links that have brought packets."""
         self._foreign_endpoints: set[str] = set()

@@ -34,7 +34,7 @@ def give_up_late(
                 since_ns = max(since_ns, habits.last_response_ns)
                 if place and one.number in reading.behind_others:
                     if late or one.is_pipelined:
-                        break  # Only the first of these is slow; the others wait behind it.
+                        break  # Only the first late one is slow; the others wait behind it.
                     since_ns = max(since_ns, reading.gave_up_ns)
             if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
                 late.append(one)

@@ -141,7 +141,7 @@ class NetworkPairing:
     def note_loss(
         self, direction: Direction, lost: int, at_ns: int, end: int | None = None
     ) -> list[Transaction]:
-        """Note that the capture lacks `lost` bytes of one direction here; 0 if nobody knows.
+        """Note that the capture lacks `lost` bytes of one direction here (0: number unknown).
 
         `end` is the position behind the lost bytes, if that is known. Returns the transactions of
         requests whose responses are lost.

@@ -41,8 +41,8 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     repeats_lost_id: bool = False
     """True if the ids show that a request before it, which the capture lacks, had the same id."""
     counts: bool = True
-    """False if a later equal request has already counted this one in its `retries`, or if nobody
-    knows which requests are equal to it."""
+    """False if a later equal request has already counted this one in its `retries`, or if the
+    capture lacks bytes of this request."""
 
     @property
     def transaction_id(self) -> int | None:
@@ -79,7 +79,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return is_response_to(parse_pdu(self.adu.pdu, Direction.REQUEST), response.pdu)
 
     def is_next_to(self, response: Adu, place: AduPlace | None) -> bool:
-        """True if acknowledgements show that no byte came between request and response."""
+        """True if acknowledgements show that no byte came between this request and a response."""
         if place is None or self.place is None:
             return False
         start = place.end - response.size

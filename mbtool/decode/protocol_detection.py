@@ -70,7 +70,7 @@ _HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept of a direction: one more than the lon
 _MBAP_SIZE = 6  # Bytes of an MBAP header up to and with its length.
 _MBAP_PREFIX = re.compile(rb"(?s).{0,2}\x00{0,2}\Z|..\x00\x00[\x00-\x05]\Z")
 _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
-"""Any transaction id and protocol id 0, or the beginning of these."""
+"""Any transaction id followed by protocol id 0, or the beginning of such bytes."""
 
 
 class ProtocolState(Enum):
@@ -386,7 +386,7 @@ class _ProtocolCandidate:
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:
-        """Hold results, and count what they say for or against this candidate."""
+        """Hold results, and count the evidence in them for or against this candidate."""
         self.decoded += decoded
         for one in decoded:
             if isinstance(one, Adu):

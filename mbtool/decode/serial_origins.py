@@ -36,7 +36,7 @@ class SerialOrigins:
         return len(self._marks)
 
     def note(self, size: int, place: StreamPlace | None) -> None:
-        """Note that `size` bytes are fed, which come from a place."""
+        """Note that `size` bytes are fed, and their place in the file."""
         if size:
             self._marks.append((self._fed, self._fed + size, place))
             self._fed += size
@@ -55,7 +55,7 @@ class SerialOrigins:
         return found
 
     def _origin(self, first: int, last: int) -> Origin | None:
-        """The origin of an ADU whose first and last byte have these numbers."""
+        """The origin of an ADU whose first and last byte were fed as byte `first` and `last`."""
         for begin, end, place in self._marks:
             origin = None if place is None else place.origin
             if origin is None or place is None:

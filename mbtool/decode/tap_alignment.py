@@ -40,8 +40,8 @@ adapter's latency timer holds bytes back (16 ms)."""
 MAX_ALIGNED = 8
 
 _MISMATCH_NS = 4 * SKEW_NS
-"""Cost of a pair with equal unit and function and, for instance, another quantity: this is rarer
-than a lost response."""
+"""Cost of aligning a request and a response of the same unit and function that differ in, for
+instance, the quantity: that is rarer than a lost response."""
 _IMPATIENCE = 8
 """Cost per ns by which a master waited less than SKEW_NS for a response: masters wait longer."""
 _UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
@@ -158,5 +158,5 @@ def _unanswered_cost(requests: Sequence[TapRequest], index: int) -> int:
 def _unsolicited_cost(response: Adu, until_ns: int, is_first: bool) -> int:
     before_end_ns = until_ns - response.start_ns
     if before_end_ns <= SKEW_NS:
-        return max(before_end_ns, 0)  # Its request may begin after `until_ns`.
+        return max(before_end_ns, 0)  # The request may begin after `until_ns`.
     return _FIRST_UNSOLICITED_NS if is_first else _UNSOLICITED_NS

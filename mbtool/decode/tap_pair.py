@@ -282,12 +282,12 @@ class _Read:
 
     size: int
     ts_ns: int
-    """The time of its last byte."""
+    """The time of the read's last byte, in ns."""
     character_ns: int = field(repr=False)
 
     @property
     def start_ns(self) -> int:
-        """When the first of these bytes began."""
+        """When the first byte that the splitter still holds began, in ns."""
         return self.ts_ns - self.size * self.character_ns
 
 

@@ -17,7 +17,7 @@ from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
 
 MAX_CACHED_REQUESTS = 256
-"""Parsed requests that are kept; beyond that the one that was not used longest is dropped."""
+"""The number of parsed requests kept; beyond that the least recently used one is dropped."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -242,7 +242,7 @@ class MbapSplitter:
         return tuple(verdict for is_true, verdict in verdicts if is_true)
 
     def _drop(self, events: list[Adu | Skipped]) -> None:
-        """Drop the bytes before the next place where a header may begin."""
+        """Drop the bytes before the next byte at which a header may begin."""
         undecided = len(self._buffer) - MBAP_BYTES + 1
         next_header = self._buffer.find(self._header, 1)
         for piece, ts_ns in self._buffer.drain(min(next_header or undecided, undecided)):

@@ -94,7 +94,7 @@ class RtuStreamSplitter:
         return events
 
     def _size_at(self, place: int) -> int | None:
-        """The size of the frame at a place; 0 if there is none, None if more bytes are needed."""
+        """The size of the frame at an index; 0 if there is none, None if more bytes are needed."""
         start = self._buffer.peek(MAX_RTU_ADU, place)
         size = frame_size(start, self._direction)
         if size is None:

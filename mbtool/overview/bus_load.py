@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineTime:
-    """How long a line was busy, in ns: with characters, slaves and missing answers."""
+    """The time (ns) that a line spent on characters, waiting for slaves, and missing answers."""
 
     characters_ns: int
     slaves_ns: int

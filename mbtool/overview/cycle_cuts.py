@@ -57,7 +57,7 @@ class CutCycles(NamedTuple, Generic[P]):
 
 
 def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
-    """Cut where the cycle explains most requests; None if no transition recurs often enough."""
+    """Cut at the transition whose cycles explain most requests; None if no transition recurs."""
     places: defaultdict[tuple[P, P], list[int]] = defaultdict(list)
     for at, (before, start) in enumerate(pairwise(starts), 1):
         places[before.poll, start.poll].append(at)

@@ -124,7 +124,7 @@ def _confirmation(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -
 
 
 def _names_model(slave: ObservedSlave, profile: Profile) -> bool:
-    """True if an identity text of the slave holds the profile's model."""
+    """True if an identity text of the slave contains the profile's model name."""
     known = set(_MODEL_WORD.findall(f"{profile.title} {profile.name}".lower()))
     said = " ".join(slave.identity.values()).lower()
     return bool(known & set(_MODEL_WORD.findall(said)))

@@ -24,7 +24,7 @@ class MasterTape:
         self._last: Asked[PollStatistics] | None = None
 
     def add(self, asked: Asked[PollStatistics]) -> bool:
-        """Take the next request; True if it repeats the one before, and that had no answer."""
+        """Take the next request; True if it repeats the last request, which had no answer."""
         last, self._last = self._last, asked
         self._asked.append(asked)
         return last is not None and last.is_missing and last.poll is asked.poll

@@ -129,7 +129,7 @@ class Datagram:
         return data, len(data) - len(payload) + length
 
     def add(self, fragment: Fragment) -> int:
-        """Keep those bytes of a fragment that are new; return how many pieces this adds."""
+        """Keep the new bytes of a fragment; return the number of pieces added."""
         start, end = fragment.start, fragment.end
         known = self.pieces[-1][1] if self.pieces else 0
         if self.total is None and fragment.last and end >= known:

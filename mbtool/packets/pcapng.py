@@ -51,7 +51,7 @@ _MAX_NAME = 64
 
 
 class _Layout:
-    """How the fixed parts of blocks and options are packed, in one of the two byte orders."""
+    """The struct formats of the fixed parts of blocks and options, in one byte order."""
 
     def __init__(self, order: str) -> None:
         self.block = Struct(order + "II")  # type, total length

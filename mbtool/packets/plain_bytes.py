@@ -10,7 +10,7 @@ class PlainBytes(NamedTuple):
 
     size: int
     tail: bytes
-    """The last of these bytes: stream.RECENT_BYTES of them, or all if there are fewer."""
+    """The last bytes: stream.RECENT_BYTES of them, or all if there are fewer."""
     last_segment: int
     """The number of the segment that brought the last byte, counted from 1 over both directions."""
     last_ns: int

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
-"""At most this many connections hold bytes at once, until the bytes before those have come."""
+"""At most this many connections hold bytes back at once, waiting for earlier bytes."""
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096

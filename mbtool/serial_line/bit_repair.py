@@ -1,4 +1,4 @@
-"""Bit repair: finds the one wrong bit of a damaged RTU frame, so that its meaning is known."""
+"""Bit repair: finds the one wrong bit of a damaged RTU frame, so that the frame can be read."""
 
 # A CRC is linear: after one wrong bit, the remainder depends only on the position of that bit in
 # the frame. A frame of 20 bytes has 160 bit positions, and there are 65,536 remainders. So of 400

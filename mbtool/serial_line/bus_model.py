@@ -243,7 +243,7 @@ class BusModel:
         elif (
             answered is not None
             and answered.pdu == state.last_response
-            and not answered.is_same(unit, pdu)  # Otherwise it may have been a retry.
+            and not answered.is_same(unit, pdu)  # If equal, this request may have been a retry.
         ):
             is_slow = history.trusts_silences and latency_ns > _SLOW_NS
             went_on_ns = start_ns - (state.last_ns or start_ns)

@@ -55,7 +55,7 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
 
 
 class BusState(msgspec.Struct, frozen=True, gc=False):
-    """What the frames heard so far tell about who may speak next: the master or which slave."""
+    """Who may speak next, the master or which slave, as known from the frames heard so far."""
 
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None

@@ -97,7 +97,8 @@ SLOW_DOUBLINGS = 3.0
 the longest response of this line: writes to an EEPROM do."""
 SHORT_PAUSE = 5.0
 """Extra cost, in bits, of a request that equals the one just answered and comes sooner than this
-master ever goes on after a response: it is probably the response to a retry."""
+master ever sends its next request after a response: the frame is probably the response to a
+retry."""
 SHORT_PAUSE_SHARE = 0.5
 """A pause (from a response to the next request) is short if it is shorter than this share of the
 shortest pause of the line so far."""

@@ -31,7 +31,7 @@ a response only with at least this confidence (0.5 to 1). It is less than for a 
 response's request came just before."""
 _REQUEST_ONLY = [Direction.REQUEST]
 _FAR_LESS_LIKELY = 10.0
-"""If two frames begin at the same byte and one costs so many bits more, that one is ignored."""
+"""If two frames begin at the same byte, one that costs this many bits more is ignored."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more needs a search."""
 
@@ -42,7 +42,7 @@ class FastPath:
     def __init__(self, bus_model: BusModel, speaker: Direction | None, max_size: int) -> None:
         """`speaker` is the direction of all frames if only one side is heard; None if both are.
 
-        `max_size` is how many bytes are held when the search decides without waiting for a silence.
+        `max_size` is the number of bytes at which the search decides without waiting for a silence.
         """
         self.needed = MIN_FRAME
         """The number of bytes that must be held before anything can be decided."""

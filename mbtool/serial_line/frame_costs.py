@@ -1,4 +1,4 @@
-"""How unlikely it is that a frame is a request, or a response, in a given bus state.
+"""Computes how unlikely a frame is as a request, and as a response, in a given bus state.
 
 Costs are in bits: the negative logarithm of a probability, to base 2.
 """

@@ -1,4 +1,4 @@
-"""What a serial line has shown so far: its requests, its response times, and its repetitions."""
+"""The history of a serial line: the requests, response times and repetitions heard so far."""
 
 # A LineHistory holds at most MAX_REQUESTS requests, and two entries for each function of each unit.
 
@@ -27,7 +27,7 @@ ENOUGH_PAUSES = 16
 
 
 class LineHistory:
-    """What earlier frames of a line have shown; the cost of a frame depends on it."""
+    """The facts learned from earlier frames of a line; the cost of a frame depends on them."""
 
     def __init__(self, *, timed: bool) -> None:
         """`timed` is False if the bytes' times are not known."""
@@ -113,13 +113,13 @@ class LineHistory:
             known_ns = self.shortest_pause_ns * PAUSE_GROWTH if self.pauses else pause_ns
             self.shortest_pause_ns = pause_ns if pause_ns < known_ns else known_ns
             self.pauses += 1
-        if by_form:  # Otherwise a response may have been taken for a retry.
+        if by_form:  # If not, it may be a response taken for a retry.
             pending = state.pending
             is_retry = pending is not None and pending.is_same(unit, pdu)
             self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
                 waited_ns = start_ns - pending.awaited_from_ns
-                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Otherwise an adapter's copy.
+                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Sooner: an adapter's copy.
                     self.timeout.learn(waited_ns)
 
     def learn_latency(
@@ -132,7 +132,7 @@ class LineHistory:
         latency_ns = start_ns - pending.awaited_from_ns
         if pdu != pending.pdu and is_sure:
             self.latency.learn(latency_ns)
-        elif latency_ns < LatencyStatistics.MIN_RETRY_NS:  # Otherwise it may have been a retry.
+        elif latency_ns < LatencyStatistics.MIN_RETRY_NS:  # A later one may have been a retry.
             self.latency.learn_capped(latency_ns)
 
     def learn_echo(self, answered: PendingRequest, latency_ns: int) -> None:

@@ -132,9 +132,9 @@ class PathSearch:
         return segments
 
     def _may_touch_frame(self, segment: Segment, side: int) -> bool:
-        """True for skipped bytes that are no noise and have no silence at one side.
+        """True if a run of skipped bytes is no noise and has no silence at one of its ends.
 
-        `side` is 0 for the side before them, their size for the side behind them.
+        `side` is the end's offset in the run: 0 for the beginning, its size for the end.
         """
         raw = self._data[segment.offset : segment.offset + segment.size]
         is_noise = len(raw) < MIN_HEAD or NOISE.issuperset(raw)

@@ -79,7 +79,7 @@ class SettingsScore:
     """The number of bytes in frames with a correct CRC or LRC."""
     heard: int
     damaged: int
-    """The number of bytes whose parity or stop bit is wrong by these settings."""
+    """The number of bytes whose parity or stop bit is wrong if these settings are right."""
 
     @property
     def fit(self) -> float:
