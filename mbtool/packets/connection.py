@@ -410,9 +410,7 @@ class TcpConnection:
         return True
 
     def _has_waited_enough(self, stream: Stream, first: HeldBytes, hole: int) -> bool:
-        """True if a limit is reached that ends the wait for the bytes before the first held
-        piece.
-        """
+        """True if a limit ends the wait for the bytes before the first held piece."""
         if stream.is_overfull():
             return True
         if self._now_ns - min(piece.ts_ns for piece in stream.held) >= HOLE_NS:
