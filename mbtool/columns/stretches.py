@@ -1,9 +1,9 @@
 """Finds in the segments of a block the plain stretches of connections, and their transactions."""
 
 # decode/plain_stretch.py defines a plain stretch. A segment follows the one before it of its
-# connection if sequence number and acknowledgement are the next ones of both directions. Then a
-# request, its response, and all that only acknowledges between them follow one another, whatever
-# came before. Only the decoder knows if the connection is at rest where a stretch begins.
+# connection if sequence number and acknowledgement are the next ones of both directions. In a row
+# of such segments, requests, responses and pure acknowledgements follow one another without a gap,
+# whatever came before. Only the decoder knows if the connection is at rest where a stretch begins.
 #
 # A hidden packet (headers.py) may belong to any connection, so every stretch ends before it.
 

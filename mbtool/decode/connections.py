@@ -214,7 +214,7 @@ class ConnectionDecoder:
             return self._paired(events, direction)
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
-            # A part of a request waits for the rest: lost requests before it are told first.
+            # A part of a request waits for its rest; requests lost before it are reported first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
             self._pairing.response_is_cut = of_responses and self._progress[other].has_part

@@ -2,10 +2,11 @@
 
 # One request is open at a time. The next request closes it without an answer, unless that one is
 # for another unit and comes while the master of the open request still waits. Then a second master
-# has overtaken it, and its response is accepted until the next request.
-# Where silences tell nothing, the response may also have come after its master had given up. It is
-# taken for that, as ambiguous, until the line has shown ENOUGH_OVERTAKEN such responses among
-# RECENT_REQUESTS requests. network_pairing.py pairs those of a connection.
+# has overtaken it, and its response is accepted until the next request. Where silences tell
+# nothing, the response to an overtaken request may also have come after its master had given up.
+# That is supposed, and request and response are marked as ambiguous, until the line has shown
+# ENOUGH_OVERTAKEN such responses among RECENT_REQUESTS requests. (network_pairing.py pairs the
+# requests and responses of a TCP connection.)
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer.

@@ -1,4 +1,4 @@
-"""The ways in which the responses of a connection can belong to its requests, with their costs."""
+"""Readings: ways in which a connection's responses can belong to its requests, with costs."""
 
 # A reading gives each response a request, and each run of lost response bytes the requests that
 # they answered. A response can answer a request with its id, unit and function; acknowledgements
@@ -74,7 +74,7 @@ lengths."""
 
 
 class PairStep(NamedTuple):
-    """The requests that a reading gives to one response, or to lost bytes of responses."""
+    """One step of a reading: the requests that one response, or lost response bytes, answer."""
 
     at_ns: int
     response: Adu | None

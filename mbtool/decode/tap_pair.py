@@ -6,11 +6,11 @@
 # with responses does (tap_alignment.py). If no alignment decides, times do.
 #
 # A side is known up to its last read, up to the time until which it was silent, or up to the first
-# byte that its splitter still holds. The first event of both sides is taken out when both are known
-# up to LOOKAHEAD_NS after it, on the evidence that began until then. So the result depends neither
-# on how the bytes were cut into reads nor on which side was read first. A read arrives at most
-# MAX_CLOCK_STEP_NS after a read of the other side with the same time, so silence follows from the
-# other side's reads: a log does not record it.
+# byte that its splitter still holds. The first event of both sides is taken out when both sides are
+# known up to LOOKAHEAD_NS after it; what began later has no influence. So the result depends
+# neither on how the bytes were cut into reads nor on which side was read first. A read arrives at
+# most MAX_CLOCK_STEP_NS after a read of the other side with the same time, so silence follows from
+# the other side's reads: a log does not record it.
 #
 # A time more than MAX_CLOCK_STEP_NS before what is known means that the clock was set back. All
 # held events are then returned and both sides start again, as at the start of a capture.

@@ -28,7 +28,7 @@ class Ends:
     master: str | None = None
     slave: str | None = None
     timed: bool = True
-    """False if its bytes have no known times; its transactions then have no latency."""
+    """False if the bytes of the link have no known times; its transactions then have no latency."""
 
 
 def with_response(

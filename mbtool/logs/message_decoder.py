@@ -2,8 +2,8 @@
 
 # One walk over the records of a chunk collects the bytes of the wanted messages by their schema,
 # and the order of the schemas. The messages of a schema are then decoded by one call, as one JSON
-# array, and put back in order. If that fails, they are decoded one by one, so that a message that
-# is damaged costs itself alone.
+# array, and put back in order. If that fails, they are decoded one by one, so that a damaged
+# message costs no other one.
 #
 # A chunk of more than BATCH messages gives several lists.
 #

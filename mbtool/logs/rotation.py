@@ -3,8 +3,8 @@
 # The files are FILE.mcap, FILE-0002.mcap, FILE-0003.mcap, ... Each is a complete log, with the
 # metadata, the links and the profiles. A file ends at the first tick or item after it has reached
 # its limit, so it is longer by up to one flush, and it has at least one item. A number whose file
-# exists already is skipped. A transaction may be in the file after that of its evidence. FILE.mcap
-# stays locked to the end, so that no other recorder starts a series with the same names.
+# exists already is skipped. A transaction may be in the file after the one with its evidence.
+# FILE.mcap stays locked to the end, so that no other recorder starts a series with the same names.
 
 from __future__ import annotations
 

@@ -378,8 +378,8 @@ class TcpConnection:
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                # A stream that the capture joins in its middle goes first, so that its beginning is
-                # decided.
+                # A stream that the capture joins in its middle goes first: its beginning must be
+                # known.
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
                 moved = any(self._give_up(stream, force) for stream in streams)
 

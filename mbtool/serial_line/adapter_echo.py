@@ -46,7 +46,7 @@ class AdapterEcho:
         """True if some request has come only once."""
 
     def awaits(self, data: bytes) -> bool:
-        """True if `data`, the bytes held, may become the copy of the last request."""
+        """True if `data`, the bytes held, can be the beginning of a copy of the last request."""
         return self.echoes and self.last.startswith(data)
 
     def takes_copy(self, *, glued: bool, exact: bool = True) -> bool:

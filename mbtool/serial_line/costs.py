@@ -18,7 +18,7 @@ REQUEST = 1.0
 """The cost, in bits, of a request while none is pending: the ordinary case."""
 NEW_REQUEST = 2.0
 """Extra cost, in bits, of a request that this line has not carried before: masters poll the same
-list."""
+list again and again."""
 RESPONSE = 0.0
 """The cost, in bits, of a response that fits the pending request."""
 PREVIOUS_UNANSWERED = 5.0
