@@ -171,7 +171,7 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Note that `missing` bytes of one direction are missing here; 0 if the number is unknown.
 
-        `kind` is the event's: GAP or CUT.
+        `kind` is the kind of event to report: GAP or CUT.
         """
         source, destination = self._endpoints[direction]
         lost = WireEvent(

@@ -166,7 +166,7 @@ class ProtocolDetector:
     ) -> list[Decoded]:
         """Note that `missing` bytes of one direction are missing here; 0 if the number is unknown.
 
-        `kind` is the event's: GAP or CUT.
+        `kind` is the kind of event to report: GAP or CUT.
         """
         if self.state is ProtocolState.MODBUS:
             return self._candidates[0].gap(direction, missing, ts_ns, kind)

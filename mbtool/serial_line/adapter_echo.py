@@ -1,10 +1,13 @@
 """Recognises an adapter that hears what it sends, so that each request comes twice."""
 
-# The second copy follows the request within a character or so. No master repeats a request without
-# a silence of t3.5, so one such copy of a request that cannot be a response by its form is enough,
-# if silences are heard and no request has come once before. If even the short pause between the two
-# is lost, an adapter may have merged them: then a copied request must have got a response. Where no
-# silences are heard, a copy may be a retry: then several requests in a row must have come twice.
+# The copy follows its request within about one character time. When the adapter counts as echoing
+# depends on what is heard:
+#
+# - Silences, and no request has come without a copy: one copy is enough if the request cannot be a
+#   response by its form, since no master repeats a request without a silence of t3.5.
+# - The same, but not even the short pause between request and copy is heard: the adapter may have
+#   merged a request with its retry. So one copied request must have got a response before.
+# - No silences: a copy may be a retry. So ENOUGH_COPIES requests in a row must have come twice.
 #
 # An AdapterEcho holds no frame but the last request.
 
