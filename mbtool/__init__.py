@@ -1,3 +1,103 @@
-"""Capture, decode and replay Modbus."""
+"""Capture, decode and replay Modbus.
 
-__version__ = "0.1.0"
+docs/python.md describes this interface. Nothing is loaded before it is used.
+"""
+
+# `import mbtool` must stay cheap: the command line and the pytest plugin import it each time. So a
+# name is imported from its module when it is first asked for (PEP 562).
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from mbtool.version import __version__
+
+if TYPE_CHECKING:
+    from mbtool.api.byte_decoder import ByteDecoder as Decoder
+    from mbtool.api.capture import Capture
+    from mbtool.api.capture import open_capture as open  # noqa: A004
+    from mbtool.api.live_capture import LiveCapture, sniff
+    from mbtool.api.observed_shell import ObservedShell
+    from mbtool.api.point_rows import PointRow
+    from mbtool.api.serial_bench import SerialBench, line
+    from mbtool.api.slaves import Replay, Slave
+    from mbtool.core.errors import (
+        CutError,
+        DamageError,
+        InputError,
+        LinkError,
+        MbtoolError,
+        OutputError,
+        ProfileError,
+        UsageError,
+    )
+    from mbtool.core.events import EventKind, WireEvent
+    from mbtool.devices.named_transaction import NamedTransaction, PointValue
+    from mbtool.modbus.transaction import Outcome
+
+_ERRORS = (
+    "CutError", "DamageError", "InputError", "LinkError", "MbtoolError", "OutputError",
+    "ProfileError", "UsageError",
+)  # fmt: skip
+_PLACES = {
+    "Capture": ("api.capture", "Capture"),
+    "Decoder": ("api.byte_decoder", "ByteDecoder"),
+    "EventKind": ("core.events", "EventKind"),
+    "LiveCapture": ("api.live_capture", "LiveCapture"),
+    "NamedTransaction": ("devices.named_transaction", "NamedTransaction"),
+    "ObservedShell": ("api.observed_shell", "ObservedShell"),
+    "Outcome": ("modbus.transaction", "Outcome"),
+    "PointRow": ("api.point_rows", "PointRow"),
+    "PointValue": ("devices.named_transaction", "PointValue"),
+    "Replay": ("api.slaves", "Replay"),
+    "SerialBench": ("api.serial_bench", "SerialBench"),
+    "Slave": ("api.slaves", "Slave"),
+    "WireEvent": ("core.events", "WireEvent"),
+    "line": ("api.serial_bench", "line"),
+    "open": ("api.capture", "open_capture"),
+    "sniff": ("api.live_capture", "sniff"),
+    **{name: ("core.errors", name) for name in _ERRORS},
+}
+"""Each public name, with its module and its name there."""
+
+__all__ = [
+    "Capture",
+    "CutError",
+    "DamageError",
+    "Decoder",
+    "EventKind",
+    "InputError",
+    "LinkError",
+    "LiveCapture",
+    "MbtoolError",
+    "NamedTransaction",
+    "ObservedShell",
+    "Outcome",
+    "OutputError",
+    "PointRow",
+    "PointValue",
+    "ProfileError",
+    "Replay",
+    "SerialBench",
+    "Slave",
+    "UsageError",
+    "WireEvent",
+    "__version__",
+    "line",
+    "open",
+    "sniff",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, own_name = _PLACES[name]
+    value: object = getattr(import_module(f"{__name__}.{module}"), own_name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -33,7 +33,7 @@ SLOW = frozenset((
     "serial_line/test_stray_bytes.py",
     "sources/test_interface.py", "sources/test_line_guess.py",
     "sources/test_relay.py", "sources/test_serial_capture.py", "sources/test_two_taps.py",
-    "sources/test_virtual_line.py", "test___main__.py", "test_mutants.py",
+    "sources/test_virtual_line.py", "test___main__.py", "test_mutants.py", "test_pytest_plugin.py",
     "workflows/test_check_attacks.py", "workflows/test_check_byte_times.py",
     "workflows/test_check_wrong_settings.py",
 ))  # fmt: skip

@@ -193,7 +193,7 @@ class _EachPrinter(_Printer):
 
 class _DocumentPrinter(_Printer):
     def __init__(self, file: TextIO, format_: CheckFormat) -> None:
-        from mbtool import __version__
+        from mbtool.version import __version__
         from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
 
         self._file = file

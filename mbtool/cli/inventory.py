@@ -89,7 +89,6 @@ def inventory(
     A profile is named only where enough was seen to be sure. docs/inventory.md explains the
     columns.
     """
-    from mbtool import __version__
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
     from mbtool.cli.output import (
@@ -103,6 +102,7 @@ def inventory(
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
+    from mbtool.version import __version__
     from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
 
     options = InventoryOptions(

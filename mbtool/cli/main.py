@@ -19,7 +19,6 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from mbtool import __version__
 from mbtool.cli import exit_codes
 from mbtool.cli.check import check
 from mbtool.cli.command import Command
@@ -38,6 +37,7 @@ from mbtool.cli.sniff import sniff
 from mbtool.cli.stats import stats
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
+from mbtool.version import __version__
 
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
 """Why the system refuses to write to a file that is open."""

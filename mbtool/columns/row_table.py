@@ -41,3 +41,8 @@ def _column(field: pa.Field, values: list[Any]) -> pa.Array:
         return pa.array(values, field.type)
     except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError) as error:
         raise InputError(f"{field.name}: a value does not fit its column: {error}") from error
+
+
+def whole_table(parts: Sequence[pa.Table]) -> pa.Table:
+    """One table of some tables with the columns of schema.py, in order."""
+    return pa.concat_tables(parts) if parts else SCHEMA.empty_table()

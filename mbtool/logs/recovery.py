@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-from mbtool import __version__
 from mbtool.core import DamageError, EventKind, InputError, WireEvent
 from mbtool.logs import schemas
 from mbtool.logs.chunks import records_in
@@ -44,6 +43,7 @@ from mbtool.logs.messages import EventMessage
 from mbtool.logs.records import McapRecord, RecordStream
 from mbtool.logs.summary import LogSummary, read_summary
 from mbtool.logs.writer import topic_name
+from mbtool.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable

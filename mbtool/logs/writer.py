@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, BinaryIO
 import msgspec
 from mcap.records import Header
 
-from mbtool import __version__
 from mbtool.core import Chunk, OutputError, Packet
 from mbtool.core.closing import ClosesOnExit
 from mbtool.devices import NamedTransaction, finding_text
@@ -43,6 +42,7 @@ from mbtool.logs.layout import (
 )
 from mbtool.logs.messages import ChunkMessage, EventMessage, Level, LogItem, LogMessage, LogTime
 from mbtool.logs.points import PointChanges
+from mbtool.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

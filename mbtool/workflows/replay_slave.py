@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response, Table
     from mbtool.replay import Control, Progress
-    from mbtool.slave.shells import Shell
+    from mbtool.slave.shells import OnExchange, Shell
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.recorded import Recorded
 
@@ -99,9 +99,23 @@ class SlaveRun:
                 f"{path}: no request to play an answer for{where_none(options.window)}"
             )
 
-    def on(self, link: LinkSpec, *, allowed: AllowedPeers = THIS_MACHINE) -> PlayedSlave:
+    @property
+    def profile_of(self) -> dict[int, Profile]:
+        """The device profiles by unit, without units that have no profile."""
+        return dict(self._profile_of)
+
+    def on(
+        self,
+        link: LinkSpec,
+        *,
+        allowed: AllowedPeers = THIS_MACHINE,
+        on_exchange: OnExchange | None = None,
+        wrapped: Callable[[Responder], Responder] = lambda one: one,
+    ) -> PlayedSlave:
         """Return the recording's slaves on a link, not yet started.
 
+        `on_exchange` gets each request and response. `wrapped` returns the responder that is asked
+        in place of the recording's.
         Raises UsageError if no slave can answer on the link, or if the file of faults is wrong;
         InputError if the file of faults cannot be read.
         """
@@ -124,7 +138,9 @@ class SlaveRun:
         responder: Responder = slave
         if options.fault_file is not None:
             responder = faulty(slave, options.fault_file, where, self._profiles)
-        return PlayedSlave(slave, responder, where, allowed=allowed)
+        return PlayedSlave(
+            slave, wrapped(responder), where, allowed=allowed, on_exchange=on_exchange
+        )
 
     def _latency(self) -> LatencyModel:
         if self._fixed_ns is not None:
@@ -144,11 +160,12 @@ class PlayedSlave:
         link: SerialLink | TcpLink,
         *,
         allowed: AllowedPeers,
+        on_exchange: OnExchange | None = None,
     ) -> None:
         self._slave = slave
         self._responder = responder
         self._lock = threading.Lock()
-        self.shell: Shell = open_shell(link, self, allowed=allowed)
+        self.shell: Shell = open_shell(link, self, allowed=allowed, on_exchange=on_exchange)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         with self._lock:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import SerialLink, UsageError
 from mbtool.decode.line_timing import LineTiming
@@ -25,7 +26,7 @@ from mbtool.workflows.shared.faults import faulty
 from mbtool.workflows.shared.recorded_values import recorded_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from mbtool.core import LinkSpec, TcpLink
     from mbtool.modbus import Responder
@@ -34,19 +35,23 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 
+ValuesSource = Path | Mapping[str, Any]
+"""A TOML file of values, or the keys and values of one."""
+
+
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A device on the link, and the file of values that it starts with."""
+    """A device on the link, and the values that it starts with."""
 
     profile: Profile
-    image_file: Path | None = None
+    image_file: ValuesSource | None = None
 
 
 def device_slave(
     profile: Profile,
     link: LinkSpec,
     unit: int = 1,
-    image_file: Path | None = None,
+    image_file: ValuesSource | None = None,
     *,
     others: Mapping[int, Station] | None = None,
     state_file: Path | None = None,
@@ -54,12 +59,14 @@ def device_slave(
     allowed: AllowedPeers = THIS_MACHINE,
     monitor: SlaveMonitor | None = None,
     strict_timing: bool = False,
+    wrapped: Callable[[Responder], Responder] = lambda one: one,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> Shell:
     """Return a shell with a device on a link, and others by their units, not yet started.
 
     The first device's rules decide which TCP connections are accepted and when they are closed.
-    `monitor` gets each request and response. `on_trouble` gets a line for the user when a capture
+    `monitor` gets each request and response. `wrapped` returns the responder that is asked in place
+    of the devices'. `on_trouble` gets a line for the user when a capture
     is incomplete, and when the state file cannot be written while the slave runs. Raises UsageError
     for a link, a unit or a file that does not fit the devices, InputError for a file that cannot be
     read, and OutputError if the state file cannot be written at the start.
@@ -81,7 +88,7 @@ def device_slave(
         slaves = faulty(slaves, fault_file, where, [each.profile for each in stations.values()])
     return open_shell(
         where,
-        slaves,
+        wrapped(slaves),
         allowed=allowed,
         rules=behaviours[unit].rules,
         on_exchange=monitor.take if monitor is not None else None,

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -88,7 +88,7 @@ Raises UsageError if the capture does not have the value, InputError if it canno
 
 
 def load_image(
-    path: Path,
+    source: Path | Mapping[str, Any],
     profile: Profile,
     image: RegisterImage,
     only: Sequence[tuple[Table, range]] | None = None,
@@ -96,6 +96,9 @@ def load_image(
     recall: Recall | None = None,
 ) -> list[Driven]:
     """Write the constant values of a file into an image, and return the values that change.
+
+    `source` is the file, or its keys and values. Captures that it names are then looked for in the
+    current directory.
 
     `only` is given when the file is a device's saved state: the file may then set only these
     addresses, each to the content of a register, and no value may change. `recall` reads values
@@ -106,7 +109,11 @@ def load_image(
     hint = "write lines such as HR400001 = 4660"
     targets = ValueTargets(profile)
     driven: list[Driven] = []
-    for key, value in read_toml(path, MAX_FILE_BYTES, "register image", hint).items():
+    if isinstance(source, Path):
+        path, values_of = source, read_toml(source, MAX_FILE_BYTES, "register image", hint)
+    else:
+        path, values_of = Path("image"), dict(source)
+    for key, value in values_of.items():
         try:
             target = targets.find(key)
         except UsageError as error:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import difflib
 import reprlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbtool.core import UsageError
@@ -32,8 +33,7 @@ from mbtool.modbus.adu import MAX_TCP_ADU
 from mbtool.slave.faults.faults import Fault, FaultCondition, FaultKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping
 
     from mbtool.devices import Profile
 
@@ -62,14 +62,19 @@ _S = 1_000_000_000
 class FaultFile:
     """The faults and the seed of one file."""
 
-    def __init__(self, path: Path, profiles: Iterable[Profile] = ()) -> None:
-        """Read a file. The profiles say which addresses the references in the file stand for.
+    def __init__(self, source: Path | Mapping[str, Any], profiles: Iterable[Profile] = ()) -> None:
+        """Read a file, or take its keys and values.
 
+        The profiles say which addresses the references in the file stand for.
         Raises InputError for a file that cannot be read or is no TOML, UsageError for a wrong key
         or value.
         """
-        keys = read_toml(path, MAX_FILE_BYTES, "list of faults", "see docs/faults.md")
-        whole = _Table(f"{path}", keys)
+        if isinstance(source, Path):
+            path = str(source)
+            keys = read_toml(source, MAX_FILE_BYTES, "list of faults", "see docs/faults.md")
+        else:
+            path, keys = "faults", dict(source)
+        whole = _Table(path, keys)
         self.seed = whole.number("seed", 0, -(1 << 63), 1 << 63)
         tables = keys.pop("faults", [])
         whole.demand_only(("seed", "faults"))

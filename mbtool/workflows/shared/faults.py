@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from mbtool.core import SerialLink, UsageError
 from mbtool.slave.faults.fault_file import FaultFile
 from mbtool.slave.faults.faults import FaultKind, FaultySlave
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping
 
     from mbtool.core import TcpLink
     from mbtool.devices import Profile
@@ -20,19 +20,23 @@ _ENDINGS = frozenset((FaultKind.CLOSE, FaultKind.RESET))
 
 
 def faulty(
-    responder: Responder, path: Path, link: SerialLink | TcpLink, profiles: Iterable[Profile] = ()
+    responder: Responder,
+    source: Path | Mapping[str, Any],
+    link: SerialLink | TcpLink,
+    profiles: Iterable[Profile] = (),
 ) -> FaultySlave:
-    """Return the responder with the faults of a file.
+    """Return the responder with the faults of a file, or of the keys and values of one.
 
     The file may name registers by the references in `profiles`. Raises InputError if it cannot be
     read or is no TOML, UsageError if it has a fault that is not understood or not possible on the
     link.
     """
-    file = FaultFile(path, profiles)
+    file = FaultFile(source, profiles)
     for number, fault in enumerate(file.faults, start=1):
         reason = _why_not(fault.kind, link)
         if reason is not None:
-            raise UsageError(f"{path}: fault {number}: {fault.kind} on {link}: {reason}")
+            where = source if isinstance(source, Path) else "faults"
+            raise UsageError(f"{where}: fault {number}: {fault.kind} on {link}: {reason}")
     return FaultySlave(responder, file.faults, seed=file.seed)
 
 

@@ -5,8 +5,8 @@
 # changed. If a simulated fault distorted a response, the transaction has the intended values and
 # the bytes that were really sent; the event after it says how the response was distorted.
 #
-# Memory: at most MAX_PENDING requests that the other thread has not yet fetched. Further requests
-# are counted and dropped, so that a slow screen does not delay the slave.
+# Memory: at most `limit` requests that the other thread has not yet fetched. Further requests are
+# counted and dropped, so that a slow screen does not delay the slave.
 #
 # The time of a response is when it is due: the end of its request plus the slave's own delay.
 
@@ -42,11 +42,21 @@ class SlaveMonitor:
     """The requests, responses and outputs of the devices on a link."""
 
     def __init__(
-        self, profile: Profile, link: LinkSpec, others: Mapping[int, Profile] | None = None
+        self,
+        profile: Profile | None,
+        link: LinkSpec,
+        others: Mapping[int, Profile] | None = None,
+        *,
+        limit: int = MAX_PENDING,
     ) -> None:
-        """`others` are the profiles of further devices on the link, by unit."""
+        """`others` are the profiles of further devices on the link, by unit.
+
+        `profile` is None if the units without a profile of their own have none.
+        """
         beside = [Assignment(Who(unit=unit), one) for unit, one in (others or {}).items()]
-        self._assignments = Assignments([Assignment(Who(), profile), *beside])
+        own = [] if profile is None else [Assignment(Who(), profile)]
+        self._assignments = Assignments([*own, *beside])
+        self._limit = limit
         self._namer = Namer(self._assignments)
         self._ends = Ends(link.name)
         self._pending: deque[tuple[Adu, Response | None]] = deque()
@@ -56,8 +66,21 @@ class SlaveMonitor:
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[DeviceOutput] = []
 
+    @property
+    def assignments(self) -> Assignments:
+        return self._assignments
+
+    @property
+    def behaviours(self) -> Mapping[int, Behaviour]:
+        """The behaviour of each device by unit; empty before `begin`."""
+        return self._behaviours
+
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
+
+    def on_link(self, name: str) -> None:
+        """Name the link in what comes: with TCP port 0, its port is known once it is open."""
+        self._ends = Ends(name)
 
     # The slave's thread calls the following methods, up to the next comment.
 
@@ -67,7 +90,7 @@ class SlaveMonitor:
         self._outputs = self._all_outputs()
 
     def take(self, request: Adu, response: Response | None) -> None:
-        if len(self._pending) < MAX_PENDING:
+        if len(self._pending) < self._limit:
             self._pending.append((request, response))
         else:
             self._missed += 1

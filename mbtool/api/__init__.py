@@ -1,0 +1,1 @@
+"""What `import mbtool` gives: docs/python.md. Its names are listed in mbtool/__init__.py."""

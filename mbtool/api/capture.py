@@ -1,0 +1,188 @@
+"""Reads captures and logs from Python."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from os import fspath
+from typing import TYPE_CHECKING, Self
+
+from mbtool.api.arguments import AnyPath, assignments_of, condition_of
+from mbtool.api.point_rows import PointRow, point_rows
+from mbtool.core import (
+    CutError,
+    DamageError,
+    LineSettings,
+    UsageError,
+    WireEvent,
+    parse_line,
+)
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.api.arguments import Devices
+    from mbtool.columns.schema import Table
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+
+_TABLE_ROWS = 65_536
+"""So many transactions that are decoded one by one become one part of a table."""
+
+
+class Capture:
+    """Captures or logs that can be read: as records, as rows or as a table.
+
+    Each method reads the files from their beginning, and needs little memory, except `table`. A
+    `with` block is possible and not necessary: a file is open only while it is read.
+
+    A file that is cut or damaged raises CutError or DamageError after its last good record, or adds
+    a remark if the capture was opened with `incomplete=True`.
+    """
+
+    def __init__(
+        self,
+        paths: Sequence[str],
+        options: ReadingOptions,
+        wanted: Callable[[NamedTransaction], bool] | None,
+        *,
+        incomplete: bool,
+    ) -> None:
+        self._paths = paths
+        self._options = options
+        self._wanted = wanted
+        self._incomplete = incomplete
+        self.remarks: list[str] = []
+        """Lines about the files, such as that packets are cut; complete after a pass."""
+        self._new_reading().demand_files()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[NamedTransaction]:
+        return self.transactions()
+
+    def transactions(self) -> Iterator[NamedTransaction]:
+        """Yield the transactions in the order in which they ended.
+
+        Raises InputError for a file that cannot be read.
+        """
+        return (one for one in self.records() if not isinstance(one, WireEvent))
+
+    def events(self) -> Iterator[WireEvent]:
+        """Yield all else that happened: gaps, skipped bytes, connections that opened or closed."""
+        return (one for one in self.records() if isinstance(one, WireEvent))
+
+    def records(self) -> Iterator[Record]:
+        """Yield transactions and events in order; `where` chooses among the transactions only."""
+        return self._chosen(self._new_reading())
+
+    def points(self) -> Iterator[PointRow]:
+        """Yield each value that was read or written as a row: `pandas.DataFrame(c.points())`.
+
+        Values of a device with a profile are its named points, in their units of measure.
+        """
+        reading = self._new_reading()
+        for record in self._chosen(reading):
+            if not isinstance(record, WireEvent):
+                yield from point_rows(record, reading.profile_for(record))
+
+    def table(self) -> Table:
+        """Return all transactions as a `pyarrow.Table`; docs/log-format.md lists its columns.
+
+        A plain capture file is decoded several times as fast in this way as one by one. Raises
+        UsageError if numpy or pyarrow are not installed.
+        """
+        if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
+            raise UsageError("table() needs numpy and pyarrow: pip install 'mbtool[columns]'")
+        from mbtool.columns.row_table import row_table, whole_table
+
+        parts = []
+        rows: list[NamedTransaction] = []
+        if self._wanted is None and (columns := self._columns()) is not None:
+            return whole_table(columns)
+        for one in self.transactions():
+            rows.append(one)
+            if len(rows) == _TABLE_ROWS:
+                parts.append(row_table(rows))
+                rows = []
+        return whole_table([*parts, row_table(rows)])
+
+    def _columns(self) -> list[Table] | None:
+        """The tables of a file that can be read as arrays; None for other files."""
+        from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
+
+        if not can_read_columns(self._paths, self._options):
+            return None
+        reading = ColumnReading(self._paths, self._options)
+        tables: list[Table] = []
+        try:
+            tables.extend(batch.table for batch in reading.batches())
+        except (CutError, DamageError) as error:
+            self._finish(reading, error)
+        else:
+            self._finish(reading)
+        return tables
+
+    def _chosen(self, reading: Reading) -> Iterator[Record]:
+        try:
+            for record in reading.records():
+                if self._wanted is None or isinstance(record, WireEvent) or self._wanted(record):
+                    yield record
+        except (CutError, DamageError) as error:
+            self._finish(reading, error)
+        else:
+            self._finish(reading)
+
+    def _finish(self, reading: Reading, error: CutError | DamageError | None = None) -> None:
+        """Collect the remarks of a pass; raise the error that ended it, unless it may be cut."""
+        self.remarks = [*reading.remarks]
+        if error is not None:
+            if not self._incomplete:
+                raise error
+            self.remarks.append(str(error))
+        if reading.why_empty is not None:
+            self.remarks.append(reading.why_empty)
+        reading.demand_readable()
+
+    def _new_reading(self) -> Reading:
+        return Reading(self._paths, self._options)
+
+
+def open_capture(
+    path: AnyPath,
+    *more: AnyPath,
+    devices: Devices | None = None,
+    where: str | None = None,
+    line: str | None = None,
+    ports: Sequence[int] = (),
+    rtu_ports: Sequence[int] = (),
+    any_port: bool = False,
+    raw: bool = False,
+    incomplete: bool = False,
+) -> Capture:
+    """Open a capture (.pcap, .pcapng) or a log (.mcap), plain, .gz or .zst; or several as one.
+
+    `devices` gives slaves their profiles: {5: "idec-ft1a-touch", "192.168.3.250": "fa3-at1m8x"}; a
+    log knows its own. `where` chooses transactions: 'unit == 5 and outcome != "ok"'. `line` says
+    that the file has the bytes of a serial line: "rtu@19200-8E1". `ports` are the TCP ports of
+    slaves (502), `rtu_ports` those with RTU over TCP, `any_port` looks at all. `raw` decodes the
+    bytes in a log again. With `incomplete`, a cut or damaged file is read as far as possible.
+
+    Raises InputError if the file cannot be read, UsageError for an argument that is wrong.
+    """
+    settings: LineSettings | None = None if line is None else parse_line(line)
+    options = ReadingOptions(
+        assignments=assignments_of(devices),
+        ports=ports,
+        rtu_ports=rtu_ports,
+        any_port=any_port,
+        line=settings,
+        raw=raw,
+    )
+    wanted = None if where is None else condition_of(where)
+    paths = [fspath(one) for one in (path, *more)]
+    return Capture(paths, options, wanted, incomplete=incomplete)

@@ -1,0 +1,162 @@
+"""Listens on links from Python."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+from math import inf
+from os import fspath
+from typing import TYPE_CHECKING, Self
+
+from mbtool.api.arguments import assignments_of, condition_of
+from mbtool.core import WireEvent, parse_link
+from mbtool.core.link_spec import HEARD, MODBUS_PORT
+from mbtool.decode.decoder import Decoder
+from mbtool.decode.line_timing import LineTiming
+from mbtool.devices import Namer
+from mbtool.ports.allowed_peers import AllowedPeers
+from mbtool.ports.clock import now_ns
+from mbtool.workflows.sniff import Sniffer, serial_lines, with_settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.api.arguments import AnyPath, Devices
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+
+
+class LiveCapture:
+    """What is heard on links while its `with` block runs; made by `mbtool.sniff`.
+
+    The end of the block completes the log, if there is one.
+    """
+
+    def __init__(
+        self,
+        make_sniffer: Callable[[Callable[[str], None]], Sniffer],
+        wanted: Callable[[NamedTransaction], bool],
+    ) -> None:
+        self._make_sniffer = make_sniffer
+        self._wanted = wanted
+        self._stopping = threading.Event()
+        self._sniffer: Sniffer | None = None
+        self.remarks: list[str] = []
+        """Lines about the links, such as that bytes were lost or a master was turned away."""
+
+    @property
+    def places(self) -> list[str]:
+        """The open links as text; a tap with port 0 shows the port that the system chose."""
+        return [] if self._sniffer is None else self._sniffer.places
+
+    def __enter__(self) -> Self:
+        sniffer = self._make_sniffer(self.remarks.append)
+        sniffer.__enter__()
+        self._sniffer = sniffer
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        sniffer, self._sniffer = self._sniffer, None
+        if sniffer is not None:
+            sniffer.__exit__(*error)
+
+    def __iter__(self) -> Iterator[NamedTransaction]:
+        return self.transactions()
+
+    def transactions(
+        self, *, seconds: float | None = None, count: int | None = None
+    ) -> Iterator[NamedTransaction]:
+        """Yield transactions as they end: for some seconds, until there are `count`, or for ever.
+
+        When the time is over or `stop` was called, listening ends; after `count` transactions, or
+        a `break`, one can go on with another call. Raises LinkError when the last link is lost.
+        """
+        if count is not None and count <= 0:
+            return
+        given = 0
+        for record in self.records(seconds=seconds):
+            if not isinstance(record, WireEvent):
+                given += 1
+                yield record
+                if given == count:
+                    return
+
+    def records(self, *, seconds: float | None = None) -> Iterator[Record]:
+        """Yield transactions and events, as `transactions` does."""
+        if self._sniffer is None:
+            raise RuntimeError("enter the capture first: with mbtool.sniff(...) as capture")
+        end_ns = inf if seconds is None else now_ns() + seconds * 1e9
+        for record in self._sniffer.records(
+            lambda at_ns: self._stopping.is_set() or at_ns >= end_ns
+        ):
+            if isinstance(record, WireEvent) or self._wanted(record):
+                yield record
+
+    def stop(self) -> None:
+        """End the listening, from any thread; what has been heard is still given."""
+        self._stopping.set()
+
+
+def sniff(
+    link: str,
+    *more: str,
+    devices: Devices | None = None,
+    where: str | None = None,
+    log: AnyPath | None = None,
+    overwrite: bool = False,
+    ports: Sequence[int] = (MODBUS_PORT,),
+    rtu_ports: Sequence[int] = (),
+    any_port: bool = False,
+    allow: Sequence[str] = (),
+) -> LiveCapture:
+    """Listen on links (docs/links.md): "rtu:/dev/ttyUSB0@19200-8E1", "net:eth0", "tap:...=...".
+
+    Use it in a `with` block. `log` names a file (.mcap) that gets all that is heard; `where`
+    chooses the transactions that are given. `devices` gives slaves their profiles, `allow` the
+    networks of masters that a tap serves beside this machine. `ports`, `rtu_ports` and `any_port`
+    are for interfaces.
+
+    Raises UsageError for an argument that is wrong; entering the block raises LinkError for a link
+    that cannot be opened.
+    """
+    links = [parse_link(one, HEARD) for one in (link, *more)]
+    serial_lines(links)
+    timing = LineTiming(assignments_of(devices))
+    wanted = condition_of(where)
+    allowed = AllowedPeers.parse(allow)
+
+    def make_sniffer(on_remark: Callable[[str], None]) -> Sniffer:
+        specs = timing.given(with_settings(links, on_remark))
+        begin = None
+        if log is not None:
+            from mbtool.logs.opening import create_log
+
+            begin = partial(
+                create_log,
+                fspath(log),
+                specs,
+                timing.assignments,
+                ports=ports,
+                rtu_ports=rtu_ports,
+                any_port=any_port,
+                overwrite=overwrite,
+            )
+        decoder = Decoder(
+            Namer(timing.assignments),
+            lines=serial_lines(specs),
+            timing=timing,
+            ports=ports,
+            rtu_ports=rtu_ports,
+            any_port=any_port,
+        )
+        followed = [] if any_port else [*ports, *rtu_ports]
+        return Sniffer(
+            specs,
+            decoder,
+            begin_log=begin,
+            ports=followed,
+            allowed=allowed,
+            on_remark=on_remark,
+        )
+
+    return LiveCapture(make_sniffer, wanted)

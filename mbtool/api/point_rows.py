@@ -1,0 +1,82 @@
+"""Turns transactions into tidy rows: one value at one time in each row."""
+
+# A transaction of a device with a profile gives its points. If it has none (there is no profile, or
+# the profile has no point there) each register or bit is a row, named by its reference.
+#
+# Values that a slave did not confirm are left out: of exception responses, of unanswered writes.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.devices import write_reference
+from mbtool.modbus import FUNCTIONS, TABLE_FUNCTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices import NamedTransaction, Profile
+
+_MASK_WRITE, _READ_WRITE = 0x16, 0x17
+
+
+class PointRow(NamedTuple):
+    """A value that was read or written; `pandas.DataFrame(rows)` makes a table of such rows."""
+
+    time_ns: int
+    """When the response was complete, in UTC ns; for a broadcast, the request."""
+    link: str
+    slave: str | None
+    """The slave's address and port on a network; None on a serial line."""
+    unit: int
+    device: str | None
+    """The name of the slave's profile; None if it has none."""
+    reference: str
+    """The address in the vendor's notation (HR400001), or `holding 107` without a profile."""
+    name: str
+    """The name of the point; the reference, if the value is no named point."""
+    value: int | float | None
+    """The value in the point's unit of measure; None for a text."""
+    text: str
+    unit_of_measure: str | None
+    written: bool
+    """True if a master wrote the value, False if it was read."""
+
+
+def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterator[PointRow]:
+    """The values of a transaction; `profile` is the profile of its slave."""
+    if not transaction.took_effect:
+        return
+    one = transaction
+    time_ns = one.start_ns if one.response_ns is None else one.response_ns
+    begin = (time_ns, one.link, one.destination, one.unit, one.device)
+    for points, written in ((one.read_points, False), (one.written_points, True)):
+        for point in points:
+            named = (point.reference, point.name, point.value, point.text, point.unit)
+            yield PointRow(*begin, *named, written)
+    if not one.points and one.function in TABLE_FUNCTIONS and one.function != _MASK_WRITE:
+        for reference, value, written in _plain_values(one, profile):
+            yield PointRow(*begin, reference, reference, value, str(value), None, written)
+
+
+def _plain_values(
+    one: NamedTransaction, profile: Profile | None
+) -> Iterator[tuple[str, int, bool]]:
+    """The reference and value of each register or bit, and True for each that was written."""
+    function = FUNCTIONS[one.function]
+    if function.table is None:
+        return
+    is_both = one.function == _READ_WRITE
+    written_at = one.write_address if is_both else one.address
+    for first, values, written in (
+        (one.address, one.response_values, False),
+        (written_at, one.request_values, True),
+    ):
+        if first is None or not (is_both or written == function.writes):
+            continue
+        for address, value in enumerate(values or (), start=first):
+            yield (
+                write_reference(profile, function.table, address, writing=written),
+                value,
+                written,
+            )

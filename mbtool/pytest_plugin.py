@@ -1,0 +1,173 @@
+"""Fixtures for tests of programs that speak Modbus; docs/pytest.md describes them."""
+
+# Each fixture is a function that makes what the test asks for and ends it after the test. A slave
+# listens at a port of its own that the system chooses, so tests may run at the same time
+# (pytest-xdist).
+#
+# If a test fails, the traffic of its slaves is written to logs before the slaves end, and a section
+# of the report shows the last requests and where the logs are. A test that passes writes nothing.
+#
+# pytest loads this file at each start, so it imports the rest of mbtool when a fixture is used.
+
+from __future__ import annotations
+
+import re
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+
+    import mbtool
+
+_Shell = TypeVar("_Shell", bound="mbtool.ObservedShell")
+
+_OPTION = "--mbtool-logs"
+_LAST_LINES = 20
+"""So many requests are shown for each slave of a failed test."""
+_NAME_LENGTH = 100
+_SLAVES = pytest.StashKey["list[mbtool.ObservedShell]"]()
+_FOLDER = pytest.StashKey[Path]()
+
+
+class MakesSlave(Protocol):
+    """The fixture `mbtool_slave`: takes what `mbtool.Slave` takes."""
+
+    def __call__(self, profile: Any, /, on: str = ..., **options: Any) -> mbtool.Slave: ...
+
+
+class MakesReplay(Protocol):
+    """The fixture `mbtool_replay`: takes what `mbtool.Replay` takes."""
+
+    def __call__(self, path: Any, /, on: str = ..., **options: Any) -> mbtool.Replay: ...
+
+
+class MakesLine(Protocol):
+    """The fixture `mbtool_line`: takes what `mbtool.line` takes."""
+
+    def __call__(self, settings: str = ..., *, ends: int = ...) -> mbtool.SerialBench: ...
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.getgroup("mbtool").addoption(
+        _OPTION,
+        metavar="FOLDER",
+        type=Path,
+        help="Where the traffic of failed tests is kept. [default: pytest's temporary folder]",
+    )
+
+
+@pytest.fixture
+def mbtool_slave(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[MakesSlave]:
+    """Make slaves that answer during the test: `mbtool_slave("idec-ft1a-touch", image={...})`."""
+    from mbtool.api.slaves import LOOPBACK, Slave
+
+    with ExitStack() as ends:
+
+        def make(profile: Any, /, on: str = LOOPBACK, **options: Any) -> mbtool.Slave:
+            __tracebackhide__ = True
+            for name in ("image", "faults"):
+                if isinstance(options.get(name), str | Path):
+                    options[name] = _beside(request, options[name])
+            if isinstance(profile, str | Path) and str(profile).endswith(".toml"):
+                profile = _beside(request, profile)
+            slave = Slave(profile, on, **options)
+            return _started(slave, request, tmp_path_factory, ends)
+
+        yield make
+
+
+@pytest.fixture
+def mbtool_replay(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[MakesReplay]:
+    """Let a recording answer during the test: `mbtool_replay("site.mcap", match="image")`.
+
+    The file is looked for beside the test's file, then in the current directory.
+    """
+    from mbtool.api.slaves import LOOPBACK, Replay
+
+    with ExitStack() as ends:
+
+        def make(path: Any, /, on: str = LOOPBACK, **options: Any) -> mbtool.Replay:
+            __tracebackhide__ = True
+            if isinstance(options.get("faults"), str | Path):
+                options["faults"] = _beside(request, options["faults"])
+            replay = Replay(_beside(request, path), on, **options)
+            return _started(replay, request, tmp_path_factory, ends)
+
+        yield make
+
+
+@pytest.fixture
+def mbtool_line() -> Iterator[MakesLine]:
+    """Make virtual serial lines, with `line.ports` and `line.link(0)`."""
+    from mbtool.api.serial_bench import line
+
+    with ExitStack() as opened:
+
+        def make(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> mbtool.SerialBench:
+            return opened.enter_context(line(settings, ends=ends))
+
+        yield make
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Keep the traffic of a failed test; its slaves still run then."""
+    report = yield
+    slaves = item.stash.get(_SLAVES, None)
+    if report.failed and slaves and report.when != "teardown":
+        text = "\n".join(_kept(item, number, slave) for number, slave in enumerate(slaves, start=1))
+        report.sections.append(("Modbus traffic", text))
+    return report
+
+
+def _started(
+    slave: _Shell,
+    request: pytest.FixtureRequest,
+    factory: pytest.TempPathFactory,
+    ends: ExitStack,
+) -> _Shell:
+    """Start a slave, and note it for the report and for the end of the test."""
+    item = request.node
+    item.stash.setdefault(_SLAVES, []).append(slave)
+    if _FOLDER not in item.stash:
+        item.stash[_FOLDER] = request.config.getoption(_OPTION) or factory.getbasetemp() / "mbtool"
+    ends.enter_context(slave)
+    return slave
+
+
+def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
+    """Write the log of a slave, and return its part of the report."""
+    import mbtool
+
+    lines = slave.lines()
+    if not lines:
+        return f"{slave.link}: no request came"
+    name = re.sub(r"[^\w.-]+", "-", item.nodeid)[-_NAME_LENGTH:].strip("-")
+    path = item.stash[_FOLDER] / f"{name}-{number}.mcap"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        slave.save_log(path)
+        where = f"mbtool decode {path}"
+    except (OSError, mbtool.MbtoolError) as error:
+        where = f"no log was kept: {error}"
+    shown = lines[-_LAST_LINES:]
+    more = "" if len(shown) == len(lines) else f", the last {len(shown)}"
+    count = len(slave.asked)
+    heading = f"{slave.link}: {count} request{'s' * (count != 1)}{more}; {where}"
+    return "\n".join((heading, *(f"  {one}" for one in shown)))
+
+
+def _beside(request: pytest.FixtureRequest, path: Any) -> Path:
+    """The path beside the test's file, if it is there; else as it was given."""
+    beside = request.path.parent / path
+    return beside if beside.exists() else Path(path)
