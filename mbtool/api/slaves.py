@@ -13,7 +13,7 @@ from mbtool.api.arguments import assignments_of, condition_of, profile_of
 from mbtool.api.observed_shell import ObservedShell, monitor_of
 from mbtool.core import UsageError
 from mbtool.ports.allowed_peers import AllowedPeers
-from mbtool.replay import MatchStrategy, OnEnd, OnMiss
+from mbtool.replay import MatchStrategy, OnEnd, OnMiss, TimeRange
 from mbtool.slave.device.image_file import load_image
 from mbtool.slave.device.value_targets import ValueTargets
 from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
@@ -119,7 +119,7 @@ class Slave(ObservedShell):
     @property
     def _lock(self) -> Any:
         assert self._switch is not None
-        return self._switch.locked()
+        return self._switch.lock
 
 
 class Replay(ObservedShell):
@@ -135,6 +135,8 @@ class Replay(ObservedShell):
         on_end: str = "last",
         latency: str = "recorded",
         speed: float | None = 1,
+        start: float = 0,
+        end: float | None = None,
         where: str | None = None,
         devices: Devices | None = None,
         ports: Sequence[int] = (),
@@ -149,8 +151,10 @@ class Replay(ObservedShell):
         "sequence", "key", "time", "image"; `on_miss` what an unknown request gets: "image",
         "exception", "silent"; `on_end` what comes after the last answer: "last", "loop", "image",
         "silent". `latency` is "recorded", "none", "sampled" or a time such as "5ms"; `speed` 2
-        plays twice as fast, None without any delay. `where` chooses transactions: 'link ==
-        "10.0.0.9"'.
+        plays twice as fast, None without any delay. `start` and `end` choose a part of the
+        recording, in seconds from its first request; `where` chooses transactions: 'link ==
+        "10.0.0.9"'. `devices`, `ports`, `rtu_ports` and `any_port` are as for `open`, `faults` and
+        `allow` as for `Slave`.
 
         Raises InputError if the recording cannot be read or has no request, UsageError for an
         argument that is wrong.
@@ -166,6 +170,7 @@ class Replay(ObservedShell):
             on_miss=_choice(OnMiss, "on_miss", on_miss),
             on_end=_choice(OnEnd, "on_end", on_end),
             latency=latency,
+            window=_window(start, end),
         )
         self.remarks: list[str] = []
         """Lines about the recording, such as that it is cut."""
@@ -194,6 +199,12 @@ def _rate(speed: float) -> Fraction:
     if not 0 < speed < 1e9:
         raise UsageError(f"speed {speed!r}: write a number above 0, or None for no delay")
     return Fraction(speed)
+
+
+def _window(start: float, end: float | None) -> TimeRange:
+    if start < 0 or (end is not None and end <= start):
+        raise UsageError(f"start {start}, end {end}: write seconds, the end after the start")
+    return TimeRange(round(start * 1e9), None if end is None else round(end * 1e9))
 
 
 def _choice(choices: type[_Choice], name: str, text: str) -> _Choice:

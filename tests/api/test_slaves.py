@@ -189,6 +189,8 @@ def test_a_recording_answers_and_knows_what_it_was_asked() -> None:
         ({"match": "exact"}, "match 'exact': write one of auto, sequence, key, time, image"),
         ({"on_miss": "no"}, "on_miss 'no': write one of image"),
         ({"on_end": "no"}, "on_end 'no': write one of last"),
+        ({"start": 5, "end": 5}, "start 5, end 5: write seconds"),
+        ({"start": 1e6}, "in the part"),
         ({"speed": 0}, "speed 0: write a number above 0"),
         ({"latency": "slow"}, "latency 'slow'"),
         ({"speed": None, "match": "time"}, "goes by the recording's clock"),
@@ -196,5 +198,5 @@ def test_a_recording_answers_and_knows_what_it_was_asked() -> None:
     ],
 )
 def test_a_wrong_option_of_a_recording_is_refused(options: dict[str, object], message: str) -> None:
-    with pytest.raises(mbtool.UsageError, match=message):
+    with pytest.raises(mbtool.MbtoolError, match=message):
         mbtool.Replay(LINE, **options)  # type: ignore[arg-type]

@@ -28,11 +28,12 @@ class FaultSwitch:
         self._link = link
         self._profiles = profiles
         self._faulty = slave
-        self._lock = threading.Lock()
+        self.lock = threading.Lock()
+        """Held while a request is answered."""
         self._next: list[Callable[[int], None]] = []
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        with self._lock:
+        with self.lock:
             actions, self._next = self._next, []
             for act in actions:
                 act(now_ns)
@@ -43,17 +44,13 @@ class FaultSwitch:
 
         Their `seconds` and `nth` count from the next request on. Raises the errors of `faulty`.
         """
-        with self._lock:
+        with self.lock:
             self._faulty = faulty(self._faulty, source, self._link, self._profiles)
 
     def clear(self) -> None:
         """Take all faults away."""
-        with self._lock:
+        with self.lock:
             self._faulty = self._slave
-
-    def locked(self) -> threading.Lock:
-        """A lock that is held while a request is answered."""
-        return self._lock
 
     def before_next(self, act: Callable[[int], None]) -> None:
         """Call `act` in the slave's thread, with the time in ns, before the next request."""
