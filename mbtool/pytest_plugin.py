@@ -14,12 +14,12 @@ from __future__ import annotations
 import re
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator
 
     import mbtool
 
@@ -76,8 +76,7 @@ def mbtool_slave(
                     options[name] = _beside(request, options[name])
             if isinstance(profile, str | Path) and str(profile).endswith(".toml"):
                 profile = _beside(request, profile)
-            slave = Slave(profile, on, **options)
-            return _started(slave, request, tmp_path_factory, ends)
+            return _started(lambda: Slave(profile, on, **options), request, tmp_path_factory, ends)
 
         yield make
 
@@ -98,8 +97,10 @@ def mbtool_replay(
             __tracebackhide__ = True
             if isinstance(options.get("faults"), str | Path):
                 options["faults"] = _beside(request, options["faults"])
-            replay = Replay(_beside(request, path), on, **options)
-            return _started(replay, request, tmp_path_factory, ends)
+            recording = _beside(request, path)
+            return _started(
+                lambda: Replay(recording, on, **options), request, tmp_path_factory, ends
+            )
 
         yield make
 
@@ -131,18 +132,27 @@ def pytest_runtest_makereport(
 
 
 def _started(
-    slave: _Shell,
+    make: Callable[[], _Shell],
     request: pytest.FixtureRequest,
     factory: pytest.TempPathFactory,
     ends: ExitStack,
 ) -> _Shell:
-    """Start a slave, and note it for the report and for the end of the test."""
+    """Start a slave, and note it for the report and for the end of the test.
+
+    An error of mbtool is one line, so it is raised without the calls inside mbtool.
+    """
+    __tracebackhide__ = True
+    from mbtool.core.errors import MbtoolError
+
+    try:
+        slave = ends.enter_context(cast("Any", make()))
+    except MbtoolError as error:
+        raise error.with_traceback(None) from None
     item = request.node
     item.stash.setdefault(_SLAVES, []).append(slave)
     if _FOLDER not in item.stash:
         item.stash[_FOLDER] = request.config.getoption(_OPTION) or factory.getbasetemp() / "mbtool"
-    ends.enter_context(slave)
-    return slave
+    return cast("_Shell", slave)
 
 
 def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:

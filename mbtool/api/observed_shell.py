@@ -14,7 +14,7 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from mbtool.core import LinkError, TcpLink, WireEvent, parse_link
+from mbtool.core import LinkError, TcpLink, UsageError, WireEvent, parse_link
 from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import Span, parse_span
 from mbtool.modbus import FUNCTIONS, Outcome
@@ -147,7 +147,7 @@ class ObservedShell:
         reference.
         """
         __tracebackhide__ = True
-        span = parse_span(what, self._profiles)
+        span = self._span(what)
         values = [written] if isinstance(written, int) else written
         asked = self.asked
         found = [
@@ -161,6 +161,18 @@ class ObservedShell:
         if bool(found) if times is None else len(found) == times:
             return found
         raise AssertionError(_disappointment(what, times, values, len(found), asked))
+
+    def _span(self, what: str) -> Span:
+        __tracebackhide__ = True
+        try:
+            return parse_span(what, self._profiles)
+        except UsageError:
+            names = " or ".join(one.name for one in self._profiles)
+            of_device = f" of {names}; write it as the manual does, or" if names else "; write"
+            raise UsageError(
+                f"{what!r} is no register or bit{of_device} 'holding 10..20', or with coil, "
+                "discrete or input"
+            ) from None
 
     def forget(self) -> None:
         """Forget what was asked so far, to assert on what comes next."""
