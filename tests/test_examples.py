@@ -1,11 +1,12 @@
-"""The scripts in examples/ run, and print what they promise."""
+"""The scripts and the notebook in examples/ run, and print what they promise."""
 
 from __future__ import annotations
 
+import json
 import runpy
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -46,3 +47,17 @@ def test_an_example_runs(
     monkeypatch.setattr(sys, "argv", [name, *run.arguments])
     runpy.run_path(str(EXAMPLES / name), run_name="__main__")
     assert run.said in capsys.readouterr().out.replace("\r\n", "\n")
+
+
+def test_the_notebook_runs_from_its_beginning_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXAMPLES)
+    cells = json.loads((EXAMPLES / "tour.ipynb").read_text())["cells"]
+    names: dict[str, Any] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            exec("".join(cell["source"]), names)
+    assert names["latest"]["HR400003"] == 7  # A master writes it meanwhile.
+    assert names["table"].num_rows == len(names["transactions"]) > 5
+    assert names["answer"] == bytes.fromhex("0001 0000 0007 01 03 04 0064 00c8")
+    assert names["asked"][0].endswith("03 read HR400001..400002 -> 100, 200")

@@ -200,3 +200,12 @@ def test_a_recording_answers_and_knows_what_it_was_asked() -> None:
 def test_a_wrong_option_of_a_recording_is_refused(options: dict[str, object], message: str) -> None:
     with pytest.raises(mbtool.MbtoolError, match=message):
         mbtool.Replay(LINE, **options)  # type: ignore[arg-type]
+
+
+def test_a_named_input_is_set_although_no_master_may_write_it() -> None:
+    with mbtool.Slave("idec-ft1a-smartaxis") as slave, master_of(slave) as ask:
+        slave["T5 contact"] = 1
+        assert slave["T5 contact"] == 1
+        assert ask("02 03ed 0001") == bytes.fromhex("02 01 01")  # discrete input 1005
+        (one,) = slave.asked
+        assert [point.name for point in one.points] == ["T5 contact"]

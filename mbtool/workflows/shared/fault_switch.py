@@ -53,5 +53,8 @@ class FaultSwitch:
             self._faulty = self._slave
 
     def before_next(self, act: Callable[[int], None]) -> None:
-        """Call `act` in the slave's thread, with the time in ns, before the next request."""
+        """Call `act` in the slave's thread, with the time in ns, before the next request.
+
+        The caller holds `lock`.
+        """
         self._next.append(act)
