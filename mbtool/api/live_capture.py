@@ -41,6 +41,10 @@ class LiveCapture:
         self._wanted = wanted
         self._stopping = threading.Event()
         self._sniffer: Sniffer | None = None
+        self._stream: Iterator[Record] = iter(())
+        """The one pass over the records, so that none is lost between two calls."""
+        self._end_ns = inf
+        """When the call that is under way ends, in UTC ns."""
         self.remarks: list[str] = []
         """Lines about the links, such as that bytes were lost or a master was turned away."""
 
@@ -53,6 +57,7 @@ class LiveCapture:
         sniffer = self._make_sniffer(self.remarks.append)
         sniffer.__enter__()
         self._sniffer = sniffer
+        self._stream = sniffer.records(self._is_over)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -68,8 +73,9 @@ class LiveCapture:
     ) -> Iterator[NamedTransaction]:
         """Yield transactions as they end: for some seconds, until there are `count`, or for ever.
 
-        When the time is over or `stop` was called, listening ends; after `count` transactions, or
-        a `break`, one can go on with another call. Raises LinkError when the last link is lost.
+        When the time is over or `stop` was called, listening ends for good; after `count`
+        transactions, or a `break`, one can go on with another call. Raises LinkError when the last
+        link is lost.
         """
         if count is not None and count <= 0:
             return
@@ -85,12 +91,13 @@ class LiveCapture:
         """Yield transactions and events, as `transactions` does."""
         if self._sniffer is None:
             raise RuntimeError("enter the capture first: with mbtool.sniff(...) as capture")
-        end_ns = inf if seconds is None else now_ns() + seconds * 1e9
-        for record in self._sniffer.records(
-            lambda at_ns: self._stopping.is_set() or at_ns >= end_ns
-        ):
+        self._end_ns = inf if seconds is None else now_ns() + seconds * 1e9
+        for record in self._stream:
             if isinstance(record, WireEvent) or self._wanted(record):
                 yield record
+
+    def _is_over(self, at_ns: int) -> bool:
+        return self._stopping.is_set() or at_ns >= self._end_ns
 
     def stop(self) -> None:
         """End the listening, from any thread; what has been heard is still given."""

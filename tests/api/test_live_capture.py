@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import mbtool
-from tests.api.masters import PATIENCE_S, READ_TWO, ask
+from tests.api.masters import PATIENCE_S, READ_TWO, ask, send
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,6 +42,21 @@ def test_a_tap_is_heard_and_logged(tmp_path: Path) -> None:
     assert [each.reference for each in mbtool.open(log)][:2] == ["HR400001..400002", "HR400009"]
 
 
+def test_no_transaction_is_lost_between_two_calls() -> None:
+    with mbtool.Slave(TOUCH) as slave:
+        tap = f"tap:127.0.0.1:0={slave.host}:{slave.port}"
+        with mbtool.sniff(tap) as capture, master_through(capture) as master:
+            for address in range(3):
+                send(master, 1, bytes([3, 0, address, 0, 1]))
+            ask(master, 1, bytes.fromhex("03 0003 0001"))
+            heard = [
+                one.address
+                for _ in range(4)
+                for one in capture.transactions(count=1, seconds=PATIENCE_S)
+            ]
+            assert heard == [0, 1, 2, 3]
+
+
 def test_where_chooses_what_is_given_and_time_ends_the_listening() -> None:
     with mbtool.Slave(TOUCH) as slave:
         tap = f"tap:127.0.0.1:0={slave.host}:{slave.port}"
@@ -51,6 +66,7 @@ def test_where_chooses_what_is_given_and_time_ends_the_listening() -> None:
             (one,) = capture.transactions(count=1, seconds=PATIENCE_S)
             assert one.function == 6
             assert list(capture.transactions(seconds=0)) == []
+            assert list(capture) == []  # The time was over, so nobody listens any more.
             assert list(capture.transactions(count=0)) == []
 
 

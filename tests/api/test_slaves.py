@@ -11,6 +11,7 @@ import mbtool
 from mbtool.api import observed_shell
 from mbtool.modbus import rtu_adu
 from tests.api.masters import PATIENCE_S, READ_TWO, master_of, send
+from tests.api.masters import ask as ask_unit
 
 CAPTURES = Path(__file__).parents[2] / "captures"
 LINE = CAPTURES / "ft1a-touch-line.mcap"
@@ -138,6 +139,14 @@ def test_a_request_without_response_is_unanswered() -> None:
         send(master, 1, bytes.fromhex(READ_TWO))
         assert master.recv(1) == b""  # The slave closes the connection without a response.
         assert [one.reference for one in slave.unanswered] == ["HR400001..400002"]
+
+
+def test_a_request_to_an_absent_unit_is_unanswered() -> None:
+    with touch() as slave, socket.create_connection((slave.host, slave.port), PATIENCE_S) as master:
+        send(master, 9, bytes.fromhex(READ_TWO))
+        assert ask_unit(master, 1, bytes.fromhex(READ_TWO))[0] == 3
+        assert [one.unit for one in slave.asked] == [9, 1]
+        assert [one.unit for one in slave.unanswered] == [9]
 
 
 def test_several_devices_answer_on_one_link() -> None:
