@@ -9,9 +9,10 @@ docs/python.md describes this interface. Nothing is loaded before it is used.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 from mbtool.version import __version__
+
+TYPE_CHECKING = False  # Type checkers take this name for True; importing typing takes milliseconds.
 
 if TYPE_CHECKING:
     from mbtool.api.byte_decoder import ByteDecoder as Decoder
