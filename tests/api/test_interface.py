@@ -12,19 +12,6 @@ import mbtool
 
 HEAVY = {"asyncio", "dataclasses", "mcap", "msgspec", "numpy", "pyarrow", "re", "rich", "scapy"}
 HEAVY |= {"serial", "typer", "typing"}
-    "typing",
-    "re",
-    "dataclasses",
-    "rich",
-    "typer",
-    "scapy",
-    "mcap",
-    "numpy",
-    "pyarrow",
-    "msgspec",
-    "serial",
-    "asyncio",
-}
 
 
 def test_importing_mbtool_loads_nothing_but_its_version() -> None:
