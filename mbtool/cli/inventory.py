@@ -106,7 +106,8 @@ def inventory(
     from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
 
     options = InventoryOptions(
-        reading=source.read(device, raw=raw, silences=silences), wanted=condition(where)
+        reading=source.read(device, raw=raw, silences=silences),
+        wanted=None if where is None else condition(where),
     )
     demand_other_file([*files, *(baseline or ())], output)
     path = named_file(output)

@@ -8,20 +8,21 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.reading import Reading
+
+T = TypeVar("T")
 
 _APPEARS_S = 1.0
 _SHOW_EVERY = 500
 """The bar is updated once for so many records."""
 
 
-def with_progress(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
+def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     """Pass records on, and show on a terminal how much of the files has been read."""
     if not sys.stderr.isatty():
         yield from records

@@ -154,10 +154,10 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import InputError
-    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.reading_choice import part_reading
     from mbtool.workflows.stats import FileStatistics
 
-    reading = Reading(shown.sources, options)
+    reading = part_reading(shown.sources, options, is_filtered=shown.where is not None)
     run = FileStatistics(reading, condition(shown.where))
     reading.demand_files()
     broken: InputError | None = None

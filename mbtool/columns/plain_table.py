@@ -1,8 +1,7 @@
 """Makes a table of columns from plain rows: transactions that are read from arrays."""
 
-# Rows of usual form are made from the arrays: reads and writes of registers and bits, whose request
-# has the form of its function, with a response that fits or an exception response. The row of every
-# other PDU is made as the decoder makes it (plain_transactions.py).
+# Rows of usual form (usual_rows.py) are made from the arrays. The row of every other PDU is made as
+# the decoder makes it (plain_transactions.py).
 #
 # The name of the function, the reference and the findings of a usual row depend on its function,
 # address and quantity alone. The first row of each of these is named as the decoder names it.
@@ -15,41 +14,21 @@ import numpy as np
 import pyarrow as pa
 
 from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
-from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.plain_transactions import origin_fields, plain_transaction
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
-from mbtool.core import Origin
-from mbtool.decode.transactions import add_origins
+from mbtool.columns.usual_rows import COUNTED, WRITE_COIL, WRITE_WORD, UsualRows
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus.adu import DirectionBy, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES
-from mbtool.modbus.functions import (
-    EXCEPTION_BIT,
-    READ_BITS,
-    READ_REGISTERS,
-    WRITE_ONE,
-    WRITE_SEVERAL,
-    exception_name,
-)
-from mbtool.modbus.layouts import COIL_VALUES
+from mbtool.modbus.functions import exception_name
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.columns.column_decoder import PlainRows
-    from mbtool.core import LinkAddresses
 
-_WRITE_COIL, _WRITE_COILS = 0x05, 0x0F
-_READ_WORDS = READ_REGISTERS - {0x17}
-_WRITE_WORD = WRITE_ONE - {_WRITE_COIL, 0x16}
-_WRITE_WORDS = WRITE_SEVERAL - {_WRITE_COILS}
-_FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])
 _PAIR = np.dtype(">u2")
-_FIXED = 5
-"""The size in bytes of a PDU of a function code, an address, and a quantity or value."""
-_COUNTED = 6
-"""The size in bytes of a request to write several values, up to and with its byte count."""
 
 
 class PlainTables:
@@ -62,7 +41,7 @@ class PlainTables:
 
     def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
         """The table of all rows, and again the transactions among them that are of unusual form."""
-        usual = _Usual(rows)
+        usual = _UsualValues(rows)
         chosen = np.flatnonzero(usual.is_usual)
         others = np.flatnonzero(~usual.is_usual).tolist()
         made = [self._named(rows, index) for index in others]
@@ -76,11 +55,11 @@ class PlainTables:
     def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(rows, index))
 
-    def _usual_table(self, rows: PlainRows, usual: _Usual, chosen: Int64s) -> pa.Table:
+    def _usual_table(self, rows: PlainRows, usual: _UsualValues, chosen: Int64s) -> pa.Table:
         names, name = self._names_of(rows, usual, chosen)
         ends = rows.connection[chosen]
         connections = rows.connections
-        origins = [_origin_fields(*one) for one in rows.addresses]
+        origins = [origin_fields(*one) for one in rows.addresses]
         source_macs, destination_macs, vlans = zip(*origins, strict=True)
         exception = usual.exception[chosen]
         is_exception = exception >= 0
@@ -131,7 +110,7 @@ class PlainTables:
         )
 
     def _names_of(
-        self, rows: PlainRows, usual: _Usual, chosen: Int64s
+        self, rows: PlainRows, usual: _UsualValues, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
         """A named row for each function, address and quantity; by row, the index of its name."""
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
@@ -142,72 +121,21 @@ class PlainTables:
         return [self._names[key] for key in kinds.tolist()], like
 
 
-class _Usual:
-    """Finds the plain rows of usual form, and reads the fields of their PDUs."""
-
-    def __init__(self, rows: PlainRows) -> None:
-        self._data = data = rows.block.data
-        self._code = code = rows.code
-        self._request = rows.request_begin + MBAP_BYTES
-        self._response = rows.response_begin + MBAP_BYTES
-        self._request_size = request_size = rows.request_size - MBAP_BYTES
-        self._response_size = response_size = rows.response_size - MBAP_BYTES
-        fields = gather(data, self._request + 1, _FOUR_BYTES)
-        self.address = fields["address"].astype(np.int64)
-        self._value = fields["quantity"].astype(np.int64)
-        writes_one = np.isin(code, [_WRITE_COIL, *_WRITE_WORD])
-        self.quantity = np.where(writes_one, 1, self._value)
-        second, count = data[self._response + 1].astype(np.int64), data[self._request + 5]
-        self._reads_bits, self._reads_words = (
-            np.isin(code, [*READ_BITS]),
-            np.isin(code, [*_READ_WORDS]),
-        )
-        self._writes_words = np.isin(code, [*_WRITE_WORDS])
-        self._writes_bits = code == _WRITE_COILS
-        bit_bytes, reads = (self._value + 7) // 8, self._reads_bits | self._reads_words
-        written = np.where(self._writes_bits, bit_bytes, 2 * self._value)
-        read = np.where(self._reads_bits, bit_bytes, 2 * self._value)
-        writes_several = self._writes_bits | self._writes_words
-        is_coil_value = np.isin(self._value, [*COIL_VALUES])
-        has_form = (
-            (reads | writes_one & ((code != _WRITE_COIL) | is_coil_value))
-            & (request_size == _FIXED)
-        ) | (writes_several & (request_size == _COUNTED + written) & (count == written))
-        repeated = gather(data, self._response + 1, _FOUR_BYTES)
-        repeats = (
-            (response_size == _FIXED)
-            & (repeated["address"] == fields["address"])
-            & (repeated["quantity"] == fields["quantity"])
-        )
-        fits = np.where(reads, (second == read) & (response_size == 2 + read), repeats)
-        is_exception = rows.response_code == code | EXCEPTION_BIT
-        answered = np.where(is_exception, response_size == 2, fits)
-        is_whole = has_form & answered & rows.has_addresses
-        self.is_usual = is_whole & ~self._is_padded(is_exception)
-        self.exception = np.where(is_exception, second, -1)
-
-    def _is_padded(self, is_exception: Bools) -> Bools:
-        """True where unused bits of the last byte are set: such a row needs a finding."""
-        used = self._value % 8
-        request_end = self._request + self._request_size - 1
-        response_end = self._response + self._response_size - 1
-        last = np.where(self._writes_bits, self._data[request_end], self._data[response_end])
-        has_bits = self._writes_bits | self._reads_bits & ~is_exception
-        is_padded: Bools = has_bits & (used > 0) & (last.astype(np.int64) >> used > 0)
-        return is_padded
+class _UsualValues(UsualRows):
+    """The registers and bits of usual rows."""
 
     def request_values(self, chosen: Int64s) -> pa.Array:
         """The values that the requests write; null for reads."""
         code, value = self._code[chosen], self._value[chosen]
         words, bits = self._writes_words[chosen], self._writes_bits[chosen]
-        single = np.isin(code, [_WRITE_COIL, *_WRITE_WORD])
-        begin = self._request[chosen] + np.where(single, 3, _COUNTED)
+        single = np.isin(code, [WRITE_COIL, *WRITE_WORD])
+        begin = self._request[chosen] + np.where(single, 3, COUNTED)
         words = words | single
         counts = np.where(single, 1, value)
         values = self._values(begin, counts, words, bits)
-        if (code == _WRITE_COIL).any():
+        if (code == WRITE_COIL).any():
             numbers, offsets = values
-            coils = offsets[:-1][code == _WRITE_COIL]
+            coils = offsets[:-1][code == WRITE_COIL]
             numbers[coils] = numbers[coils] != 0  # FF00H is 1 (layouts.COIL_VALUES).
         return _list(*values, ~(words | bits))
 
@@ -238,15 +166,6 @@ class _Usual:
             else:
                 numbers[targets] = gather(self._data, starts + 2 * inside, _PAIR)
         return numbers, offsets
-
-
-def _origin_fields(
-    request: LinkAddresses | None, response: LinkAddresses | None
-) -> tuple[str | None, str | None, int | None]:
-    """The MAC addresses of master and slave, and the VLAN, as a transaction has them."""
-    fields: dict[str, Any] = {}
-    add_origins(fields, Origin("", 0, request), Origin("", 0, response))
-    return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
 
 
 def _column(field: pa.Field, values: Any, count: int) -> pa.Array:

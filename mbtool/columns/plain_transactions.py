@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.columns.column_decoder import link_addresses_of
 from mbtool.core import Direction, Origin
-from mbtool.decode.transactions import Ends, with_response
+from mbtool.decode.transactions import Ends, add_origins, with_response
 from mbtool.modbus.adu import Adu, DirectionBy, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES
 
 if TYPE_CHECKING:
     from mbtool.columns.arrays import Int64s
     from mbtool.columns.column_decoder import PlainRows
+    from mbtool.core import LinkAddresses
     from mbtool.modbus.transaction import Transaction
 
 
@@ -41,6 +42,15 @@ def plain_transaction(rows: PlainRows, index: int) -> Transaction:
         ),
     )
     return with_response(ends, request, response, 0, ())
+
+
+def origin_fields(
+    request: LinkAddresses | None, response: LinkAddresses | None
+) -> tuple[str | None, str | None, int | None]:
+    """The MAC addresses of master and slave, and the VLAN, as a transaction has them."""
+    fields: dict[str, Any] = {}
+    add_origins(fields, Origin("", 0, request), Origin("", 0, response))
+    return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
 
 
 class _Half(NamedTuple):

@@ -13,7 +13,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import Counter
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 MAX_BUCKETS = 1024
 _EXACT_BITS = 64
@@ -56,6 +60,26 @@ class Distribution:
         self.count += 1
         self.total += ns
         self._put(ns, 1)
+
+    def add_all(self, durations: Sequence[int]) -> None:
+        """Add durations in their order; none of them is negative."""
+        if not durations:
+            return
+        least, greatest = min(durations), max(durations)
+        self.least = min(self.least, least) if self.count else least
+        self.greatest = max(self.greatest, greatest)
+        self.count += len(durations)
+        self.total += sum(durations)
+        lows: dict[int, int] = {}
+        for ns, count in Counter(durations).items():
+            low = self._low(ns)
+            lows[low] = lows.get(low, 0) + count
+        if len(self._buckets.keys() | lows.keys()) > self._limit:
+            for ns in durations:  # At one of these the buckets become wider.
+                self._put(ns, 1)
+            return
+        for low, count in lows.items():
+            self._buckets[low] = self._buckets.get(low, 0) + count
 
     def merge(self, other: Distribution) -> None:
         """Add all durations of another distribution."""
@@ -110,11 +134,15 @@ class Distribution:
         ]
 
     def _put(self, ns: int, count: int) -> None:
-        shift = ns.bit_length() - self.bits
-        low = ns >> shift << shift if shift > 0 else ns
+        low = self._low(ns)
         self._buckets[low] = self._buckets.get(low, 0) + count
         if len(self._buckets) > self._limit:
             self._shrink()
+
+    def _low(self, ns: int) -> int:
+        """The least duration of the bucket that a duration falls into."""
+        shift = ns.bit_length() - self.bits
+        return ns >> shift << shift if shift > 0 else ns
 
     def _width(self, low: int) -> int:
         return 1 << max(low.bit_length() - self.bits, 0)
@@ -126,8 +154,7 @@ class Distribution:
     def _coarsen(self, bits: int) -> None:
         buckets, self._buckets, self.bits = self._buckets, {}, bits
         for low, count in buckets.items():
-            shift = low.bit_length() - bits
-            coarse = low >> shift << shift if shift > 0 else low
+            coarse = self._low(low)
             self._buckets[coarse] = self._buckets.get(coarse, 0) + count
 
 

@@ -5,13 +5,12 @@
 #
 # Limits: MAX_SLAVES units and MAX_MASTERS masters; MAX_USES pairs of a master and a function in
 # all; MAX_REQUESTS different requests that are compared with profiles; MAX_TEXTS texts of each
-# name, MAX_MACS addresses for each host; the ranges of inventory_ranges.py. Whatever is beyond a
-# limit is counted in `left_out`. MAX_POLLS only limits the requests that are looked up quickly.
+# name; the addresses of inventory_seen.py and the ranges of inventory_ranges.py. Whatever is beyond
+# a limit is counted in `left_out`. MAX_POLLS only limits the requests that are looked up quickly.
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.devices.identity import answer_word
@@ -20,7 +19,7 @@ from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.identification import identities
 from mbtool.modbus.transaction import Outcome
-from mbtool.overview.inventory_ranges import AddressRanges, without
+from mbtool.overview.inventory_ranges import without
 from mbtool.overview.inventory_rows import (
     INVENTORY_FORMAT,
     FunctionUse,
@@ -30,11 +29,13 @@ from mbtool.overview.inventory_rows import (
     Role,
     SlaveRow,
 )
+from mbtool.overview.inventory_seen import UNANSWERED, Seen, SeenMaster, SeenSlave, SeenUse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mbtool.devices import NamedTransaction
+    from mbtool.overview.answered_run import AnsweredRun
     from mbtool.overview.inventory_rows import ProfileFit
 
 MAX_SLAVES = 65_536
@@ -43,90 +44,12 @@ MAX_USES = 262_144
 MAX_REQUESTS = 131_072
 MAX_POLLS = 131_072
 MAX_TEXTS = 4
-MAX_MACS = 4
 
 MODEL_CODE = "model code"
 _WHOLE_DEVICE = frozenset((0, 255))
 """Unit ids that address the host itself (MODBUS Messaging on TCP/IP V1.0b, 4.4.2)."""
-_GATEWAY_EXCEPTIONS = frozenset(
-    (ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
-)
-"""Exceptions that a gateway sends when the unit behind it does not answer."""
-_UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCAST))
 
-
-@dataclass(slots=True)
-class _Seen:
-    """When something was seen, and at which MAC addresses."""
-
-    first_ns: int
-    last_ns: int = 0
-    macs: list[str] = field(default_factory=list)
-
-    def note(self, start_ns: int, end_ns: int, mac: str | None) -> None:
-        if start_ns < self.first_ns:
-            self.first_ns = start_ns
-        if end_ns > self.last_ns:
-            self.last_ns = end_ns
-        if mac is not None and mac not in self.macs and len(self.macs) < MAX_MACS:
-            self.macs.append(mac)
-
-
-@dataclass(slots=True)
-class _SeenUse:
-    function: int
-    name: str
-    master: str | None
-    writes: bool
-    requests: int = 0
-    unsupported: int = 0
-    asked: AddressRanges = field(default_factory=AddressRanges)
-    """The addresses of requests that were not refused."""
-    refused: AddressRanges = field(default_factory=AddressRanges)
-
-
-@dataclass(slots=True)
-class _SeenSlave:
-    host: str
-    port: int | None
-    unit: int
-    is_on_line: bool
-    seen: _Seen
-    observed: ObservedSlave | None
-    transports: set[str] = field(default_factory=set)
-    device: str | None = None
-    identity: dict[tuple[int, str], list[str]] = field(default_factory=dict)
-    uses: dict[tuple[int, str | None, bool], _SeenUse] = field(default_factory=dict)
-    outcomes: Counter[Outcome] = field(default_factory=Counter)
-    exceptions: Counter[int] = field(default_factory=Counter)
-    answered_ns: int = 0
-
-    @property
-    def unreached(self) -> int:
-        """The number of requests that only a gateway answered."""
-        return sum(self.exceptions[code] for code in _GATEWAY_EXCEPTIONS)
-
-    @property
-    def answered(self) -> int:
-        """The number of requests that the unit itself answered."""
-        silent = sum(self.outcomes[one] for one in _UNANSWERED)
-        return self.outcomes.total() - silent - self.unreached
-
-    @property
-    def is_broadcast(self) -> bool:
-        return self.is_on_line and self.unit == 0
-
-
-@dataclass(slots=True)
-class _SeenMaster:
-    seen: _Seen
-    requests: int = 0
-    slaves: set[int] = field(default_factory=set)
-    """The slaves that this master asked, by `id()`."""
-    written: set[int] = field(default_factory=set)
-
-
-_Poll = tuple[_SeenSlave, "_SeenMaster | None", tuple[_SeenUse, ...]]
+_Poll = tuple[SeenSlave, "SeenMaster | None", tuple[SeenUse, ...]]
 
 
 class Inventory:
@@ -135,8 +58,8 @@ class Inventory:
     def __init__(self) -> None:
         self.transactions = 0
         self.left_out: Counter[str] = Counter()
-        self._slaves: dict[tuple[str, int | None, int], _SeenSlave] = {}
-        self._masters: dict[str, _SeenMaster] = {}
+        self._slaves: dict[tuple[str, int | None, int], SeenSlave] = {}
+        self._masters: dict[str, SeenMaster] = {}
         self._polls: dict[tuple[object, ...], _Poll] = {}
         self._uses = 0
         self._requests = 0
@@ -144,6 +67,28 @@ class Inventory:
     def add(self, transaction: NamedTransaction) -> None:
         """Add one transaction."""
         self.transactions += 1
+        poll = self._poll(transaction)
+        if poll is not None:
+            start_ns, response_ns = transaction.start_ns, transaction.response_ns
+            _count(transaction, 1, start_ns, start_ns if response_ns is None else response_ns, poll)
+
+    def add_run(self, run: AnsweredRun) -> None:
+        """Add requests, with the same result as one by one."""
+        if len(self._polls) + len(run.kinds) > MAX_POLLS:
+            for one in run.transactions():
+                self.add(one)
+            return
+        self.transactions += len(run)
+        for kind in run.kinds:
+            poll = self._poll(kind.like)
+            if poll is not None:
+                _count(kind.like, kind.count, kind.begin_ns, kind.end_ns, poll)
+                continue
+            for _ in range(kind.count - 1):  # Each of them is counted as left out.
+                self._poll(kind.like)
+
+    def _poll(self, transaction: NamedTransaction) -> _Poll | None:
+        """What a transaction belongs to; None if there is no room for its slave."""
         source = transaction.source
         master = None if source is None else source.rpartition(":")[0]
         key = (
@@ -161,12 +106,12 @@ class Inventory:
         if poll is None:
             poll = self._begin(transaction, master)
             if poll is None:
-                return
+                return None
             # Each answer of an identification is looked at, since it may give another text.
             is_identity = transaction.address is None
             if not is_identity and len(self._polls) < MAX_POLLS:
                 self._polls[key] = poll
-        _count(transaction, *poll)
+        return poll
 
     def document(
         self,
@@ -219,7 +164,7 @@ class Inventory:
                 asker.written.add(number)
         return slave, asker, uses
 
-    def _slave(self, transaction: NamedTransaction) -> _SeenSlave | None:
+    def _slave(self, transaction: NamedTransaction) -> SeenSlave | None:
         destination = transaction.destination
         if destination is None:
             host, port = transaction.link, None
@@ -232,15 +177,15 @@ class Inventory:
             if len(self._slaves) >= MAX_SLAVES:
                 self.left_out["transactions are of slaves without a row"] += 1
                 return None
-            slave = self._slaves[key] = _SeenSlave(
+            slave = self._slaves[key] = SeenSlave(
                 *key,
                 is_on_line=transaction.transport.is_serial and destination is None,
-                seen=_Seen(transaction.start_ns),
+                seen=Seen(transaction.start_ns),
                 observed=None,
             )
         return slave
 
-    def _master(self, transaction: NamedTransaction, host: str | None) -> _SeenMaster | None:
+    def _master(self, transaction: NamedTransaction, host: str | None) -> SeenMaster | None:
         if host is None:
             return None
         master = self._masters.get(host)
@@ -248,12 +193,12 @@ class Inventory:
             if len(self._masters) >= MAX_MASTERS:
                 self.left_out["transactions are of masters without a row"] += 1
                 return None
-            master = self._masters[host] = _SeenMaster(_Seen(transaction.start_ns))
+            master = self._masters[host] = SeenMaster(Seen(transaction.start_ns))
         return master
 
     def _uses_of(
-        self, slave: _SeenSlave, transaction: NamedTransaction, master: str | None
-    ) -> tuple[_SeenUse, ...]:
+        self, slave: SeenSlave, transaction: NamedTransaction, master: str | None
+    ) -> tuple[SeenUse, ...]:
         """The entries of a transaction's function: one, or a read and a write for 17H."""
         function = transaction.function
         known = FUNCTIONS.get(function)
@@ -268,8 +213,8 @@ class Inventory:
         return () if use is None else (use,)
 
     def _use(
-        self, slave: _SeenSlave, transaction: NamedTransaction, master: str | None, *, writes: bool
-    ) -> _SeenUse | None:
+        self, slave: SeenSlave, transaction: NamedTransaction, master: str | None, *, writes: bool
+    ) -> SeenUse | None:
         key = (transaction.function, master, writes)
         use = slave.uses.get(key)
         if use is None:
@@ -278,13 +223,13 @@ class Inventory:
                 return None
             self._uses += 1
             name = transaction.function_name
-            use = slave.uses[key] = _SeenUse(transaction.function, name, master, writes)
+            use = slave.uses[key] = SeenUse(transaction.function, name, master, writes)
         return use
 
-    def _observe(self, slave: _SeenSlave, transaction: NamedTransaction) -> None:
+    def _observe(self, slave: SeenSlave, transaction: NamedTransaction) -> None:
         """Keep a request and its response, to be compared with profiles."""
         if slave.observed is None:
-            if transaction.outcome in _UNANSWERED:
+            if transaction.outcome in UNANSWERED:
                 return  # A slave that never answers is not compared.
             link = "" if transaction.destination is not None else transaction.link
             slave.observed = ObservedSlave(link, transaction.destination, transaction.unit)
@@ -306,34 +251,32 @@ class Inventory:
 
 
 def _count(
-    transaction: NamedTransaction,
-    slave: _SeenSlave,
-    master: _SeenMaster | None,
-    uses: tuple[_SeenUse, ...],
+    transaction: NamedTransaction, number: int, start_ns: int, end_ns: int, poll: _Poll
 ) -> None:
-    """Count a transaction in the entries that it belongs to."""
-    request_ns, response_ns = transaction.request_ns, transaction.response_ns
-    start_ns = request_ns if request_ns is not None else response_ns or 0
-    end_ns = response_ns if response_ns is not None else start_ns
+    """Count a number of transactions that are like this one, in the entries that they belong to.
+
+    The first of them began at `start_ns`, the last one ended at `end_ns`.
+    """
+    slave, master, uses = poll
     slave.seen.note(start_ns, end_ns, transaction.destination_mac)
-    slave.outcomes[transaction.outcome] += 1
+    slave.outcomes[transaction.outcome] += number
     if transaction.exception is not None:
-        slave.exceptions[transaction.exception] += 1
-    elif response_ns is not None and response_ns > slave.answered_ns:
-        slave.answered_ns = response_ns
-    if request_ns is None:
+        slave.exceptions[transaction.exception] += number
+    elif transaction.response_ns is not None and end_ns > slave.answered_ns:
+        slave.answered_ns = end_ns
+    if transaction.request_ns is None:
         return  # The capture lacks the request.
     for use in uses:
-        use.requests += 1
+        use.requests += number
         if transaction.exception == ExceptionCode.ILLEGAL_FUNCTION:
-            use.unsupported += 1
+            use.unsupported += number
     if master is not None:
-        master.requests += 1
+        master.requests += number
         master.seen.note(start_ns, end_ns, transaction.source_mac)
 
 
 def _widen(
-    use: _SeenUse | None, transaction: NamedTransaction, address: int | None, quantity: int | None
+    use: SeenUse | None, transaction: NamedTransaction, address: int | None, quantity: int | None
 ) -> None:
     """Add the addresses of a request to those of its function."""
     if use is None or address is None:
@@ -342,7 +285,7 @@ def _widen(
     ranges.add(address, address + max(1 if quantity is None else quantity, 1) - 1)
 
 
-def _note_identity(slave: _SeenSlave, transaction: NamedTransaction) -> None:
+def _note_identity(slave: SeenSlave, transaction: NamedTransaction) -> None:
     """Keep the texts in a response by which the slave identifies itself."""
     if transaction.response_raw is None or transaction.exception is not None:
         return
@@ -357,7 +300,7 @@ def _note_identity(slave: _SeenSlave, transaction: NamedTransaction) -> None:
             known.append(text)
 
 
-def _slave_row(slave: _SeenSlave, is_gateway: bool, maker: Callable[[str], str | None]) -> SlaveRow:
+def _slave_row(slave: SeenSlave, is_gateway: bool, maker: Callable[[str], str | None]) -> SlaveRow:
     return SlaveRow(
         host=slave.host,
         port=slave.port,
@@ -383,7 +326,7 @@ def _slave_row(slave: _SeenSlave, is_gateway: bool, maker: Callable[[str], str |
     )
 
 
-def _role(slave: _SeenSlave, *, is_gateway: bool) -> Role:
+def _role(slave: SeenSlave, *, is_gateway: bool) -> Role:
     if slave.is_broadcast:
         return Role.BROADCAST
     if slave.answered:
@@ -393,12 +336,12 @@ def _role(slave: _SeenSlave, *, is_gateway: bool) -> Role:
     return Role.UNHEARD
 
 
-def _use_order(item: tuple[tuple[int, str | None, bool], _SeenUse]) -> tuple[bool, int, str]:
+def _use_order(item: tuple[tuple[int, str | None, bool], SeenUse]) -> tuple[bool, int, str]:
     function, master, writes = item[0]
     return writes, function, master or ""
 
 
-def _use_row(use: _SeenUse) -> FunctionUse:
+def _use_row(use: SeenUse) -> FunctionUse:
     asked = use.asked.pairs
     return FunctionUse(
         function=use.function,
@@ -413,7 +356,7 @@ def _use_row(use: _SeenUse) -> FunctionUse:
     )
 
 
-def _master_row(host: str, master: _SeenMaster, maker: Callable[[str], str | None]) -> MasterRow:
+def _master_row(host: str, master: SeenMaster, maker: Callable[[str], str | None]) -> MasterRow:
     return MasterRow(
         host=host,
         macs=master.seen.macs,

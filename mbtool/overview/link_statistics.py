@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
@@ -33,14 +34,21 @@ class Hours:
         self._hours: dict[int, list[int]] = {}
 
     def add(self, at_ns: int, *, is_missing: bool) -> None:
-        hour = at_ns // HOUR_NS
+        self._add(at_ns // HOUR_NS, 1, int(is_missing))
+
+    def add_answered(self, times_ns: Iterable[int]) -> None:
+        """Count requests that were answered."""
+        for hour, requests in sorted(Counter(time // HOUR_NS for time in times_ns).items()):
+            self._add(hour, requests, 0)
+
+    def _add(self, hour: int, requests: int, missing: int) -> None:
         counts = self._hours.get(hour)
         if counts is None:
             if len(self._hours) >= MAX_HOURS:
                 del self._hours[min(self._hours)]
             counts = self._hours[hour] = [0, 0]
-        counts[0] += 1
-        counts[1] += is_missing
+        counts[0] += requests
+        counts[1] += missing
 
     def counts(self) -> list[HourCount]:
         return [HourCount(hour * HOUR_NS, *counts) for hour, counts in sorted(self._hours.items())]
@@ -70,12 +78,15 @@ class LinkStatistics:
 
     def note(self, one: NamedTransaction) -> None:
         """Take the times of a transaction."""
+        begin_ns = one.start_ns
+        self.note_span(one, begin_ns, max(one.response_ns or begin_ns, begin_ns))
+
+    def note_span(self, one: NamedTransaction, begin_ns: int, end_ns: int) -> None:
+        """Take the times of a transaction, or of several that are like it."""
         if self._is_new:
             self._begin_span(one)
         if not self.has_times:
             return
-        begin_ns = one.start_ns
-        end_ns = max(one.response_ns or begin_ns, begin_ns)
         if self._span is None:
             self._span = begin_ns, end_ns
         else:

@@ -5,29 +5,57 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.overview.poll_cycle import Asked, PollLists, find_lists, response_timeout
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from mbtool.overview.poll_statistics import PollStatistics
 
 MAX_ASKED = 2048
 """The number of requests kept: enough for three cycles of a list of 680 polls."""
 
 
+class TapedRequest(NamedTuple):
+    """A request of a poll. Sorts by its time, then by its number."""
+
+    at_ns: int
+    """The end of the request, in UTC ns."""
+    number: int
+    """Transactions are numbered as they are completed."""
+    poll: PollStatistics
+    end_ns: int
+    """When the response was complete; when the request was, if there is none."""
+    is_missing: bool
+    """True if the slave should have answered and did not."""
+    wire_ns: int
+    """How long the request took on a serial line; 0 on a network."""
+
+
 class MasterTape:
     """The last requests of one master on one link. They are put in order of time."""
 
     def __init__(self) -> None:
-        self._asked: deque[Asked[PollStatistics]] = deque(maxlen=MAX_ASKED)
-        self._last: Asked[PollStatistics] | None = None
+        self._asked: deque[TapedRequest] = deque(maxlen=MAX_ASKED)
+        self._last: TapedRequest | None = None
 
-    def add(self, asked: Asked[PollStatistics]) -> bool:
+    def add(self, asked: TapedRequest) -> bool:
         """Take the next request; True if it repeats the last request, which had no answer."""
         last, self._last = self._last, asked
         self._asked.append(asked)
         return last is not None and last.is_missing and last.poll is asked.poll
+
+    def add_answered(self, asked: Iterable[TapedRequest]) -> None:
+        """Take the next requests, which were answered, as was the last one."""
+        self._asked.extend(asked)
+        self._last = self._asked[-1]
+
+    @property
+    def is_waiting(self) -> bool:
+        """True if the last request got no answer, so that the next one may repeat it."""
+        return self._last is not None and self._last.is_missing
 
     def cut(self) -> None:
         """Forget what was asked: another capture begins."""
@@ -38,8 +66,15 @@ class MasterTape:
         return len(self._asked)
 
     def lists(self) -> PollLists[PollStatistics]:
-        return find_lists(self._asked)
+        return find_lists(self._in_order())
 
     def timeout_ns(self) -> int | None:
         """How long (ns) the master waits for an answer; None if no answer is missing."""
-        return response_timeout(sorted(self._asked, key=lambda one: one.begin_ns))
+        return response_timeout(self._in_order())
+
+    def _in_order(self) -> list[Asked[PollStatistics]]:
+        asked = [
+            Asked(one.poll, one.at_ns - one.wire_ns, one.end_ns, one.is_missing)
+            for one in self._asked
+        ]
+        return sorted(asked, key=lambda one: one.begin_ns)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.overview.distribution import Distribution
 from mbtool.overview.request_tally import RequestTally
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mbtool.devices.named_transaction import NamedTransaction
 
 _PERIOD_BUCKETS = 256
@@ -76,6 +79,12 @@ class PollStatistics:
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
         self._last_ns = at_ns
+
+    def begin_all(self, times_ns: Sequence[int]) -> None:
+        """Note that the poll is asked at these times; they are in order."""
+        self.begin(times_ns[0])
+        self.period.add_all([after - before for before, after in pairwise(times_ns)])
+        self._last_ns = times_ns[-1]
 
     def cut(self) -> None:
         """End a capture: no period reaches from one capture into the next."""

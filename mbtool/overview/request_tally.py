@@ -44,19 +44,24 @@ class RequestTally:
         self.response_bytes = 0
 
     def add(self, transaction: NamedTransaction) -> None:
-        outcome = transaction.outcome
-        self.outcomes[outcome] = self.outcomes.get(outcome, 0) + 1
-        code = transaction.exception
-        if code is not None and (code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS):
-            self.exceptions[code] = self.exceptions.get(code, 0) + 1
-            self.exception_names.setdefault(code, transaction.exception_name or "")
-        self.retries += transaction.retries > 0
+        self.count_alike(transaction, 1)
         if transaction.latency_ns is not None:
             self.latency.add(transaction.latency_ns)
+
+    def count_alike(self, transaction: NamedTransaction, number: int) -> None:
+        """Count a number of transactions that are like this one, without their latencies."""
+        outcome = transaction.outcome
+        self.outcomes[outcome] = self.outcomes.get(outcome, 0) + number
+        code = transaction.exception
+        if code is not None and (code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS):
+            self.exceptions[code] = self.exceptions.get(code, 0) + number
+            self.exception_names.setdefault(code, transaction.exception_name or "")
+        if transaction.retries > 0:
+            self.retries += number
         if transaction.request_raw is not None:
-            self.request_bytes += len(transaction.request_raw)
+            self.request_bytes += number * len(transaction.request_raw)
         if transaction.response_raw is not None:
-            self.response_bytes += len(transaction.response_raw)
+            self.response_bytes += number * len(transaction.response_raw)
 
     def merge(self, other: RequestTally) -> None:
         """Add all that another tally has counted."""

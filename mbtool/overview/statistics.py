@@ -1,43 +1,39 @@
 """Counts and times everything that a capture or a live link shows."""
 
 # Each transaction is counted at once, by its poll. Periods, poll cycles and hours need requests in
-# the order of their times; a transaction without answer may come long after later ones. So
-# transactions wait in a heap until WINDOW later ones have come; one that comes later still is left
-# out of periods and counted in `late`.
+# the order of their times (request_order.py).
 #
 # Memory. MAX_POLLS polls; if there are more, the one that was not asked for longest is given up,
 # and what it has counted goes to its group (link, unit, function). MAX_GROUPS groups, MAX_LINKS
-# links with MAX_HOURS hours each, MAX_PAIRS pairs of hosts, MAX_TAPES masters with their last
-# requests. Everything beyond these limits is counted together, under no name. A poll takes 2 to 10
-# KB in practice, and 130 KB if all its latencies and periods differ.
+# links with MAX_HOURS hours each, MAX_PAIRS pairs of hosts, and what request_order.py keeps.
+# Everything beyond these limits is counted together, under no name. A poll takes 2 to 10 KB in
+# practice, and 130 KB if all its latencies and periods differ.
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.overview.link_statistics import LinkStatistics
-from mbtool.overview.master_tape import MasterTape
-from mbtool.overview.poll_cycle import Asked
 from mbtool.overview.poll_statistics import PollKey, PollStatistics, poll_key
+from mbtool.overview.request_order import RequestOrder
 from mbtool.overview.request_tally import RequestTally
 from mbtool.overview.statistics_connections import ConnectionTally
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.overview.answered_run import AlikeRequests, AnsweredRun
+    from mbtool.overview.master_tape import MasterTape
 
 MAX_POLLS = 2048
 MAX_GROUPS = 4096
 MAX_LINKS = 1024
 MAX_PAIRS = 4096
-MAX_TAPES = 256
-WINDOW = 2048
 _MAX_HOSTS = 65_536
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
@@ -65,16 +61,19 @@ class Statistics:
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
         """The counts of connections, by link and the master's host."""
-        self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
-        """The last requests of each master, by link and the master's host."""
         self.transactions = 0
-        self.late = 0
-        """The number of transactions that came too late to be put in order."""
+        self._order = RequestOrder(self.links)
         self._hosts: dict[str, str] = {}
-        self._heap: list[tuple[int, int, PollStatistics, NamedTransaction]] = []
-        self._ordered_ns = 0
-        """The time of the last request that was put in order."""
-        self._taken = 0
+
+    @property
+    def tapes(self) -> Mapping[tuple[str, str], MasterTape]:
+        """The last requests of each master, by link and the master's host."""
+        return self._order.tapes
+
+    @property
+    def late(self) -> int:
+        """How many transactions came too late to be put in order."""
+        return self._order.late
 
     def add(self, record: NamedTransaction | WireEvent) -> None:
         if isinstance(record, WireEvent):
@@ -82,21 +81,30 @@ class Statistics:
         else:
             self._add_transaction(record)
 
+    def add_run(self, run: AnsweredRun) -> None:
+        """Add requests, with the same result as one by one."""
+        if not self._has_room(run):
+            for one in run.transactions():
+                self._add_transaction(one)
+            return
+        self.transactions += len(run)
+        polls = [self._count_alike(kind) for kind in run.kinds]
+        for poll, latencies in run.latencies_of(polls).items():
+            poll.tally.latency.add_all(latencies)
+        self._touch(run, polls)
+        self._order.add_run(run, polls)
+
     def begin_capture(self) -> None:
         """Note that the next record is of another capture, which may be of another day."""
-        self.settle()
-        self._ordered_ns = 0
+        self._order.begin_capture()
         for link in self.links.values():
             link.end_span()
         for poll in self.polls.values():
             poll.cut()
-        for tape in self.tapes.values():
-            tape.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
         """Put the waiting transactions in order: all, or those whose request came before a time."""
-        while self._heap and (before_ns is None or self._heap[0][0] < before_ns):
-            self._order(*heappop(self._heap))
+        self._order.settle(before_ns)
 
     def _add_transaction(self, one: NamedTransaction) -> None:
         self.transactions += 1
@@ -110,26 +118,37 @@ class Statistics:
         poll.tally.add(one)
         if not link.has_times:
             return
-        self._taken += 1
-        if one.request_ns < self._ordered_ns:
-            self.late += 1
-            return
-        heappush(self._heap, (one.request_ns, self._taken, poll, one))
-        if len(self._heap) > WINDOW:
-            self._order(*heappop(self._heap))
+        self._order.add(
+            one.request_ns,
+            poll,
+            max(one.response_ns or one.request_ns, one.request_ns),
+            link.wire_ns(len(one.request_raw or b"")),
+            is_missing=one.outcome is Outcome.NO_ANSWER,
+        )
 
-    def _order(self, at_ns: int, _taken: int, poll: PollStatistics, one: NamedTransaction) -> None:
-        """Take the next request in order of time: count its hour, its cycle and its period."""
-        self._ordered_ns = at_ns
-        link = self.links[one.link]
-        is_missing = one.outcome is Outcome.NO_ANSWER
-        link.hours.add(at_ns, is_missing=is_missing)
-        begin_ns = at_ns - link.wire_ns(len(one.request_raw or b""))
-        asked = Asked(poll, begin_ns, max(one.response_ns or at_ns, at_ns), is_missing)
-        if self._tape(one.link, poll.key.master).add(asked):
-            poll.repetitions += 1
-        else:
-            poll.begin(at_ns)
+    def _has_room(self, run: AnsweredRun) -> bool:
+        """True if a run needs no limit of links and polls, and its links have times."""
+        likes = [kind.like for kind in run.kinds]
+        links = {like.link for like in likes}
+        known = [self.links[link] for link in links if link in self.links]
+        if len(self.links) + len(links) - len(known) > MAX_LINKS:
+            return False
+        polls = {poll_key(like, self._host(like.source)) for like in likes}
+        if len(self.polls) + len(polls - self.polls.keys()) > MAX_POLLS:
+            return False
+        return all(link.has_times for link in known)
+
+    def _count_alike(self, kind: AlikeRequests) -> PollStatistics:
+        """Count requests, without their latencies; return their poll."""
+        self._link(kind.like.link).note_span(kind.like, kind.begin_ns, kind.end_ns)
+        poll = self._poll(kind.like)
+        poll.tally.count_alike(kind.like, kind.count)
+        return poll
+
+    def _touch(self, run: AnsweredRun, polls: list[PollStatistics]) -> None:
+        """Bring the polls of a run into the order of their last requests."""
+        for kind in reversed(dict.fromkeys(reversed(run.kind))):
+            self.polls.move_to_end(polls[kind].key)
 
     def _add_event(self, event: WireEvent) -> None:
         if event.kind in _CONNECTIONS:
@@ -175,17 +194,6 @@ class Statistics:
                 key = OTHER_LINKS, 0, 0
             tally = self.groups.setdefault(key, RequestTally())
         return tally
-
-    def _tape(self, link: str, master: str) -> MasterTape:
-        key = link, master
-        tape = self.tapes.get(key)
-        if tape is None:
-            if len(self.tapes) >= MAX_TAPES:
-                self.tapes.popitem(last=False)
-            tape = self.tapes[key] = MasterTape()
-        else:
-            self.tapes.move_to_end(key)
-        return tape
 
     def _host(self, address: str | None) -> str:
         """The host of an address with its port, `10.0.0.1` of `10.0.0.1:50211`."""

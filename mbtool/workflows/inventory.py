@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import InputError, WireEvent
+from mbtool.decode.decoder import Record
 from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
+from mbtool.overview.answered_run import AnsweredRun
 from mbtool.overview.baseline import changes
 from mbtool.overview.identification import identify
 from mbtool.overview.inventory import Inventory
@@ -19,11 +21,13 @@ from mbtool.overview.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.makers import maker
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.shared.reading_choice import part_reading
 
 if TYPE_CHECKING:
     from mbtool.overview.baseline import InventoryChange
-    from mbtool.workflows.shared.read_all import Watch
 
+WatchParts = Callable[[Reading, Iterator[Record | AnsweredRun]], Iterator[Record | AnsweredRun]]
+"""A function that passes on what is read; it may show how much of the files has been read."""
 _DOCUMENT_BEGINS = b"{"
 
 
@@ -32,7 +36,8 @@ class InventoryOptions:
     """How the files of an inventory are read, and a filter for transactions."""
 
     reading: ReadingOptions
-    wanted: Callable[[NamedTransaction], bool] = lambda _: True
+    wanted: Callable[[NamedTransaction], bool] | None = None
+    """None if every transaction passes."""
 
 
 class InventoryRun:
@@ -41,12 +46,13 @@ class InventoryRun:
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
         self._options = options
-        self.reading = Reading(files, options.reading)
+        is_filtered = options.wanted is not None
+        self.reading = part_reading(files, options.reading, is_filtered=is_filtered)
         self.error: InputError | None = None
         """An error of a file that could not be read, or not to its end; None if there was none."""
 
     def take(
-        self, on_remark: Callable[[str], None] = lambda _: None, watch: Watch = unwatched
+        self, on_remark: Callable[[str], None] = lambda _: None, watch: WatchParts = unwatched
     ) -> InventoryDocument:
         """Read the files as far as they can be read.
 
@@ -56,8 +62,10 @@ class InventoryRun:
         inventory = Inventory()
         wanted = self._options.wanted
         try:
-            for record in watch(self.reading, self.reading.records()):
-                if not isinstance(record, WireEvent) and wanted(record):
+            for record in watch(self.reading, self.reading.parts()):
+                if isinstance(record, AnsweredRun):
+                    inventory.add_run(record)
+                elif not isinstance(record, WireEvent) and (wanted is None or wanted(record)):
                     inventory.add(record)
         except InputError as error:
             if not inventory.transactions:

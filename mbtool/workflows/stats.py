@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, WireEvent
+from mbtool.overview.answered_run import AnsweredRun
 from mbtool.overview.statistics import Statistics
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
-    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.part_reading import PartReading
 
 ORDERED_AFTER_NS = 5_000_000_000
 """Live transactions are sorted by time after a delay of so many ns. After it no earlier transaction
@@ -28,7 +29,8 @@ can follow, as a decoder waits no longer for a response."""
 class FileStatistics:
     """Reads files once, and computes the statistics of the transactions that pass the filter."""
 
-    def __init__(self, reading: Reading, wanted: Where) -> None:
+    def __init__(self, reading: PartReading, wanted: Where) -> None:
+        """A filter needs a reading that gives no runs."""
         self._reading = reading
         self._wanted = wanted
         self._captures = 0
@@ -37,17 +39,21 @@ class FileStatistics:
         self._doubts: list[str] = []
         self.statistics = Statistics(self._format_of)
 
-    def run(self) -> Iterator[Record]:
-        """Count all records, and yield each of them.
+    def run(self) -> Iterator[Record | AnsweredRun]:
+        """Count all records, and yield each of them; many answered requests may come as one run.
 
         Raises InputError for a file that cannot be read. For a file that is cut or damaged,
         InputError is raised after all other records are counted.
         """
         try:
-            for record in self._reading.records():
+            for record in self._reading.parts():
                 if self._reading.captures != self._captures:
                     self._captures = self._reading.captures
                     self.statistics.begin_capture()
+                if isinstance(record, AnsweredRun):
+                    self.statistics.add_run(record)
+                    yield record
+                    continue
                 self._hints.note(record)
                 if (doubt := self._lines.note(record)) is not None:
                     self._doubts.append(doubt)

@@ -46,7 +46,7 @@ def _passed(monkeypatch: pytest.MonkeyPatch, screen: Screen, *times_s: float) ->
     monkeypatch.setenv("TERM", "xterm")
     records: Any = iter(range(MANY))
     reading: Any = Halfway()
-    return [*with_progress(reading, records)]  # type: ignore[list-item]
+    return [*with_progress(reading, records)]
 
 
 def test_after_a_second_a_terminal_shows_how_far_reading_has_come(

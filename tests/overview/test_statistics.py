@@ -7,6 +7,7 @@ import pytest
 
 from mbtool.core import CONNECTION_OPENED, EventKind, SerialFormat, WireEvent
 from mbtool.modbus import Outcome, Transport
+from mbtool.overview import request_order
 from mbtool.overview import statistics as module
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import LinkReport, report
@@ -90,10 +91,10 @@ def test_a_missing_answer_that_is_told_late_does_not_spoil_periods() -> None:
 
 
 def test_what_comes_later_than_the_window_is_counted_but_has_no_period() -> None:
-    many = [request(at * 10, at % 7) for at in range(module.WINDOW + 50)]
+    many = [request(at * 10, at % 7) for at in range(request_order.WINDOW + 50)]
     statistics = counted(*many, request(1, 99), request(2, 99))
     assert statistics.late == 2
-    assert statistics.transactions == module.WINDOW + 52
+    assert statistics.transactions == request_order.WINDOW + 52
     poll = next(one for one in report(statistics)[0].polls if one.poll.key.address == 99)
     assert (poll.poll.tally.transactions, poll.poll.period.count) == (2, 0)
 
@@ -202,10 +203,11 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name, limit in {
-        "MAX_POLLS": 20, "MAX_GROUPS": 30, "MAX_LINKS": 10, "MAX_TAPES": 5, "MAX_PAIRS": 7,
-        "WINDOW": 16,
+        "MAX_POLLS": 20, "MAX_GROUPS": 30, "MAX_LINKS": 10, "MAX_PAIRS": 7,
     }.items():  # fmt: skip
         monkeypatch.setattr(module, name, limit)
+    for name, limit in {"MAX_TAPES": 5, "WINDOW": 16}.items():
+        monkeypatch.setattr(request_order, name, limit)
     statistics = Statistics()
     random = Random(1)
     for at in range(2000):
@@ -227,7 +229,7 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
     assert len(statistics.links) <= 11
     assert len(statistics.tapes) == 5
     assert len(statistics.connections) == 7
-    assert len(statistics._heap) <= 16
+    assert len(statistics._order._heap) <= 16
     total = sum(link.tally.transactions for link in report(statistics))
     assert total == statistics.transactions == 2000
 

@@ -7,20 +7,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.columns.block_table import BlockTables
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
+from mbtool.columns.poll_runs import PollRuns
 from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
 from mbtool.sources.files import PACKET_KINDS, open_capture, place_of
 from mbtool.workflows.shared.heard_line import HeardLine, serial_types
-from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS, Reading
+from mbtool.workflows.shared.part_reading import PartReading
+from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.columns.block_table import TransactionBatch
+    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.packet_block import PacketBlock
+    from mbtool.decode.decoder import Record
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.reading import ReadingOptions
 
@@ -37,7 +41,7 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
         return capture.kind in PACKET_KINDS
 
 
-class ColumnReading(Reading):
+class ColumnReading(PartReading):
     """Reads a capture file once, and yields tables of its transactions."""
 
     def batches(self) -> Iterator[TransactionBatch]:
@@ -46,11 +50,29 @@ class ColumnReading(Reading):
         Raises InputError if the file cannot be read, CutError if it ends too early, after the
         transactions before that place.
         """
+        from mbtool.columns.block_table import BlockTables  # Needs pyarrow, `parts` does not.
+
+        tables = BlockTables()
+        for block in self._blocks():
+            batch = tables.batch(block)
+            for record in batch.records:
+                self._note(record)
+            yield batch
+
+    def parts(self) -> Iterator[Record | AnsweredRun]:
+        runs = PollRuns()
+        for block in self._blocks():
+            for part in runs.parts(block):
+                if not isinstance(part, AnsweredRun):
+                    self._note(part)
+                yield part
+
+    def _blocks(self) -> Iterator[DecodedBlock]:
         (path,) = self._paths
         decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of
         ports, rtu_ports = self._ports
-        columns, tables = ColumnDecoder(decoder, (*ports, *rtu_ports)), BlockTables()
+        columns = ColumnDecoder(decoder, (*ports, *rtu_ports))
         broken: InputError | None = None
         with open_capture(path) as capture:
             self._current = capture
@@ -59,10 +81,10 @@ class ColumnReading(Reading):
             try:
                 for block in capture.guarded(read_blocks(capture.stream, capture.name)):
                     self._note_block(capture, block)
-                    yield self._noted(tables.batch(columns.feed(block)))
+                    yield self._noted(columns.feed(block))
             except InputError as error:
                 broken = error
-        yield self._noted(tables.batch(columns.close()))
+        yield columns.close()
         if broken is None or isinstance(broken, CutError | DamageError):
             self._files_read += 1
         if broken is not None:
@@ -85,15 +107,16 @@ class ColumnReading(Reading):
                 for piece in serial_pieces(packet):
                     heard.note(piece)
 
-    def _noted(self, batch: TransactionBatch) -> TransactionBatch:
-        if batch.table.num_rows:
-            self._has_found = self._has_decoded = True
-        for record in batch.records:
-            self._has_found = True
-            self._missing.note_record(record)
-            if isinstance(record, WireEvent) and record.kind in UNDECODABLE_EVENTS:
-                self._first_undecodable = self._first_undecodable or record.message
-            else:
-                self._has_decoded = True
+    def _noted(self, block: DecodedBlock) -> DecodedBlock:
         # Transactions that were read as arrays are in connections whose OPENED event came before.
-        return batch
+        if block.plain is not None:
+            self._has_found = self._has_decoded = True
+        return block
+
+    def _note(self, record: Record) -> None:
+        self._has_found = True
+        self._missing.note_record(record)
+        if isinstance(record, WireEvent) and record.kind in UNDECODABLE_EVENTS:
+            self._first_undecodable = self._first_undecodable or record.message
+        else:
+            self._has_decoded = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import CutError, DamageError
 from mbtool.workflows.shared.reading import Reading
@@ -11,11 +11,12 @@ from mbtool.workflows.shared.reading import Reading
 if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
 
+T = TypeVar("T")
 Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
 """A function that passes records on; it may show how much of the files has been read."""
 
 
-def unwatched(_: Reading, records: Iterator[Record]) -> Iterator[Record]:
+def unwatched(_: Reading, records: Iterator[T]) -> Iterator[T]:
     return records
 
 

@@ -1,0 +1,161 @@
+"""Counts plain rows by what they ask, without making a row of each, for the overview."""
+
+# Rows of usual form (usual_rows.py) are alike if they have the same link, master's host, slave and
+# MAC addresses, and their PDUs the same unit, function, address, quantity and exception code. The
+# first row of each kind is named as the decoder names it.
+#
+# Memory: at most MAX_KINDS named rows; beyond that all are forgotten, and named anew.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbtool.columns.column_decoder import order_of
+from mbtool.columns.plain_transactions import origin_fields, plain_transaction
+from mbtool.columns.usual_rows import UsualRows
+from mbtool.devices import Namer
+from mbtool.overview.answered_run import AlikeRequests, AnsweredRun
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.columns.arrays import Int64s
+    from mbtool.columns.column_decoder import DecodedBlock, PlainRows
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+
+MAX_KINDS = 65_536
+_SHORT = 24
+"""A run of fewer rows costs more than the rows one by one."""
+
+_Place = tuple[str, str, str, str | None, str | None]
+"""Link, master's host, slave's address, and the MAC addresses of both."""
+
+
+class PollRuns:
+    """Makes runs of the plain rows of the blocks of a capture that has no device profiles."""
+
+    def __init__(self) -> None:
+        self._namer = Namer()
+        self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
+
+    def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
+        """The transactions and events of a block in order; those of usual form in runs."""
+        records = sorted(decoded.records, key=lambda one: one[0])
+        rows = decoded.plain
+        if rows is None:
+            yield from (record for _, record in records)
+            return
+        usual = UsualRows(rows)
+        likes, kind = self._kinds_of(rows, usual)
+        begin = 0
+        for end, record in _between(rows, usual, records):
+            yield from self._run(rows, likes, kind, begin, end)
+            begin = end
+            if record is None:
+                yield self._named(rows, end)
+                begin += 1
+            else:
+                yield record
+        yield from self._run(rows, likes, kind, begin, len(kind))
+
+    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
+        return self._namer.name(plain_transaction(rows, index))
+
+    def _kinds_of(self, rows: PlainRows, usual: UsualRows) -> tuple[list[NamedTransaction], Int64s]:
+        """A transaction of each kind in the block, and the index of its kind for each row.
+
+        The index of a row that is not of usual form has no meaning.
+        """
+        if len(self._kinds) > MAX_KINDS:
+            self._kinds.clear()
+        places = _places(rows)
+        numbers: dict[_Place, int] = {}
+        place_of = np.array([numbers.setdefault(place, len(numbers)) for place in places])
+        asked = usual.exception + 1 << 48 | rows.code << 40 | rows.unit << 32
+        asked |= usual.address << 16 | usual.quantity
+        asked[~usual.is_usual] = -1
+        distinct, like = np.unique(asked, return_inverse=True)
+        _, first, kind = np.unique(
+            place_of[rows.connection] * len(distinct) + like,
+            return_index=True,
+            return_inverse=True,
+        )
+        likes = []
+        for index in first.tolist():
+            key = places[int(rows.connection[index])], int(asked[index])
+            if key not in self._kinds:
+                self._kinds[key] = self._named(rows, index)
+            likes.append(self._kinds[key])
+        return likes, kind
+
+    def _run(
+        self,
+        rows: PlainRows,
+        likes: list[NamedTransaction],
+        kind: Int64s,
+        begin: int,
+        end: int,
+    ) -> Iterator[AnsweredRun | NamedTransaction]:
+        """The rows from one to another, as a run, or one by one if they are few."""
+        if begin == end:
+            return
+        some = slice(begin, end)
+        run = _run_of(likes, kind[some], rows.request_ns[some], rows.response_ns[some])
+        if end - begin < _SHORT:
+            yield from run.transactions()
+        else:
+            yield run
+
+
+def _places(rows: PlainRows) -> list[_Place]:
+    """The place of each stretch."""
+    return [
+        (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:2])
+        for one, addresses in zip(rows.connections, rows.addresses, strict=True)
+    ]
+
+
+def _between(
+    rows: PlainRows, usual: UsualRows, records: list[tuple[int, Record]]
+) -> list[tuple[int, Record | None]]:
+    """What stands between the usual rows: records with the index of the next row, and the indices
+    of rows of other form.
+    """
+    places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
+    found: list[tuple[int, Record | None]] = [
+        (place, record) for place, (_, record) in zip(places, records, strict=True)
+    ]
+    found += [(index, None) for index in np.flatnonzero(~usual.is_usual).tolist()]
+    return sorted(found, key=lambda one: (one[0], one[1] is None))
+
+
+def _run_of(
+    likes: list[NamedTransaction], kind: Int64s, request_ns: Int64s, response_ns: Int64s
+) -> AnsweredRun:
+    found, first, local = np.unique(kind, return_index=True, return_inverse=True)
+    by_first = np.argsort(first)
+    number = np.empty(len(found), np.int64)
+    number[by_first] = np.arange(len(found))
+    local = number[local]
+    order = np.argsort(local, kind="stable")
+    counts = np.bincount(local)
+    ends = np.cumsum(counts)
+    starts = ends - counts
+    latencies = (response_ns - request_ns)[order].tolist()
+    first_ns = np.minimum.reduceat(request_ns[order], starts)
+    last_ns = np.maximum.reduceat(response_ns[order], starts)
+    kinds = [
+        AlikeRequests(likes[which], end - begin, begin_ns, end_ns, latencies[begin:end])
+        for which, begin, end, begin_ns, end_ns in zip(
+            found[by_first].tolist(),
+            starts.tolist(),
+            ends.tolist(),
+            first_ns.tolist(),
+            last_ns.tolist(),
+            strict=True,
+        )
+    ]
+    return AnsweredRun(kinds, local.tolist(), request_ns.tolist(), response_ns.tolist())

@@ -1,0 +1,89 @@
+"""Tells which plain rows are of usual form, and reads the fields of their PDUs."""
+
+# Reads and writes of registers and bits are of usual form, if the request has the form of its
+# function, and the response fits or is an exception response. Every other PDU is read as the
+# decoder reads it (plain_transactions.py).
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbtool.columns.arrays import Bools, gather
+from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.functions import (
+    EXCEPTION_BIT,
+    READ_BITS,
+    READ_REGISTERS,
+    WRITE_ONE,
+    WRITE_SEVERAL,
+)
+from mbtool.modbus.layouts import COIL_VALUES
+
+if TYPE_CHECKING:
+    from mbtool.columns.column_decoder import PlainRows
+
+WRITE_COIL, WRITE_COILS = 0x05, 0x0F
+READ_WORDS = READ_REGISTERS - {0x17}
+WRITE_WORD = WRITE_ONE - {WRITE_COIL, 0x16}
+WRITE_WORDS = WRITE_SEVERAL - {WRITE_COILS}
+_FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])
+_FIXED = 5
+"""The size in bytes of a PDU of a function code, an address, and a quantity or value."""
+COUNTED = 6
+"""The size in bytes of a request to write several values, up to and with its byte count."""
+
+
+class UsualRows:
+    """Finds the plain rows of usual form, and reads the fields of their PDUs."""
+
+    def __init__(self, rows: PlainRows) -> None:
+        self._data = data = rows.block.data
+        self._code = code = rows.code
+        self._request = rows.request_begin + MBAP_BYTES
+        self._response = rows.response_begin + MBAP_BYTES
+        self._request_size = request_size = rows.request_size - MBAP_BYTES
+        self._response_size = response_size = rows.response_size - MBAP_BYTES
+        fields = gather(data, self._request + 1, _FOUR_BYTES)
+        self.address = fields["address"].astype(np.int64)
+        self._value = fields["quantity"].astype(np.int64)
+        writes_one = np.isin(code, [WRITE_COIL, *WRITE_WORD])
+        self.quantity = np.where(writes_one, 1, self._value)
+        second, count = data[self._response + 1].astype(np.int64), data[self._request + 5]
+        self._reads_bits, self._reads_words = (
+            np.isin(code, [*READ_BITS]),
+            np.isin(code, [*READ_WORDS]),
+        )
+        self._writes_words = np.isin(code, [*WRITE_WORDS])
+        self._writes_bits = code == WRITE_COILS
+        bit_bytes, reads = (self._value + 7) // 8, self._reads_bits | self._reads_words
+        written = np.where(self._writes_bits, bit_bytes, 2 * self._value)
+        read = np.where(self._reads_bits, bit_bytes, 2 * self._value)
+        writes_several = self._writes_bits | self._writes_words
+        is_coil_value = np.isin(self._value, [*COIL_VALUES])
+        has_form = (
+            (reads | writes_one & ((code != WRITE_COIL) | is_coil_value)) & (request_size == _FIXED)
+        ) | (writes_several & (request_size == COUNTED + written) & (count == written))
+        repeated = gather(data, self._response + 1, _FOUR_BYTES)
+        repeats = (
+            (response_size == _FIXED)
+            & (repeated["address"] == fields["address"])
+            & (repeated["quantity"] == fields["quantity"])
+        )
+        fits = np.where(reads, (second == read) & (response_size == 2 + read), repeats)
+        is_exception = rows.response_code == code | EXCEPTION_BIT
+        answered = np.where(is_exception, response_size == 2, fits)
+        is_whole = has_form & answered & rows.has_addresses
+        self.is_usual: Bools = is_whole & ~self._is_padded(is_exception)
+        self.exception = np.where(is_exception, second, -1)
+
+    def _is_padded(self, is_exception: Bools) -> Bools:
+        """True where unused bits of the last byte are set: such a row needs a finding."""
+        used = self._value % 8
+        request_end = self._request + self._request_size - 1
+        response_end = self._response + self._response_size - 1
+        last = np.where(self._writes_bits, self._data[request_end], self._data[response_end])
+        has_bits = self._writes_bits | self._reads_bits & ~is_exception
+        is_padded: Bools = has_bits & (used > 0) & (last.astype(np.int64) >> used > 0)
+        return is_padded

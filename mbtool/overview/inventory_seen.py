@@ -1,0 +1,99 @@
+"""Everything that is collected of a slave, a function and a master, before it becomes a row."""
+
+# Memory: MAX_MACS addresses for each host; the caller bounds the rest.
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.modbus.functions import ExceptionCode
+from mbtool.modbus.transaction import Outcome
+from mbtool.overview.inventory_ranges import AddressRanges
+
+MAX_MACS = 4
+
+_GATEWAY_EXCEPTIONS = frozenset(
+    (ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+)
+"""Exceptions that a gateway sends when the unit behind it does not answer."""
+UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCAST))
+"""Outcomes of requests to which nothing came back in the capture."""
+
+
+@dataclass(slots=True)
+class Seen:
+    """When something was seen, and at which MAC addresses."""
+
+    first_ns: int
+    last_ns: int = 0
+    macs: list[str] = field(default_factory=list)
+
+    def note(self, start_ns: int, end_ns: int, mac: str | None) -> None:
+        if start_ns < self.first_ns:
+            self.first_ns = start_ns
+        if end_ns > self.last_ns:
+            self.last_ns = end_ns
+        if mac is not None and mac not in self.macs and len(self.macs) < MAX_MACS:
+            self.macs.append(mac)
+
+
+@dataclass(slots=True)
+class SeenUse:
+    """A function that a master uses at a slave."""
+
+    function: int
+    name: str
+    master: str | None
+    writes: bool
+    requests: int = 0
+    unsupported: int = 0
+    asked: AddressRanges = field(default_factory=AddressRanges)
+    """The addresses of requests that were not refused."""
+    refused: AddressRanges = field(default_factory=AddressRanges)
+
+
+@dataclass(slots=True)
+class SeenSlave:
+    """A unit of a host, or of a serial line."""
+
+    host: str
+    port: int | None
+    unit: int
+    is_on_line: bool
+    seen: Seen
+    observed: ObservedSlave | None
+    transports: set[str] = field(default_factory=set)
+    device: str | None = None
+    identity: dict[tuple[int, str], list[str]] = field(default_factory=dict)
+    uses: dict[tuple[int, str | None, bool], SeenUse] = field(default_factory=dict)
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    exceptions: Counter[int] = field(default_factory=Counter)
+    answered_ns: int = 0
+
+    @property
+    def unreached(self) -> int:
+        """The number of requests that only a gateway answered."""
+        return sum(self.exceptions[code] for code in _GATEWAY_EXCEPTIONS)
+
+    @property
+    def answered(self) -> int:
+        """The number of requests that the unit itself answered."""
+        silent = sum(self.outcomes[one] for one in UNANSWERED)
+        return self.outcomes.total() - silent - self.unreached
+
+    @property
+    def is_broadcast(self) -> bool:
+        return self.is_on_line and self.unit == 0
+
+
+@dataclass(slots=True)
+class SeenMaster:
+    """A host that sends requests."""
+
+    seen: Seen
+    requests: int = 0
+    slaves: set[int] = field(default_factory=set)
+    """The slaves that this master asked, by `id()`."""
+    written: set[int] = field(default_factory=set)

@@ -1,0 +1,167 @@
+"""Statistics and inventory are the same from arrays as packet by packet."""
+
+from __future__ import annotations
+
+import io
+import random
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+import pytest
+
+from mbtool.columns import packet_block, poll_runs
+from mbtool.columns.column_decoder import ColumnDecoder
+from mbtool.columns.packet_block import read_blocks
+from mbtool.columns.poll_runs import PollRuns
+from mbtool.core import Direction, InputError, WireEvent
+from mbtool.decode.decoder import Decoder
+from mbtool.devices import Namer
+from mbtool.modbus import encode_pdu, exception_pdu
+from mbtool.overview import distribution, inventory, poll_statistics, request_order, statistics
+from mbtool.overview.answered_run import AnsweredRun
+from mbtool.overview.inventory import Inventory
+from mbtool.overview.statistics import Statistics
+from mbtool.overview.statistics_report import report
+from mbtool.packets import read_capture
+from mbtool.views.inventory_documents import inventory_json
+from mbtool.views.statistics_document import statistics_document
+from tests.columns.both_ways import NAME, PORTS, damaged, generated
+from tests.columns.test_equality import poll
+from tests.packets.building import Pcapng, Talk, pcap
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.decode.decoder import Record
+
+
+def packet_by_packet(capture: bytes) -> Iterator[Record]:
+    decoder = Decoder(Namer(), ports=PORTS, across=True)
+    try:
+        for packet in read_capture(io.BytesIO(capture), NAME):
+            yield from decoder.feed(packet)
+    except InputError:
+        pass
+    yield from decoder.close()
+
+
+def in_runs(capture: bytes) -> Iterator[Record | AnsweredRun]:
+    decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
+    runs = PollRuns()
+    try:
+        for block in read_blocks(io.BufferedReader(io.BytesIO(capture)), NAME):
+            yield from runs.parts(decoder.feed(block))
+    except InputError:
+        pass
+    yield from runs.parts(decoder.close())
+
+
+def overview(parts: Iterator[Record | AnsweredRun]) -> tuple[str, str, int]:
+    """Both documents, and how many requests came in runs."""
+    counted, hosts, in_runs_ = Statistics(), Inventory(), 0
+    for part in parts:
+        if isinstance(part, AnsweredRun):
+            counted.add_run(part)
+            hosts.add_run(part)
+            in_runs_ += len(part)
+        else:
+            counted.add(part)
+            if not isinstance(part, WireEvent):
+                hosts.add(part)
+    counted.settle()
+    document = statistics_document(counted, report(counted), sources=[], where=None)
+    return document, inventory_json(hosts.document(), "1"), in_runs_
+
+
+def assert_equal(capture: bytes, block_packets: int = 65_536) -> int:
+    """Both ways give the same documents; return how many requests came in runs."""
+    with (
+        patch.object(packet_block, "BLOCK_PACKETS", block_packets),
+        patch.object(poll_runs, "_SHORT", 3),
+    ):
+        *found, requests = overview(in_runs(capture))
+    *expected, _ = overview(packet_by_packet(capture))
+    assert found == expected
+    return requests
+
+
+def several_polls() -> bytes:
+    """Two masters ask three slaves in turn, with other addresses and latencies each time."""
+    rng = random.Random(3)
+    talks = [Talk() for _ in range(4)]
+    for number, talk in enumerate(talks):
+        talk.master.port += number
+        talk.slave.host = f"10.0.0.{10 + number % 3}"
+    packets = [packet for talk in talks for packet in talk.handshake()]
+    for _ in range(100):
+        talk = rng.choice(talks)
+        address = rng.choice((0, 10, 20, 30))
+        request = encode_pdu(0x03, Direction.REQUEST, address=address, quantity=2)
+        response = encode_pdu(0x03, Direction.RESPONSE, values=(1, address))
+        refused = exception_pdu(0x03, rng.choice((2, 3)))
+        packets += poll(talk, rng.choice((1, 5)), request, rng.choice((response, refused)))
+    at_ns = 1_700_000_000_000_000_000
+    blocks = Pcapng()
+    file = blocks.section() + blocks.interface()
+    for packet in packets:
+        is_request = len(packet.data) % 2 == 0
+        at_ns += rng.randrange(1, 40_000_000_000 if is_request else 40_000_000)
+        file += blocks.enhanced(packet.data, at_ns // 1000)
+    return file
+
+
+@pytest.mark.parametrize("number", range(14))
+def test_simulated_plants_give_equal_documents(number: int) -> None:
+    rng = random.Random(number)
+    assert_equal(damaged(generated(number), rng), rng.choice((17, 100, 65_536)))
+
+
+@pytest.mark.parametrize("block_packets", [7, 50, 65_536])
+@pytest.mark.parametrize("window", [1, 5, 2048])
+def test_polls_that_end_in_different_ways_give_equal_documents(
+    window: int, block_packets: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(request_order, "WINDOW", window)
+    assert assert_equal(several_polls(), block_packets) > 20
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        (statistics, "MAX_POLLS"), (statistics, "MAX_LINKS"), (statistics, "MAX_GROUPS"),
+        (request_order, "MAX_TAPES"), (inventory, "MAX_POLLS"), (inventory, "MAX_SLAVES"),
+        (inventory, "MAX_MASTERS"), (inventory, "MAX_REQUESTS"),
+        (poll_statistics, "_PERIOD_BUCKETS"), (poll_runs, "MAX_KINDS"),
+    ],
+    ids=str,
+)  # fmt: skip
+@pytest.mark.parametrize("most", [2, 4])
+def test_limits_that_are_reached_give_equal_documents(
+    limit: tuple[object, str], most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(request_order, "WINDOW", 5)
+    monkeypatch.setattr(*limit, most)
+    assert assert_equal(several_polls(), 60) > 20
+
+
+def test_requests_without_answer_between_polls_give_equal_documents(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(request_order, "WINDOW", 2)
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 20)]
+    packets += poll(talk, 1)[:1] + poll(talk, 20)
+    assert assert_equal(pcap(packets), 13) > 10
+
+
+def test_durations_added_together_are_counted_as_one_by_one() -> None:
+    rng = random.Random(1)
+    one, together = distribution.Distribution(16), distribution.Distribution(16)
+    for _ in range(40):
+        some = [rng.randrange(10 ** rng.randrange(1, 9)) for _ in range(rng.randrange(20))]
+        together.add_all(some)
+        for ns in some:
+            one.add(ns)
+        assert [getattr(one, name) for name in one.__slots__] == [
+            getattr(together, name) for name in one.__slots__
+        ]
