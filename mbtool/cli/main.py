@@ -22,6 +22,7 @@ from typer.main import get_command
 from mbtool.cli import exit_codes
 from mbtool.cli.check import check
 from mbtool.cli.command import Command
+from mbtool.cli.convert import convert
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
@@ -65,6 +66,7 @@ for command in (
     inventory,
     check,
     stats,
+    convert,
     recover,
     replay,
     diff,

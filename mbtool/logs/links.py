@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import SerialLink, parse_link
 from mbtool.devices import Assignment, Assignments, parse_who, profile_from_json
 
 if TYPE_CHECKING:
-    from mbtool.logs.reader import LogReader
+    from collections.abc import Mapping
 
 SPEC = "spec"
 PORTS = "ports"
@@ -17,8 +17,24 @@ ANY_PORT = "any"
 """In a link's metadata, PORTS and RTU_PORTS are keys of lists of TCP ports. The text ANY_PORT in
 the list PORTS means every TCP port."""
 
+ACROSS = "across"
+"""In the metadata of a capture: packets of several interfaces belong to one network."""
 
-def all_assignments(log: LogReader, given: Assignments) -> Assignments:
+
+class LinkMetadata(Protocol):
+    """What a log, or a capture that was made from one, says of its links."""
+
+    @property
+    def capture(self) -> Mapping[str, str]: ...
+    @property
+    def links(self) -> Mapping[str, Mapping[str, str]]: ...
+    @property
+    def devices(self) -> Mapping[str, str]: ...
+    @property
+    def profiles(self) -> Mapping[str, bytes]: ...
+
+
+def all_assignments(log: LinkMetadata, given: Assignments) -> Assignments:
     """The user's assignments, and those of the log for devices that the user does not name."""
     named = {str(assignment.who) for assignment in given}
     of_log = (
@@ -29,18 +45,18 @@ def all_assignments(log: LogReader, given: Assignments) -> Assignments:
     return Assignments([*given, *of_log], given.applied)
 
 
-def serial_lines(log: LogReader) -> dict[str, SerialLink]:
+def serial_lines(log: LinkMetadata) -> dict[str, SerialLink]:
     """The serial links by name. Raises UsageError for a link spec that cannot be parsed."""
     links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
     return {name: link for name, link in links if isinstance(link, SerialLink)}
 
 
-def names_any_port(log: LogReader) -> bool:
+def names_any_port(log: LinkMetadata) -> bool:
     """True if the recorder looked for Modbus at all TCP ports."""
     return any(ANY_PORT in one.get(PORTS, "").split() for one in log.links.values())
 
 
-def ports_of(log: LogReader, key: str) -> tuple[int, ...]:
+def ports_of(log: LinkMetadata, key: str) -> tuple[int, ...]:
     """The port numbers of all links under a key: PORTS or RTU_PORTS."""
     texts = (one.get(key, "") for one in log.links.values())
     ports = {port for text in texts for port in text.split()}

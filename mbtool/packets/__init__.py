@@ -1,6 +1,7 @@
 """Reads capture files and gives the bytes of TCP connections and serial lines. Opens no file."""
 
 from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
+from mbtool.packets.line_packets import CaptureHead, LinePacket, reads_of
 from mbtool.packets.pcap import PCAP_MAGICS
 from mbtool.packets.pcapng import PCAPNG_MAGIC
 from mbtool.packets.reassembler import TcpReassembler
@@ -20,7 +21,9 @@ __all__ = [
     "PCAP_MAGICS",
     "SERIAL_LINK_TYPES",
     "USER_LINK_TYPES",
+    "CaptureHead",
     "CloseReason",
+    "LinePacket",
     "StreamClosed",
     "StreamEvent",
     "StreamGap",
@@ -28,5 +31,6 @@ __all__ = [
     "StreamOpened",
     "TcpReassembler",
     "read_capture",
+    "reads_of",
     "serial_pieces",
 ]

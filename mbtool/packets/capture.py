@@ -16,21 +16,28 @@ from mbtool.packets.pcap import PCAP_MAGICS, read_pcap
 from mbtool.packets.pcapng import PCAPNG_MAGIC, read_pcapng
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from mbtool.packets.line_packets import CaptureHead
 
 CAPTURE_MAGICS = (*PCAP_MAGICS, PCAPNG_MAGIC)
 
 
-def read_capture(stream: BinaryIO, name: str = "capture") -> Iterator[Packet]:
+def read_capture(
+    stream: BinaryIO,
+    name: str = "capture",
+    on_head: Callable[[CaptureHead], None] = lambda _: None,
+) -> Iterator[Packet]:
     """Give the packets of a pcap or pcapng file.
 
-    Raises InputError if the file is of another kind or damaged, CutError if it ends too early.
+    `on_head` is called if `convert` has described the links of the packets in the file. Raises
+    InputError if the file is of another kind or damaged, CutError if it ends too early.
     """
     magic = stream.read(4)
     if magic in PCAP_MAGICS:
         return read_pcap(stream, magic, name)
     if magic == PCAPNG_MAGIC:
-        return read_pcapng(stream, name)
+        return read_pcapng(stream, name, on_head)
     if not magic:
         raise InputError(f"{name}: empty; a capture has at least a header")
     if any(known.startswith(magic) for known in CAPTURE_MAGICS):

@@ -7,7 +7,9 @@
 #
 # A section header block starts a section and shows its byte order; the interfaces that later
 # blocks name by number are counted within the section. Blocks that hold no packet and describe no
-# interface (statistics, names, secrets, custom) are skipped.
+# interface (statistics, names, secrets, custom) are skipped, except the block and the option for
+# local use that this program writes (line_packets.py): packets with this option stand for bytes of
+# a serial line or a tap.
 #
 # Times are ticks since 1970 plus if_tsoffset in seconds. The interface's if_tsresol gives the
 # length of a tick as a power of 10 or of 2; without if_tsresol a tick is a microsecond. A simple
@@ -24,24 +26,32 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import TYPE_CHECKING, BinaryIO
 
+import msgspec
+
 from mbtool.core import InputError, Packet
+from mbtool.packets.line_packets import (
+    LOCAL_BLOCK,
+    LOCAL_OPTION,
+    CaptureHead,
+    LineReader,
+)
 from mbtool.packets.pcap import MAX_CAPTURED, cut_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 PCAPNG_MAGIC = bytes.fromhex("0a0d0d0a")
 MAX_BLOCK = 16 * 1024 * 1024
 MAX_INTERFACES = 4096
 
-_INTERFACE = 1
+BLOCK_INTERFACE = 1
 _OBSOLETE_PACKET = 2
 _SIMPLE_PACKET = 3
-_ENHANCED_PACKET = 6
-_PACKET_BLOCKS = frozenset((_OBSOLETE_PACKET, _SIMPLE_PACKET, _ENHANCED_PACKET))
+BLOCK_ENHANCED = 6
+_PACKET_BLOCKS = frozenset((_OBSOLETE_PACKET, _SIMPLE_PACKET, BLOCK_ENHANCED))
 
-_OPTION_NAME = 2
-_OPTION_RESOLUTION = 9
+OPTION_NAME = 2
+OPTION_RESOLUTION = 9
 _OPTION_OFFSET = 14
 _MICROSECONDS = b"\x06"
 
@@ -79,19 +89,25 @@ class _Interface:
     offset_ns: int
 
 
-def read_pcapng(stream: BinaryIO, name: str) -> Iterator[Packet]:
+def read_pcapng(
+    stream: BinaryIO, name: str, on_head: Callable[[CaptureHead], None] = lambda _: None
+) -> Iterator[Packet]:
     """Give the packets of a pcapng file whose first 4 bytes are read already.
 
-    Raises InputError if the file is damaged or of an unknown version, CutError if it ends too
-    early.
+    `on_head` is called if the file describes the links of packets that follow. Raises InputError
+    if the file is damaged or of an unknown version, CutError if it ends too early.
     """
-    return _Reader(stream, name).packets()
+    return _Reader(stream, name, on_head).packets()
 
 
 class _Reader:
-    def __init__(self, stream: BinaryIO, name: str) -> None:
+    def __init__(self, stream: BinaryIO, name: str, on_head: Callable[[CaptureHead], None]) -> None:
         self._stream = stream
         self._name = name
+        self._on_head = on_head
+        self._lines: LineReader | None = None
+        """Reads packets that show bytes of a link; None if the file has no head."""
+        self._last: Packet | None = None
         self._layout = _LAYOUTS[_LITTLE]
         self._interfaces: list[_Interface] = []
         self._number = 0
@@ -109,9 +125,15 @@ class _Reader:
                 body = self._read_body(header, length, 8)
                 if kind in _PACKET_BLOCKS:
                     yield self._read_packet(kind, body)
-                elif kind == _INTERFACE:
+                elif kind == BLOCK_INTERFACE:
                     self._describe_interface(body)
+                elif kind == LOCAL_BLOCK:
+                    self._read_head(body)
             header = self._stream.read(8)
+        if self._lines is not None and self._last is not None:
+            rest = self._lines.close(self._last)
+            if rest is not None:
+                yield rest
 
     def _begin_section(self, header: bytes) -> None:
         byte_order = self._stream.read(4)
@@ -153,7 +175,7 @@ class _Reader:
             snaplen = self._interfaces[0].snaplen if self._interfaces else 0
             captured = min(original, len(body) - start, snaplen or MAX_CAPTURED)
         else:
-            structure = layout.enhanced if kind == _ENHANCED_PACKET else layout.obsolete
+            structure = layout.enhanced if kind == BLOCK_ENHANCED else layout.obsolete
             index, high, low, captured, original = self._unpack(structure, body)
             ticks, start = high << 32 | low, 20
         if index >= len(self._interfaces):
@@ -165,7 +187,7 @@ class _Reader:
             ts_ns = ticks * interface.multiplier // interface.divisor + interface.offset_ns
             self._ts_ns = ts_ns if 0 <= ts_ns <= _MAX_NS else min(max(ts_ns, 0), _MAX_NS)
         self._number += 1
-        return Packet(
+        packet = Packet(
             ts_ns=self._ts_ns,
             link=interface.link,
             link_type=interface.link_type,
@@ -174,14 +196,34 @@ class _Reader:
             file=self._name,
             number=self._number,
         )
+        return packet if self._lines is None else self._as_line(packet, body, start, captured)
+
+    def _as_line(self, packet: Packet, body: bytes, start: int, captured: int) -> Packet:
+        """The packet as one that shows bytes of a link, if it has the option for that."""
+        assert self._lines is not None
+        self._last = packet
+        options = _options(self._layout.pair, body[start + captured + -captured % 4 :])
+        mark = options.get(LOCAL_OPTION)
+        if mark is None:
+            return packet
+        return self._lines.read(packet, mark)
+
+    def _read_head(self, body: bytes) -> None:
+        """Read the description of links that `convert` has written; ignore any other block."""
+        try:
+            head = msgspec.json.decode(body.rstrip(b"\0"), type=CaptureHead)
+        except (msgspec.DecodeError, ValueError):  # ValueError: text that is no UTF-8.
+            return
+        self._lines = self._lines or LineReader()
+        self._on_head(head)
 
     def _describe_interface(self, body: bytes) -> None:
         if len(self._interfaces) == MAX_INTERFACES:
             raise self._damaged(f"more than {MAX_INTERFACES} interfaces in a section")
         link_type, _, snaplen = self._unpack(self._layout.interface, body)
         options = _options(self._layout.pair, body[8:])
-        name = _clean(options.get(_OPTION_NAME, b""))
-        resolution = (options.get(_OPTION_RESOLUTION) or _MICROSECONDS)[0]
+        name = _clean(options.get(OPTION_NAME, b""))
+        resolution = (options.get(OPTION_RESOLUTION) or _MICROSECONDS)[0]
         unit = (2 if resolution & 0x80 else 10) ** (resolution & 0x7F)
         common = math.gcd(unit, _NS_PER_SECOND)
         offset = options.get(_OPTION_OFFSET, b"")

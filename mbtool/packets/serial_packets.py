@@ -25,7 +25,8 @@ SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
 USER_LINK_TYPES = frozenset(range(147, 163))
 """Link types that hold bytes of a serial line if the user says so."""
 
-_HEADER = 12
+RTAC_HEADER = 12
+"""The length of the header of link type 250, in bytes."""
 _EVENT_AT = 8
 _REPORTED = {
     0x05: (EventKind.GAP, "the device that captured has lost data"),
@@ -46,11 +47,11 @@ def serial_pieces(packet: Packet) -> list[Chunk | WireEvent]:
     pieces: list[Chunk | WireEvent] = []
     data = packet.data
     if packet.link_type == RTAC_SERIAL:
-        if len(data) < _HEADER:
-            text = f"a record of {len(data)} bytes; the header of RTAC serial has {_HEADER}"
+        if len(data) < RTAC_HEADER:
+            text = f"a record of {len(data)} bytes; the header of RTAC serial has {RTAC_HEADER}"
             return [_event(packet, EventKind.UNREADABLE, text, raw=data)]
         report = _REPORTED.get(data[_EVENT_AT])
-        data = data[_HEADER:]
+        data = data[RTAC_HEADER:]
         if report is not None:
             pieces.append(_event(packet, *report))
     if data:

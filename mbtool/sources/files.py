@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
     from mbtool.core import LineSettings
+    from mbtool.packets.line_packets import CaptureHead
 
 _Item = TypeVar("_Item")
 
@@ -95,6 +96,8 @@ class CaptureFile:
         Reading raises InputError for a damaged compressed stream, CutError for one that ends before
         its end mark, and OSError if the system cannot read the file.
         """
+        self.head: CaptureHead | None = None
+        """What the file says of its links, known with its first packet; None if it says nothing."""
         self._file = file
         self._size = _size(file)
 
@@ -108,9 +111,12 @@ class CaptureFile:
             what = "an MCAP log" if self.kind is CaptureKind.MCAP else "bytes of a serial line"
             raise InputError(f"{self.name}: {what}, where pcap or pcapng is wanted")
         try:
-            yield from read_capture(self.stream, self.name)
+            yield from read_capture(self.stream, self.name, self._note_head)
         except OSError as error:
             raise _unreadable(self.name, error) from error
+
+    def _note_head(self, head: CaptureHead) -> None:
+        self.head = head
 
     @property
     def link(self) -> str:

@@ -13,7 +13,6 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import (
@@ -31,7 +30,7 @@ from mbtool.core import (
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
-from mbtool.packets import serial_pieces
+from mbtool.packets import LinePacket, serial_pieces
 from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
@@ -39,9 +38,11 @@ from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import read_recorded, where_none
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
+    from mbtool.packets import CaptureHead
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.recorded import PlayOptions
@@ -192,15 +193,26 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
                     yield line, item
         elif capture.kind in PACKET_KINDS:
             types = serial_types(options.line)
-            packets = (packet for packet in capture.packets() if packet.link_type in types)
-            for piece in chain.from_iterable(map(serial_pieces, packets)):
-                if isinstance(piece, Chunk):
-                    yield given, piece
+            for packet in capture.packets():
+                shown: Sequence[Chunk | WireEvent] = ()
+                if isinstance(packet, LinePacket):
+                    shown = packet.chunks
+                elif packet.link_type in types:
+                    shown = serial_pieces(packet)
+                for piece in shown:
+                    line = _line_in(capture.head, piece.link) if capture.head else given
+                    if isinstance(piece, Chunk) and line is not None:
+                        yield line, piece
         else:
             settings, pieces = capture.serial(options.line)
             for piece in pieces:
                 if isinstance(piece, Chunk):
                     yield settings, piece
+
+
+def _line_in(head: CaptureHead, link: str) -> LineSettings | None:
+    """The settings of a link in a capture that describes its links."""
+    return _settings(head.links.get(link, {}).get(SPEC))
 
 
 def _settings(spec: str | None) -> LineSettings | None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.columns.column_decoder import ColumnDecoder
@@ -13,7 +14,7 @@ from mbtool.columns.poll_runs import PollRuns
 from mbtool.core import CutError, DamageError, InputError, WireEvent
 from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
-from mbtool.sources.files import PACKET_KINDS, open_capture, place_of
+from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
 from mbtool.workflows.shared.heard_line import HeardLine, serial_types
 from mbtool.workflows.shared.part_reading import PartReading
 from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS
@@ -38,7 +39,11 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
     if len(paths) != 1 or has_own or place_of(paths[0])[1]:
         return False
     with open_capture(paths[0]) as capture:
-        return capture.kind in PACKET_KINDS
+        if capture.kind is CaptureKind.PCAPNG:
+            # Packets of a file that describes its links may show bytes of a serial line.
+            with suppress(InputError):
+                next(capture.packets(), None)
+        return capture.kind in PACKET_KINDS and capture.head is None
 
 
 class ColumnReading(PartReading):

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from mbtool.core import (
@@ -37,6 +38,7 @@ from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer
 from mbtool.logs import LogReader
 from mbtool.logs.links import (
+    ACROSS,
     PORTS,
     RTU_PORTS,
     all_assignments,
@@ -44,7 +46,7 @@ from mbtool.logs.links import (
     ports_of,
     serial_lines,
 )
-from mbtool.packets import serial_pieces
+from mbtool.packets import reads_of, serial_pieces
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
 from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
@@ -59,6 +61,7 @@ if TYPE_CHECKING:
 
     from mbtool.decode.decoder import Evidence, Record
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.logs.links import LinkMetadata
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.unreadable_lines import LineOf
 
@@ -268,9 +271,21 @@ class Reading:
             if capture.kind is CaptureKind.MCAP:
                 yield from self._log_records(capture)
             elif capture.kind in PACKET_KINDS:
-                yield from self._decoded(self._heard_packets(capture), Part(), self._own_decoder)
+                yield from self._packet_records(capture)
             else:
                 yield from self._serial_records(capture)
+
+    def _packet_records(self, capture: CaptureFile) -> Iterator[Record]:
+        packets = capture.packets()
+        first = list(islice(packets, 1))
+        packets = chain(first, packets)
+        head = capture.head
+        if head is None:
+            packets = self._heard_packets(capture, packets)
+            yield from self._decoded(packets, Part(), self._own_decoder)
+        else:
+            self.assignments = all_assignments(head, self._options.assignments)
+            yield from self._decoded_again(head, reads_of(packets), Part(0))
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
         """Yield a GAP event: this file ends early, and the next part may continue after the gap."""
@@ -309,16 +324,20 @@ class Reading:
         decoder = self._decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of
         decoder.begin_line(line.on(capture.link))
-        for piece in pieces:
+        for piece in self._fed(pieces):
             self._items += 1
             yield from decoder.feed(piece)
         yield from self._end_capture()
 
-    def _heard_packets(self, capture: CaptureFile) -> Iterator[Packet]:
+    def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
+        """The evidence as it is given to the decoder; a class that looks at it overrides this."""
+        return items
+
+    def _heard_packets(self, capture: CaptureFile, packets: Iterator[Packet]) -> Iterator[Packet]:
         """Yield the packets of a capture; count those of a serial line, and check the baud rate."""
         types = serial_types(self._options.line)
         heard: HeardLine | None = None
-        for packet in capture.packets():
+        for packet in packets:
             if packet.link_type in types:
                 self._serial_packets += 1
                 heard = heard or self._hear(capture)
@@ -347,7 +366,7 @@ class Reading:
             yield from self._end_capture()
         self._part = part
         is_first = True
-        for item in evidence:
+        for item in self._fed(evidence):
             if is_first and not self._seam.is_continued_by(item):
                 self._note_order(item)
                 yield from self._end_capture()
@@ -392,7 +411,7 @@ class Reading:
         log = LogReader(capture.stream, capture.name)
         if self._options.raw:
             self.assignments = all_assignments(log, self._options.assignments)
-            yield from self._decoded_again(log)
+            yield from self._decoded_again(log, log.evidence(), Part.of_log(log))
         elif self._timing(self.assignments).is_given:
             raise UsageError(
                 f"{capture.name}: a log holds what was decoded when it was made; "
@@ -422,8 +441,10 @@ class Reading:
             end = end if log.end_ns else "holds nothing"
             self._unclosed_logs.append(f"{capture.name}: was not closed; it {end}")
 
-    def _decoded_again(self, log: LogReader) -> Iterator[Record]:
-        """Decode the packets and bytes of a log again."""
+    def _decoded_again(
+        self, log: LinkMetadata, evidence: Iterator[Evidence], part: Part
+    ) -> Iterator[Record]:
+        """Decode the packets and bytes of a log, or of a capture that was made from one."""
         options = self._options
         self._ports = (
             options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,),
@@ -442,6 +463,7 @@ class Reading:
                 ports=ports,
                 rtu_ports=rtu_ports,
                 any_port=self._any_port,
+                across=ACROSS in log.capture,
             )
 
-        yield from self._decoded(log.evidence(), Part.of_log(log), begin)
+        yield from self._decoded(evidence, part, begin)

@@ -73,7 +73,10 @@ class TimeWindow:
 
     def __contains__(self, record: Record) -> bool:
         """True if a record begins in the window. Only for records that `begun` has yielded."""
-        ts_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+        return self.contains_ns(record.ts_ns if isinstance(record, WireEvent) else record.start_ns)
+
+    def contains_ns(self, ts_ns: int) -> bool:
+        """True if a time in UTC ns is in the window, once `begun` has yielded a record."""
         since_ns = max(ts_ns - (self._first_ns or 0), 0)
         start, end = self.start, self.end
         if start is not None and (ts_ns if start.is_absolute else since_ns) < start.ns:

@@ -1,0 +1,99 @@
+"""mbtool convert: captures and logs into each other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import (
+    DeviceOption,
+    EndOption,
+    EventChoice,
+    EventsOption,
+    SilenceOptions,
+    SourceOptions,
+    StartOption,
+    WhereOption,
+)
+
+if TYPE_CHECKING:
+    from mbtool.workflows.convert import Conversion
+
+
+@takes_groups
+def convert(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE... OUT",
+            help="Captures, logs (.mcap), bytes of a serial line, or .jsonl; last the file to "
+            "write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, .jsonl, .csv or "
+            ".parquet. "
+            "Several become one, in the order of time.",
+        ),
+    ],
+    *,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace OUT if it exists.")
+    ] = False,
+    start: StartOption = None,
+    end: EndOption = None,
+    where: WhereOption = None,
+    device: DeviceOption = None,
+    events: EventsOption = None,
+    source: SourceOptions,
+    silences: SilenceOptions,
+) -> None:
+    """Convert captures and logs into each other, join several, and cut out a part.
+
+    Packets of a network stay as they were captured. Frames of serial lines and taps become packets
+    that Wireshark shows as Modbus without any setting; converted back, they are the same bytes.
+    """
+    from pathlib import PurePath
+
+    from mbtool.cli.options import condition
+    from mbtool.cli.output import demand_other_file
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.core.wording import counted
+    from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
+    from mbtool.workflows.shared.time_window import TimeWindow
+
+    if len(files) < 2:
+        raise UsageError("name what to read, then the file to write: convert A.mcap B.pcapng")
+    *paths, out = files
+    demand_other_file(paths, out)
+    fits = None if where is None else condition(where)
+    options = source.read(device, silences=silences)
+    window = TimeWindow.parse(start, end)
+    conversion = Conversion(paths, options, window, fits)
+    if PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
+        _write_records(conversion, out, events, overwrite=overwrite)
+    elif events is not None:
+        raise UsageError("--events goes with .jsonl")
+    else:
+        done = conversion.write(out, overwrite=overwrite)
+        parts = (
+            (done.packets, "packet"),
+            (done.reads, "read"),
+            (done.transactions, "transaction"),
+        )
+        texts = [counted(count, word) for count, word in parts if count]
+        say(f"{', '.join(texts) or 'nothing'} -> {out}")
+    for remark in conversion.remarks:
+        say(remark)
+    conversion.demand_whole()
+
+
+def _write_records(
+    conversion: Conversion, out: str, events: EventChoice | None, *, overwrite: bool
+) -> None:
+    from mbtool.cli.output import open_output
+
+    with open_output(
+        out, None, events, lambda _: None, lambda _: True, overwrite=overwrite
+    ) as output:
+        for record in conversion.records():
+            output.add(record)

@@ -1,0 +1,232 @@
+"""Shows the frames of a serial line or a tap as packets that every Wireshark reads."""
+
+# A frame becomes a raw IPv4 packet (link type 228) with a UDP datagram to or from port 502:
+#
+#     IPv4 header, 20 bytes   UDP header, 8 bytes   MBAP header, 6 bytes   unit, PDU   CRC or LRC
+#
+# The length in the MBAP header counts unit and PDU, so Wireshark takes the check behind them for
+# padding. The frame of a tap on TCP is its ADU, without a check. The master of link number L is
+# 10.0.0.L, port 20502; its slave UNIT is 10.0.L.UNIT, port 502. The UDP checksum is 0 (RFC 768:
+# none).
+#
+# Bytes that are no frame are packets of link type 250 (serial_packets.py) of another interface.
+#
+# What such a packet cannot say stands in options and a block for local use (pcapng: codes with the
+# highest bit set, which other programs skip), as JSON:
+#
+#     LOCAL_OPTION of a packet    WireReads: which reads of a port brought the bytes, and when
+#     LOCAL_BLOCK                 CaptureHead: links, devices and profiles, as a log has them
+#
+# So the bytes and times of the line come back exactly. A read that brought bytes of several packets
+# is joined again: `is_open` says that the last read of a packet goes on in the next packet.
+#
+# Memory: for each link and direction the bytes of one read, at most MAX_CAPTURED.
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from mbtool.core import Chunk, Connection, Direction, Origin, Packet, Stamp, StreamPlace
+from mbtool.packets.pcap import MAX_CAPTURED
+from mbtool.packets.serial_packets import RTAC_HEADER
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+RAW_IPV4 = 228
+LOCAL_OPTION = 0x8D62
+LOCAL_BLOCK = 0x80008D62
+MODBUS_PORT = 502
+MASTER_PORT = 20502
+MAX_LINK_NUMBER = 255
+
+_IPV4 = struct.Struct(">BBHHHBBH4s4s")
+_UDP = struct.Struct(">HHHH")
+_DONT_FRAGMENT = 0x4000
+_TIME_TO_LIVE = 64
+_UDP_PROTOCOL = 17
+_MAX_NS = 2**63 - 1
+_PAYLOAD_AT = _IPV4.size + _UDP.size
+
+
+# Any program may write such a block, so its size is that of any block of pcapng: MAX_BLOCK.
+class CaptureHead(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What is known of the links in a capture, as the metadata of a log."""
+
+    capture: dict[str, str] = {}
+    links: dict[str, dict[str, str]] = {}
+    """The settings of each link, by the link's name."""
+    devices: dict[str, str] = {}
+    """The name of each device's profile; the key names the device as `--device` does."""
+    profiles: dict[str, bytes] = {}
+    """The profiles, by name, as JSON."""
+
+
+class WireReads(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The reads of a port that brought the bytes of a packet."""
+
+    reads: list[tuple[int, int]]
+    """Of each read, how many of its bytes are in this packet, and its time in UTC ns."""
+    is_open: bool = False
+    """True if the last read brought the first bytes of the next packet, too."""
+    skip: int = 0
+    """How many bytes of the packet's payload come before the bytes of the link."""
+    raw: bytes | None = None
+    """The bytes as they were on the link, if the packet shows them in another form (ASCII)."""
+    direction: Direction = Direction.UNKNOWN
+    stamp: Stamp = Stamp.LAST_BYTE
+    connection: Connection | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinePacket(Packet):
+    """A packet that shows bytes of a link; it stands for the reads of a port."""
+
+    chunks: tuple[Chunk, ...] = field(default=(), compare=False)
+    """The reads that end in this packet; none if its bytes are completed by the next packet."""
+
+
+class LineEnds(NamedTuple):
+    """The addresses of a master and a slave."""
+
+    master: bytes
+    """The IPv4 address, 4 bytes."""
+    slave: bytes
+    master_port: int = MASTER_PORT
+
+    @classmethod
+    def of(cls, link_number: int, unit: int, master_port: int = MASTER_PORT) -> LineEnds:
+        """The ends for the link of a number, 1 to 255, and a unit."""
+        return cls(bytes((10, 0, 0, link_number)), bytes((10, 0, link_number, unit)), master_port)
+
+
+def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bool) -> bytes:
+    """The IPv4 packet around a payload; `number`, of which 16 bits count, identifies it."""
+    source, destination = ends.master, ends.slave
+    ports = [ends.master_port, MODBUS_PORT]
+    if not is_request:
+        source, destination = destination, source
+        ports.reverse()
+    size = _UDP.size + len(payload)
+    header = [0x45, 0, _IPV4.size + size, number & 0xFFFF, _DONT_FRAGMENT, _TIME_TO_LIVE]
+    checksum = _checksum(_IPV4.pack(*header, _UDP_PROTOCOL, 0, source, destination))
+    packet = _IPV4.pack(*header, _UDP_PROTOCOL, checksum, source, destination)
+    return packet + _UDP.pack(*ports, size, 0) + payload
+
+
+def with_mbap(number: int, body: bytes, check: bytes) -> bytes:
+    """The payload of a serial frame: MBAP header, unit and PDU (`body`), and its CRC or LRC."""
+    return struct.pack(">HHH", number & 0xFFFF, 0, len(body)) + body + check
+
+
+def rtac_packet(ts_ns: int, data: bytes, *, by_master: bool) -> bytes:
+    """The packet of link type 250 for bytes of a line."""
+    seconds, ns = divmod(ts_ns, 1_000_000_000)
+    sent = 1 if by_master else 2
+    return struct.pack(">IIBBH", seconds & 0xFFFFFFFF, ns // 1000, sent, 0, 0) + data
+
+
+class OpenReads:
+    """Joins the bytes of reads that are spread over several packets."""
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[object, ...], Chunk] = {}
+        """The bytes so far of reads that go on in the next packet."""
+
+    def take(
+        self, like: Chunk, data: bytes, reads: Iterable[tuple[int, int]], *, is_open: bool
+    ) -> list[Chunk]:
+        """Take the bytes of the next packet; return the reads that end in it.
+
+        `like` has the link, direction, stamp, connection and place of the reads; the other
+        arguments are as in WireReads.
+        """
+        key = (like.link, like.direction, like.connection)
+        done: list[Chunk] = []
+        for size, ts_ns in reads:
+            piece, data = data[: max(size, 0)], data[max(size, 0) :]
+            before = self._open.pop(key, None)
+            if before is not None and before.ts_ns != ts_ns:
+                done.append(before)
+                before = None
+            ts_ns = min(max(ts_ns, 0), _MAX_NS)
+            whole = (before.data if before else b"") + piece
+            done.append(replace(like, ts_ns=ts_ns, data=whole))
+        if is_open and done and len(done[-1].data) < MAX_CAPTURED:
+            self._open[key] = done.pop()
+        return [chunk for chunk in done if chunk.data]
+
+    def close(self) -> list[Chunk]:
+        """Return the reads that have not ended."""
+        held, self._open = [*self._open.values()], {}
+        return held
+
+
+class LineReader:
+    """Makes the reads of a port again from the packets that show their bytes."""
+
+    def __init__(self) -> None:
+        self._reads = OpenReads()
+
+    def read(self, packet: Packet, mark: bytes) -> Packet:
+        """Turn a packet with a LOCAL_OPTION `mark` into a LinePacket.
+
+        A packet whose mark cannot be read is returned as it is.
+        """
+        try:
+            wire = msgspec.json.decode(mark, type=WireReads)
+        except (msgspec.DecodeError, ValueError):  # ValueError: text that is no UTF-8.
+            return packet
+        header = _PAYLOAD_AT if packet.link_type == RAW_IPV4 else RTAC_HEADER
+        data = packet.data[header + max(wire.skip, 0) :] if wire.raw is None else wire.raw
+        place = None
+        if wire.connection is None:
+            place = StreamPlace(0, None, Origin(packet.file, packet.number))
+        like = Chunk(
+            ts_ns=0,
+            link=packet.link,
+            data=b"",
+            direction=wire.direction,
+            stamp=wire.stamp,
+            connection=wire.connection,
+            place=place,
+        )
+        return _line_packet(packet, self._reads.take(like, data, wire.reads, is_open=wire.is_open))
+
+    def close(self, packet: Packet) -> LinePacket | None:
+        """What is held at the end of the file, in a copy of the last packet."""
+        held = self._reads.close()
+        return _line_packet(packet, held) if held else None
+
+
+def _line_packet(packet: Packet, chunks: Iterable[Chunk]) -> LinePacket:
+    return LinePacket(
+        ts_ns=packet.ts_ns,
+        link=packet.link,
+        link_type=packet.link_type,
+        data=packet.data,
+        original_length=packet.original_length,
+        file=packet.file,
+        number=packet.number,
+        chunks=tuple(chunks),
+    )
+
+
+def reads_of(packets: Iterable[Packet]) -> Iterator[Chunk | Packet]:
+    """The packets, but in place of those that show bytes of a link the reads of its port."""
+    for packet in packets:
+        if isinstance(packet, LinePacket):
+            yield from packet.chunks
+        else:
+            yield packet
+
+
+def _checksum(header: bytes) -> int:
+    """The checksum of an IPv4 header whose checksum is 0 (RFC 791)."""
+    total: int = sum(word for (word,) in struct.iter_unpack(">H", header))
+    total = (total & 0xFFFF) + (total >> 16)
+    return 0xFFFF - ((total + (total >> 16)) & 0xFFFF)

@@ -1,0 +1,347 @@
+"""Converts captures and logs into each other: MCAP, pcapng and pcap."""
+
+# Each capture among the inputs is read twice (workflows/shared/evidence_reading.py). All captures
+# become one in the order of their times; within one capture the order stays. Packets are written as
+# they were captured. Frames of serial lines and taps become packets (packets/line_packets.py), in
+# pcapng only; in a log reads stay reads.
+#
+# With --start, --end or --where, what remains is the packets and frames of the transactions that
+# are taken, and without --where also the packets and bytes in that time that belong to none.
+
+from __future__ import annotations
+
+import heapq
+import os
+import platform
+import shlex
+import sys
+from contextlib import suppress
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
+
+from mbtool.core import (
+    Chunk,
+    Direction,
+    OutputError,
+    Packet,
+    UsageError,
+    WireEvent,
+)
+from mbtool.core.errors import reason_of
+from mbtool.devices import profile_to_json
+from mbtool.logs.creating import check_path
+from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
+from mbtool.logs.writer import LogWriter
+from mbtool.packets import CaptureHead
+from mbtool.packets.capture_writer import (
+    PcapWriter,
+)
+from mbtool.packets.line_packets import (
+    OpenReads,
+)
+from mbtool.workflows.shared.conversion_inputs import grouped
+from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
+from mbtool.workflows.shared.wire_streams import StreamKey, WirePiece, WireStream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+    from mbtool.logs.messages import LogItem
+    from mbtool.workflows.shared.conversion_inputs import InputGroup
+    from mbtool.workflows.shared.reading import ReadingOptions
+    from mbtool.workflows.shared.time_window import TimeWindow
+
+T = TypeVar("T")
+
+CAPTURE_SUFFIXES = frozenset((".pcap", ".pcapng", ".mcap"))
+_REORDER_NS = 2_000_000_000
+"""How long pieces of a line with two taps are held, so that a request comes before its response
+although the other tap's reads were recorded first."""
+
+
+class Conversion:
+    """Reads files, cuts them, and writes them as one."""
+
+    def __init__(
+        self,
+        paths: Sequence[str],
+        options: ReadingOptions,
+        window: TimeWindow,
+        where: Callable[[NamedTransaction], bool] | None = None,
+    ) -> None:
+        """Look at the files; `where` is None to take all transactions.
+
+        Raises InputError for a file that cannot be read, UsageError for one that is not converted.
+        """
+        self._options = options
+        self._window = window
+        self._where = where
+        self._groups = grouped(paths, options)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Lines for the user about the files, once they were read."""
+        return [text for group in self._groups for text in group.remarks]
+
+    def demand_whole(self) -> None:
+        """Raise the error of the first file that was found to be cut or damaged."""
+        for group in self._groups:
+            if group.broken is not None:
+                raise group.broken
+
+    def records(self) -> Iterator[Record]:
+        """Give the transactions and events that are wanted, in the order of time."""
+        for record in self._window.begun(self._all_records()):
+            if isinstance(record, WireEvent):
+                if record in self._window:
+                    yield record
+            elif self._is_wanted(record):
+                yield record
+
+    def write(self, out: str, *, overwrite: bool = False) -> Converted:
+        """Write a capture or a log.
+
+        Raises UsageError if it cannot be created or cannot hold what was read, OutputError if
+        writing fails.
+        """
+        suffix = PurePath(out).suffix.lower()
+        check_path(Path(out), replace=overwrite)
+        self._read_marks()
+        if suffix == ".mcap":
+            return self._write_log(out, overwrite=overwrite)
+        is_new = not os.path.lexists(out)
+        try:
+            with open(out, "wb") as stream:
+                if suffix == ".pcap":
+                    return self._write_pcap(stream, out)
+                return PcapngOutput(stream, self._groups, self._head()).write(self._shown())
+        except OSError as error:
+            raise OutputError(f"{out}: cannot be written: {reason_of(error)}") from error
+        except UsageError:
+            if is_new:
+                with suppress(OSError):
+                    os.unlink(out)
+            raise
+
+    def _all_records(self) -> Iterator[Record]:
+        return _merged([group.records() for group in self._groups], _record_ns)
+
+    def _is_wanted(self, one: NamedTransaction) -> bool:
+        return one in self._window and (self._where is None or self._where(one))
+
+    @property
+    def _is_whole(self) -> bool:
+        return self._where is None and self._window.is_whole
+
+    def _read_marks(self) -> None:
+        if not self._window.is_whole:
+            # This finds the first request, from which relative times count.
+            next(self._window.begun(self._all_records()), None)
+        first = 1
+        heard: dict[str, tuple[int, InputGroup]] = {}
+        for group in self._groups:
+            group.read_marks(self._is_wanted, first)
+            first += group.marks.transactions
+            for link, (begin_ns, end_ns) in group.marks.spans.items():
+                if link in heard and heard[link][0] > begin_ns:
+                    one, other = heard[link][1].paths[0], group.paths[0]
+                    raise UsageError(
+                        f"{other}: has bytes of a line {link!r} at the same time as {one}; "
+                        "convert the two one by one"
+                    )
+                heard[link] = end_ns, group
+
+    def _shown(self) -> Iterator[Shown]:
+        """The packets and pieces that are wanted, of all captures."""
+        return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
+
+    def _pieces(self, group: InputGroup) -> Iterator[Shown]:
+        pieces = (one for one in _cut(group) if self._keeps(group, one))
+        if any(key.connection is None and key.direction is not Direction.UNKNOWN
+               for key in group.marks.frames):  # fmt: skip
+            return _in_time_order(pieces)
+        return (one.item for one in pieces)
+
+    def _keeps(self, group: InputGroup, one: _Cut) -> bool:
+        if self._is_whole:
+            return True
+        if isinstance(one.item, WirePiece):
+            if one.item.frame is not None:
+                return one.item.frame.is_kept
+        elif one.number in group.marks.used:
+            return one.number in group.marks.kept
+        return self._where is None and self._window.contains_ns(one.item.ts_ns)
+
+    def _head(self) -> CaptureHead:
+        return _joined_heads(self._groups, self._options)
+
+    def _write_pcap(self, stream: BinaryIO, out: str) -> Converted:
+        done = Converted()
+        writer: PcapWriter | None = None
+        link_type = 0
+        for one in self._shown():
+            if isinstance(one, WirePiece):
+                raise UsageError(
+                    f"{out}: classic pcap cannot hold a serial line or a tap; "
+                    f"name it {PurePath(out).with_suffix('.pcapng')}"
+                )
+            packet = one.packet
+            if writer is None:
+                link_type = packet.link_type
+                writer = PcapWriter(stream, link_type)
+            if packet.link_type != link_type:
+                raise UsageError(
+                    f"{out}: classic pcap holds packets of one link type, and there are "
+                    f"{link_type} and {packet.link_type}; "
+                    f"name it {PurePath(out).with_suffix('.pcapng')}"
+                )
+            writer.write(packet)
+            done.packets += 1
+        if writer is None:
+            PcapWriter(stream, 1)
+        return done
+
+    def _write_log(self, out: str, *, overwrite: bool) -> Converted:
+        done = Converted()
+        head = self._head()
+        capture = {
+            "host": platform.node(),
+            "system": platform.platform(),
+            "command": shlex.join(["mbtool", *sys.argv[1:]]),
+            "clock": "that of the captures that it was made from",
+            "made_from": shlex.join(path for group in self._groups for path in group.paths),
+        }
+        with LogWriter(out, capture=capture, replace=overwrite) as log:
+            for name, settings in head.links.items():
+                log.add_link(name, {k: v for k, v in settings.items() if k != "name"})
+            for who, profile in head.devices.items():
+                log.add_device(who, profile)
+            for name, data in head.profiles.items():
+                log.add_profile(name, data)
+            for item in self._log_items():
+                log.write(item)
+                done.packets += isinstance(item, Packet)
+                done.reads += isinstance(item, Chunk)
+                done.transactions += not isinstance(item, Packet | Chunk | WireEvent)
+        return done
+
+    def _log_items(self) -> Iterator[LogItem]:
+        """The evidence and the records in the order of a log: evidence first."""
+        evidence: Iterator[LogItem] = _reads(self._shown())
+        records: Iterator[LogItem] = self.records()
+        keyed = _keyed(evidence, _known_ns, 0), _keyed(records, _known_ns, 1)
+        return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
+
+
+class _Cut(NamedTuple):
+    item: Shown
+    number: int
+    """The number of a packet among those of its capture; 0 for a piece."""
+
+
+def _cut(group: InputGroup) -> Iterator[_Cut]:
+    """The packets of a capture with their comments, and its reads cut into frames."""
+    marks = group.marks
+    streams: dict[StreamKey, WireStream] = {}
+    number = 0
+    for item in group.evidence():
+        if isinstance(item, Packet):
+            number += 1
+            yield _Cut(NumberedPacket(item, marks.comments.get(number, ())), number)
+        elif isinstance(item, Chunk):
+            key = StreamKey(item.link, item.direction, item.connection)
+            stream = streams.get(key)
+            if stream is None:
+                found = marks.frames.get(key, ()), marks.skipped.get(key, ())
+                stream = streams[key] = WireStream(key, *found)
+            yield from (_Cut(piece, 0) for piece in stream.feed(item))
+    for stream in streams.values():
+        yield from (_Cut(piece, 0) for piece in stream.close())
+
+
+def _in_time_order(pieces: Iterable[_Cut]) -> Iterator[Shown]:
+    """The items in the order of their times, as far as _REORDER_NS brings them into it."""
+    held: list[tuple[int, int, Shown]] = []
+    for number, one in enumerate(pieces):
+        heapq.heappush(held, (one.item.ts_ns, number, one.item))
+        while held[0][0] < one.item.ts_ns - _REORDER_NS:
+            yield heapq.heappop(held)[2]
+    while held:
+        yield heapq.heappop(held)[2]
+
+
+def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
+    """The packets, and the reads that brought the pieces."""
+    open_reads = OpenReads()
+    for one in shown:
+        if isinstance(one, NumberedPacket):
+            yield one.packet
+        else:
+            yield from open_reads.take(one.chunk, one.data, one.reads, is_open=one.is_open)
+    yield from open_reads.close()
+
+
+def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:
+    """All items by time; items of one part stay in their order."""
+    if len(parts) == 1:
+        return parts[0]
+    keyed = [_keyed(part, time_of, index) for index, part in enumerate(parts)]
+    return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
+
+
+def _keyed(
+    items: Iterable[T], time_of: Callable[[T], int], index: int
+) -> Iterator[tuple[int, int, T]]:
+    """The items with the latest time so far, and an index for equal times."""
+    latest_ns = 0
+    for item in items:
+        latest_ns = max(latest_ns, time_of(item))
+        yield latest_ns, index, item
+
+
+def _record_ns(record: Record) -> int:
+    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+
+
+def _known_ns(item: LogItem) -> int:
+    """When an item is complete: a log has it after the bytes that it was decoded from."""
+    if isinstance(item, WireEvent | Packet | Chunk):
+        return item.ts_ns
+    return item.start_ns if item.response_ns is None else item.response_ns
+
+
+def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> CaptureHead:
+    """What is known of the links of all captures, with what the user has said."""
+    links: dict[str, dict[str, str]] = {}
+    devices = {str(one.who): one.profile.name for one in options.assignments}
+    profiles = {one.name: profile_to_json(one) for one in options.assignments.profiles}
+    ports = [*map(str, options.ports), *([ANY_PORT] if options.any_port else [])]
+    rtu_ports = [*map(str, options.rtu_ports)]
+    for group in groups:
+        for name, settings in group.head.links.items():
+            one = links.setdefault(name, dict(settings))
+            if ports and PORTS in one:
+                one[PORTS] = " ".join(ports)
+        for who, profile in group.head.devices.items():
+            devices.setdefault(who, profile)
+        for name, data in group.head.profiles.items():
+            profiles.setdefault(name, data)
+        for link in group.marks.spans:
+            links.setdefault(link, {SPEC: _spec(group, link)})
+    if ports or rtu_ports:
+        named = {PORTS: " ".join(ports or ["502"]), RTU_PORTS: " ".join(rtu_ports)}
+        links["packets"] = named
+    capture = {} if any(group.is_log for group in groups) else {ACROSS: "1"}
+    return CaptureHead(capture={"made_by": "mbtool", **capture}, links=links, devices=devices,
+                       profiles=profiles)  # fmt: skip
+
+
+def _spec(group: InputGroup, link: str) -> str:
+    """The link spec of a serial line that no log describes."""
+    line = group.line_of(link)
+    if line is None:
+        return f"rtu:{link}@19200-8E1"
+    port = "".join("_" if each in ",@=:" else each for each in link)
+    return f"{'ascii' if line.ascii else 'rtu'}:{port}@{line.format}"

@@ -1,0 +1,217 @@
+"""Writes packets of networks, and frames of serial lines and taps, as pcapng for Wireshark."""
+
+# How frames become packets is said in packets/line_packets.py. The packets of a link are of two
+# interfaces: frames, and bytes that are no frame. Verdicts, findings and the reasons of events are
+# comments. Requests are outbound and responses inbound, as seen from the master.
+#
+# A request has the time of its last byte, a response that of its first, so that Wireshark shows the
+# same latency as this program.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+
+import msgspec
+
+from mbtool.core import Direction, EventKind, Packet
+from mbtool.logs.links import SPEC
+from mbtool.modbus import Transport
+from mbtool.modbus.ascii_frame import read_frame
+from mbtool.packets.capture_writer import (
+    CRC_ERROR,
+    RECEIVED,
+    SENT,
+    InterfaceSettings,
+    PcapngWriter,
+)
+from mbtool.packets.line_packets import (
+    LOCAL_BLOCK,
+    LOCAL_OPTION,
+    MASTER_PORT,
+    MAX_LINK_NUMBER,
+    RAW_IPV4,
+    LineEnds,
+    WireReads,
+    line_datagram,
+    rtac_packet,
+    with_mbap,
+)
+from mbtool.packets.serial_packets import RTAC_SERIAL
+from mbtool.workflows.shared.wire_streams import WirePiece
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from mbtool.core import Connection
+    from mbtool.packets import CaptureHead
+    from mbtool.workflows.shared.conversion_inputs import InputGroup
+    from mbtool.workflows.shared.wire_streams import StreamKey, WireFrame
+
+
+class NumberedPacket(NamedTuple):
+    """A packet and what is said of it."""
+
+    packet: Packet
+    comments: Sequence[str]
+
+    @property
+    def ts_ns(self) -> int:
+        return self.packet.ts_ns
+
+
+Shown = NumberedPacket | WirePiece
+
+
+@dataclass(slots=True)
+class Converted:
+    """What was written."""
+
+    packets: int = 0
+    reads: int = 0
+    transactions: int = 0
+
+
+class PcapngOutput:
+    """Writes packets and pieces as pcapng."""
+
+    def __init__(self, stream: BinaryIO, groups: Sequence[InputGroup], head: CaptureHead) -> None:
+        self._writer = PcapngWriter(stream)
+        self._head = head
+        self._groups = groups
+        self._numbers: dict[str, int] = {}
+        """The numbers of the links whose frames become packets."""
+        self._ports: dict[Connection, int] = {}
+        self._done = Converted()
+
+    def write(self, shown: Iterable[Shown]) -> Converted:
+        self._number_links()
+        is_plain = not self._numbers and not self._head.devices and not self._head.links
+        if not is_plain or any(group.is_log for group in self._groups):
+            self._writer.write_block(LOCAL_BLOCK, msgspec.json.encode(self._head))
+        self._writer.write_names(self._names())
+        for one in shown:
+            if isinstance(one, NumberedPacket):
+                self._writer.write(one.packet, comments=one.comments)
+            else:
+                self._write_piece(one)
+            self._done.packets += 1
+        return self._done
+
+    def _number_links(self) -> None:
+        links = [link for group in self._groups for link in group.marks.spans]
+        links += [key.link for group in self._groups for key in group.marks.frames]
+        for link in links:
+            if link not in self._numbers:
+                self._numbers[link] = len(self._numbers) % MAX_LINK_NUMBER + 1
+
+    def _names(self) -> dict[bytes, str]:
+        """The names of all masters and slaves, by IPv4 address."""
+        names: dict[bytes, str] = {}
+        for group in self._groups:
+            for key, frames in group.marks.frames.items():
+                link = "".join(one if one.isalnum() else "-" for one in PurePath(key.link).name)
+                for unit in sorted({frame.unit for frame in frames}):
+                    ends = LineEnds.of(self._numbers[key.link], unit)
+                    names[ends.master] = f"master.{link}"
+                    names[ends.slave] = f"unit{unit}.{link}"
+        return names
+
+    def _write_piece(self, piece: WirePiece) -> None:
+        shown = None if piece.frame is None else self._datagram(piece.key, piece.frame)
+        if shown is None or piece.frame is None:
+            self._write_bytes(piece)
+            return
+        frame = piece.frame
+        reads = self._reads(piece, skip=shown.skip, raw=shown.raw)
+        direction = SENT if frame.is_request else RECEIVED
+        self._describe(piece.key.link, RAW_IPV4)
+        self._write_packet(piece, RAW_IPV4, shown.data, frame.comments, direction, reads)
+
+    def _write_bytes(self, piece: WirePiece) -> None:
+        """Write bytes that are no frame."""
+        skipped = piece.skipped
+        by_master = piece.key.direction is Direction.REQUEST
+        data = rtac_packet(piece.ts_ns, piece.data, by_master=by_master)
+        comments = () if skipped is None else (skipped.message,)
+        is_damaged = skipped is not None and skipped.kind is EventKind.BAD_CHECK
+        self._describe(piece.key.link, RTAC_SERIAL)
+        flags = CRC_ERROR if is_damaged else 0
+        self._write_packet(piece, RTAC_SERIAL, data, comments, flags, self._reads(piece))
+
+    def _write_packet(
+        self,
+        piece: WirePiece,
+        link_type: int,
+        data: bytes,
+        comments: Sequence[str],
+        flags: int,
+        reads: WireReads,
+    ) -> None:
+        packet = Packet(
+            ts_ns=max(piece.ts_ns, 0),
+            link=piece.key.link,
+            link_type=link_type,
+            data=data,
+            original_length=len(data),
+        )
+        local = {LOCAL_OPTION: msgspec.json.encode(reads)}
+        self._writer.write(packet, comments=comments, flags=flags, local=local)
+
+    def _reads(self, piece: WirePiece, skip: int = 0, raw: bytes | None = None) -> WireReads:
+        return WireReads(
+            reads=piece.reads,
+            is_open=piece.is_open,
+            skip=skip,
+            raw=raw,
+            direction=piece.chunk.direction,
+            stamp=piece.chunk.stamp,
+            connection=piece.chunk.connection,
+        )
+
+    def _datagram(self, key: StreamKey, frame: WireFrame) -> _Datagram | None:
+        """The packet that shows a frame; None if its form is not that of its transport."""
+        raw, skip, original = frame.raw, 6, None
+        if frame.transport is Transport.TCP:
+            payload, skip = raw, 0
+        elif frame.transport is Transport.ASCII:
+            read = read_frame(raw)
+            if read is None:
+                return None
+            check = bytes((read.checksum.received,))
+            payload, original = with_mbap(frame.number, read.body, check), raw
+        else:
+            payload = with_mbap(frame.number, raw[:-2], raw[-2:])
+        ends = LineEnds.of(self._numbers[key.link], frame.unit, self._master_port(key))
+        data = line_datagram(ends, frame.number, payload, is_request=frame.is_request)
+        return _Datagram(data, skip, original)
+
+    def _master_port(self, key: StreamKey) -> int:
+        """The port of the master: connections of a tap each have their own."""
+        if key.connection is None:
+            return MASTER_PORT
+        count = len(self._ports)
+        return self._ports.setdefault(key.connection, MASTER_PORT + count % 40_000)
+
+    def _describe(self, link: str, link_type: int) -> None:
+        if self._writer.knows(link, link_type):
+            return
+        spec = self._head.links.get(link, {}).get(SPEC, link)
+        what = "frames as Modbus over UDP" if link_type == RAW_IPV4 else "bytes that are no frame"
+        settings = InterfaceSettings(f"{spec}: {what}", _baud(spec))
+        self._writer.add_interface(link, link_type, settings)
+
+
+class _Datagram(NamedTuple):
+    data: bytes
+    skip: int
+    """How many bytes of the payload come before those of the frame."""
+    raw: bytes | None
+    """The frame as it was on the line, if the packet shows it in another form."""
+
+
+def _baud(spec: str) -> int:
+    """The baud rate in a link spec; 0 if it has none."""
+    digits = spec.rpartition("@")[2].partition("-")[0]
+    return int(digits) if digits.isdecimal() and len(digits) <= 8 else 0
