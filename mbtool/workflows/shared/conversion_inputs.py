@@ -53,7 +53,8 @@ class InputGroup:
     head: CaptureHead
     is_log: bool
     """True for logs and for what was made from one: the files themselves describe their links."""
-    first_ns: int
+    is_raw: bool
+    """True for logs: their evidence is decoded, in place of what they say."""
     marks: EvidenceMarks = field(default_factory=EvidenceMarks)
     broken: InputError | None = None
     """The error of a file that is cut or damaged, once it was read."""
@@ -71,7 +72,7 @@ class InputGroup:
 
     def read_marks(self, wanted: Callable[[NamedTransaction], bool], first: int) -> None:
         """Decode the evidence, and note what it says of packets and frames."""
-        reading = EvidenceReading(self.paths, _raw(self.options))
+        reading = EvidenceReading(self.paths, replace(self.options, raw=self.is_raw))
         self.line_of = lambda link: reading.line_of(link)
         try:
             reading.read_marks(wanted, first)
@@ -139,10 +140,6 @@ def _endpoint(text: str | None) -> Endpoint | None:
     return Endpoint(host.removeprefix("[").removesuffix("]"), int(port))
 
 
-def _raw(options: ReadingOptions) -> ReadingOptions:
-    return replace(options, raw=True)
-
-
 def grouped(paths: Sequence[str], options: ReadingOptions) -> list[InputGroup]:
     """The files by capture, in the order of their beginnings.
 
@@ -159,7 +156,7 @@ def grouped(paths: Sequence[str], options: ReadingOptions) -> list[InputGroup]:
             raise UsageError(f"{path}: named twice; what is in it would be there twice")
         known.add(place)
         files.append(_looked_at(path, options, spans=len(paths) > 1))
-    files.sort(key=lambda one: (one.first_ns, one.part.number or 0))
+    files.sort(key=lambda one: (one.part.number or 0, one.first_ns))
     rows: list[list[_InputFile]] = []
     for file in files:
         row = next((row for row in rows if _follows(file, row)), None)
@@ -167,6 +164,7 @@ def grouped(paths: Sequence[str], options: ReadingOptions) -> list[InputGroup]:
             rows.append([file])
         else:
             row.append(file)
+    rows.sort(key=lambda row: row[0].first_ns)
     return [_group(row, options) for row in rows]
 
 
@@ -182,8 +180,9 @@ def _follows(file: _InputFile, row: list[_InputFile]) -> bool:
 def _group(row: list[_InputFile], options: ReadingOptions) -> InputGroup:
     first = row[0]
     kind = InputGroup if first.kind is not None else TransactionGroup
-    is_log = first.kind is CaptureKind.MCAP or bool(first.head.capture)
-    return kind([one.path for one in row], options, first.head, is_log, first.first_ns)
+    is_log = bool(first.head.capture)
+    is_raw = first.kind is CaptureKind.MCAP
+    return kind([one.path for one in row], options, first.head, is_log or is_raw, is_raw)
 
 
 def _looked_at(path: str, options: ReadingOptions, *, spans: bool) -> _InputFile:

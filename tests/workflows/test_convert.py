@@ -1,0 +1,216 @@
+"""Captures and logs converted into each other, and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import (
+    Chunk,
+    Direction,
+    InputError,
+    SerialFormat,
+    SerialLink,
+    UsageError,
+    WireEvent,
+)
+from mbtool.logs import LogReader, LogWriter
+from mbtool.logs.links import SPEC
+from mbtool.modbus import rtu_adu
+from mbtool.query.where import parse_where
+from mbtool.workflows.convert import Conversion
+from mbtool.workflows.shared.pcapng_output import Converted
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.shared.time_window import TimeWindow
+from tests.captures import read_packets
+from tests.records import without_origins
+from tests.workflows.evidence import LINE, READ, VALUES, captured, exchange, relayed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.decode.decoder import Record
+
+CAPTURES = Path(__file__).resolve().parents[2] / "captures"
+LOGS = sorted(CAPTURES.glob("*.mcap"))
+PACKETS = sorted(CAPTURES.glob("*.pcap*"))
+"""Packets, beside the lines that they decode to."""
+PACKETS = [one for one in PACKETS if one.suffix != ".jsonl"]
+
+
+def _convert(
+    paths: Iterable[Path],
+    out: Path,
+    *,
+    start: str | None = None,
+    end: str | None = None,
+    where: str | None = None,
+) -> Converted:
+    window = TimeWindow.parse(start, end)
+    fits = None if where is None else parse_where(where)
+    return Conversion([str(one) for one in paths], ReadingOptions(), window, fits).write(str(out))
+
+
+def _transactions(path: Path, *, raw: bool = True) -> list[Record]:
+    records = Reading([str(path)], ReadingOptions(raw=raw)).records()
+    return without_origins(one for one in records if not isinstance(one, WireEvent))
+
+
+def _log(path: Path, items: Iterable[Chunk], link: SerialLink = LINE) -> Path:
+    with LogWriter(path, capture={}) as log:
+        log.add_link(link.name, {SPEC: str(link)})
+        for item in items:
+            log.write(item)
+    return path
+
+
+def _evidence(path: Path) -> list[object]:
+    with LogReader.open(path) as log:
+        return list(log.evidence())
+
+
+@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
+def test_a_log_comes_back_from_pcapng_with_its_evidence_and_transactions(
+    path: Path, tmp_path: Path
+) -> None:
+    shown, back = tmp_path / "shown.pcapng", tmp_path / "back.mcap"
+    _convert([path], shown)
+    _convert([shown], back)
+    assert _evidence(back) == _evidence(path)
+    expected = _transactions(path)
+    assert expected
+    assert _transactions(shown) == _transactions(back) == expected
+    assert _transactions(back, raw=False) == expected
+
+
+@pytest.mark.parametrize("path", PACKETS, ids=lambda path: path.suffix)
+@pytest.mark.parametrize(
+    "way", [(".pcapng",), (".pcap",), (".mcap", ".pcapng"), (".mcap", ".pcap")]
+)
+def test_packets_come_back_as_they_were_captured(
+    path: Path, way: tuple[str, ...], tmp_path: Path
+) -> None:
+    source = path
+    for number, suffix in enumerate(way):
+        out = tmp_path / f"{number}{suffix}"
+        _convert([source], out)
+        source = out
+    before, after = list(read_packets(path)), list(read_packets(source))
+    assert [one.data for one in after] == [one.data for one in before]
+    assert [(one.ts_ns, one.original_length, one.link_type) for one in after] == [
+        (one.ts_ns, one.original_length, one.link_type) for one in before
+    ]
+    assert _transactions(source) == _transactions(path)
+
+
+def test_two_taps_of_one_line_come_back(tmp_path: Path) -> None:
+    link = SerialLink("/dev/a", SerialFormat(), False, "/dev/b")
+    sides = Direction.REQUEST, Direction.RESPONSE
+    chunks = [
+        replace(chunk, link=link.name, direction=side)
+        for number in range(4)
+        for chunk, side in zip(exchange(100 * number), sides, strict=True)
+    ]
+    path = _log(tmp_path / "taps.mcap", chunks, link)
+    _convert([path], tmp_path / "shown.pcapng")
+    assert [one.outcome for one in _transactions(path)] == ["ok"] * 4  # type: ignore[union-attr]
+    assert _transactions(tmp_path / "shown.pcapng") == _transactions(path)
+
+
+def test_bytes_that_are_no_frame_are_on_an_interface_of_their_own(tmp_path: Path) -> None:
+    _convert([CAPTURES / "torn-and-glued-frames.mcap"], tmp_path / "x.pcapng")
+    packets = list(read_packets(tmp_path / "x.pcapng"))
+    assert {one.link_type for one in packets} == {228, 250}
+    noise = [one.data[12:] for one in packets if one.link_type == 250]
+    assert [len(one) for one in noise] == [2, 1, 9]
+
+
+def test_captures_become_one_in_the_order_of_time(tmp_path: Path) -> None:
+    early = _log(tmp_path / "b.mcap", exchange(0))
+    packets = tmp_path / "p.mcap"
+    with LogWriter(packets, capture={}) as log:
+        for packet in captured(2):
+            log.write(packet)
+    late = _log(tmp_path / "a.mcap", exchange(60_000))
+    for suffix in (".mcap", ".pcapng"):
+        out = tmp_path / f"all{suffix}"
+        _convert([late, packets, early], out)
+        assert len(_transactions(out)) == sum(
+            len(_transactions(one)) for one in (early, packets, late)
+        )
+    times = [one.ts_ns for one in _evidence(tmp_path / "all.mcap")]  # type: ignore[attr-defined]
+    assert times == sorted(times)
+
+
+def test_one_line_heard_twice_at_once_is_refused(tmp_path: Path) -> None:
+    one = _log(tmp_path / "a.mcap", [*exchange(0), *exchange(400)])
+    other = _log(tmp_path / "b.mcap", exchange(200))
+    with pytest.raises(UsageError, match="at the same time"):
+        _convert([one, other], tmp_path / "x.mcap")
+    assert not (tmp_path / "x.mcap").exists()
+
+
+@pytest.mark.parametrize("suffix", [".pcapng", ".mcap"])
+def test_a_cut_has_what_decode_shows_of_the_part(suffix: str, tmp_path: Path) -> None:
+    path, out = CAPTURES / "ft1a-touch-line.mcap", tmp_path / f"x{suffix}"
+    _convert([path], out, start="0.1", end="0.3")
+    first = _transactions(path)[0].request_ns  # type: ignore[union-attr]
+    expected = [
+        one.request_raw  # type: ignore[union-attr]
+        for one in _transactions(path)
+        if 100_000_000 <= one.request_ns - first < 300_000_000  # type: ignore[union-attr, operator]
+    ]
+    assert [one.request_raw for one in _transactions(out)] == expected  # type: ignore[union-attr]
+    assert len(expected) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("ft1a-touch-line.mcap", ".pcapng"), ("fa3-at1m8x-setup.pcap", ".pcap")]
+)
+def test_where_keeps_the_packets_of_its_transactions(
+    name: str, suffix: str, tmp_path: Path
+) -> None:
+    out = tmp_path / f"x{suffix}"
+    _convert([CAPTURES / name], out, where="function == 6")
+    expected = [one for one in _transactions(CAPTURES / name) if one.function == 6]  # type: ignore[union-attr]
+    assert expected
+    assert [
+        (one.request_raw, one.response_raw)  # type: ignore[union-attr]
+        for one in _transactions(out)
+    ] == [(one.request_raw, one.response_raw) for one in expected]  # type: ignore[union-attr]
+
+
+def test_a_serial_line_does_not_fit_into_pcap(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"name it .*x\.pcapng"):
+        _convert([CAPTURES / "ft1a-touch-line.mcap"], tmp_path / "x.pcap")
+    assert not (tmp_path / "x.pcap").exists()
+
+
+def test_a_table_of_transactions_is_not_converted_back(tmp_path: Path) -> None:
+    (tmp_path / "x.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="is not converted back"):
+        _convert([tmp_path / "x.parquet"], tmp_path / "x.mcap")
+
+
+def test_a_tap_comes_back_with_its_connections(tmp_path: Path) -> None:
+    chunks = [
+        relayed(100 * number + late, side, pdu, number=number)
+        for number in range(3)
+        for late, side, pdu in ((0, Direction.REQUEST, READ), (10, Direction.RESPONSE, VALUES))
+    ]
+    path = _log(tmp_path / "tap.mcap", chunks)
+    _convert([path], tmp_path / "x.pcapng")
+    assert len(_transactions(path)) == 3
+    assert _transactions(tmp_path / "x.pcapng") == _transactions(path)
+
+
+def test_two_frames_in_one_read_stay_in_one_read(tmp_path: Path) -> None:
+    request, response = rtu_adu(1, b"\x03\x00\x00\x00\x01"), rtu_adu(1, b"\x03\x02\x12\x34")
+    chunk = Chunk(ts_ns=10**18, link=LINE.name, data=request + response)
+    path = _log(tmp_path / "glued.mcap", [chunk])
+    assert _convert([path], tmp_path / "x.pcapng") == Converted(packets=2)
+    _convert([tmp_path / "x.pcapng"], tmp_path / "back.mcap")
+    assert _evidence(tmp_path / "back.mcap") == [chunk]
