@@ -1,0 +1,101 @@
+"""mbtool convert."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.cli import exit_codes
+from tests.logs.samples import chunk, transaction, write_log
+
+if TYPE_CHECKING:
+    from tests.cli.program import CommandLine
+
+CAPTURES = Path(__file__).resolve().parents[2] / "captures"
+LINE = CAPTURES / "retry-after-silence.mcap"
+
+
+def test_a_log_becomes_a_capture_and_a_log_again(mbtool: CommandLine, tmp_path: Path) -> None:
+    shown, back = tmp_path / "x.pcapng", tmp_path / "x.mcap"
+    told = mbtool("convert", LINE, shown)
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err == f"7 packets -> {shown}\n"
+    told = mbtool("convert", shown, back)
+    assert told.err == f"57 reads, 4 transactions -> {back}\n"
+
+
+def test_the_transactions_go_into_jsonl_and_back(mbtool: CommandLine, tmp_path: Path) -> None:
+    first, log, second = (tmp_path / name for name in ("a.jsonl", "b.mcap", "c.jsonl"))
+    assert mbtool("convert", LINE, first).code == exit_codes.DONE
+    assert mbtool("convert", first, log).code == exit_codes.DONE
+    assert mbtool("convert", log, second).code == exit_codes.DONE
+    rows = [[json.loads(line) for line in path.open()] for path in (first, second)]
+    assert len(rows[0]) == 4
+    for row in (*rows[0], *rows[1]):
+        del row["file"]
+    assert rows[0] == rows[1]
+
+
+def test_a_file_that_exists_is_replaced_only_if_that_is_wanted(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    out = tmp_path / "x.pcapng"
+    out.write_bytes(b"precious")
+    told = mbtool("convert", LINE, out)
+    assert told.code == exit_codes.USAGE
+    assert out.read_bytes() == b"precious"
+    assert mbtool("convert", LINE, out, "--overwrite").code == exit_codes.DONE
+    assert out.read_bytes() != b"precious"
+
+
+def test_what_is_left_of_a_cut_log_is_converted_and_the_exit_code_is_3(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "x.mcap", [chunk(1), transaction(1), chunk(2), transaction(2)])
+    log.write_bytes(log.read_bytes()[:-200])
+    for suffix in ("pcapng", "mcap", "jsonl"):
+        out = tmp_path / f"out.{suffix}"
+        assert mbtool("convert", log, out).code == exit_codes.UNREADABLE
+        assert out.stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["a.mcap"], "then the file to write"),
+        (["no.mcap", "x.pcapng"], "no.mcap: there is no such file"),
+        (["-", "x.pcapng"], "reads a file twice"),
+        ([LINE, LINE, "x.pcapng"], "named twice"),
+        ([LINE, LINE], "is an input"),
+        ([LINE, "x.docx"], "its suffix names no format"),
+        ([LINE, "x.pcap"], "name it x.pcapng"),
+        ([LINE, "x.pcapng", "--events", "all"], "--events goes with .jsonl"),
+        ([LINE, "x.pcapng", "--link", "rtu@19200-8E1"], "--link is not for a log"),
+    ],
+)
+def test_what_cannot_be_converted_is_one_clear_line(
+    mbtool: CommandLine,
+    arguments: list[object],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = mbtool("convert", *arguments)
+    assert told.code in (exit_codes.USAGE, exit_codes.UNREADABLE)
+    assert said in told.err
+    assert told.err.startswith("mbtool: ")
+    assert told.err.count("\n") == 1
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_line_of_jsonl_that_is_no_transaction_is_told(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    (tmp_path / "x.jsonl").write_text('{"what": 1}\n')
+    told = mbtool("convert", tmp_path / "x.jsonl", tmp_path / "x.mcap")
+    assert told.code == exit_codes.UNREADABLE
+    assert "x.jsonl: line 1 is no transaction" in told.err
