@@ -46,7 +46,7 @@ def convert(
     source: SourceOptions,
     silences: SilenceOptions,
 ) -> None:
-    """Convert captures and logs into each other, join several, and cut out a part.
+    """Convert captures and logs into each other; join and cut them.
 
     Packets of a network stay as they were captured. Frames of serial lines and taps become packets
     that Wireshark shows as Modbus without any setting; converted back, they are the same bytes.

@@ -32,7 +32,7 @@ def test_the_transactions_go_into_jsonl_and_back(mbtool: CommandLine, tmp_path: 
     assert mbtool("convert", LINE, first).code == exit_codes.DONE
     assert mbtool("convert", first, log).code == exit_codes.DONE
     assert mbtool("convert", log, second).code == exit_codes.DONE
-    rows = [[json.loads(line) for line in path.open()] for path in (first, second)]
+    rows = [[*map(json.loads, path.read_text().splitlines())] for path in (first, second)]
     assert len(rows[0]) == 4
     for row in (*rows[0], *rows[1]):
         del row["file"]

@@ -28,6 +28,7 @@ COMMANDS = (
     "inventory",
     "check",
     "stats",
+    "convert",
     "recover",
     "replay",
     "diff",

@@ -14,9 +14,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
@@ -25,11 +23,9 @@ from mbtool.core import (
     DamageError,
     EventKind,
     InputError,
-    LineSettings,
     Packet,
     SerialFormat,
     SerialLink,
-    Silence,
     UsageError,
     WireEvent,
 )
@@ -55,9 +51,10 @@ from mbtool.workflows.shared.file_results import FileResults
 from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
 from mbtool.workflows.shared.missing_parts import MissingParts
+from mbtool.workflows.shared.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.decode.decoder import Evidence, Record
     from mbtool.devices import NamedTransaction, Profile
@@ -70,27 +67,7 @@ UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
 DEFAULT_PORT = 502
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReadingOptions:
-    """Options for reading files: ports with Modbus, profiles, line settings and silences."""
-
-    assignments: Assignments = field(default_factory=Assignments)
-    ports: Sequence[int] = ()
-    """TCP ports of slaves. If empty, the ports stored in the log, or 502 if there is no log."""
-    rtu_ports: Sequence[int] = ()
-    """TCP ports of slaves with RTU over TCP."""
-    any_port: bool = False
-    """True to look for Modbus on all other TCP ports, too."""
-    line: LineSettings | None = None
-    """The settings of the serial line in the files; None if the user gave none."""
-    t1_5: Silence | None = None
-    """The longest silence inside a frame (t1.5), in place of the one from the line's settings."""
-    t3_5: Silence | None = None
-    response_timeout: Silence | None = None
-    """How long the master of a serial line waits before it repeats a request; None to learn it."""
-    raw: bool = False
-    """True to decode the packets and bytes of a log again."""
+__all__ = ["DEFAULT_PORT", "UNDECODABLE_EVENTS", "Reading", "ReadingOptions"]
 
 
 class Reading:
