@@ -8,6 +8,8 @@
 # - The same, but not even the short pause between request and copy is heard: the adapter may have
 #   merged a request with its retry. So one copied request must have got a response before.
 # - No silences: a copy may be a retry. So ENOUGH_COPIES requests in a row must have come twice.
+# - A request copied without a response counts neither for an echo nor against one: the copy may be
+#   its retry.
 #
 # An AdapterEcho holds no frame but the last request.
 
@@ -26,8 +28,8 @@ class AdapterEcho:
     """Finds the copies of requests that an adapter adds to what it hears."""
 
     __slots__ = (
-        "_copies", "_has_single", "_is_certain", "_is_copied", "_singles", "echoes", "last",
-        "reason",
+        "_has_single", "_is_certain", "_is_copied", "_singles", "copied", "copies", "echoes",
+        "last", "reason",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -37,11 +39,13 @@ class AdapterEcho:
         """The reason that the next copy gets: ECHOES the first time, then ECHO."""
         self.last = b""
         """The last frame if it was a request and has not been copied; otherwise empty."""
+        self.copied = b""
+        """The last request if its copy came last; otherwise empty."""
         self._is_certain = False
-        """True if the form of the request in `last` rules out a response."""
+        """True if the request in `last` cannot be a response, and no response can equal it."""
         self._is_copied = False
         """True if the last request came twice and no other frame has come since."""
-        self._copies = 0
+        self.copies = 0
         """The number of requests in a row that came twice and then had a response."""
         self._singles = 0
         """The number of requests in a row that came only once."""
@@ -60,13 +64,24 @@ class AdapterEcho:
         adapter may have merged a request with its retry, unless a response has followed an earlier
         copy.
         """
-        is_heard = glued and not self._has_single and (exact or self._copies > 0)
-        is_enough = self._copies >= ENOUGH_COPIES or is_heard
-        if not self.echoes and not (self._is_certain and is_enough):
+        is_heard = glued and not self._has_single and (exact or self.copies > 0)
+        is_enough = self.copies >= ENOUGH_COPIES or is_heard
+        # If all requests so far have come twice, an equal write is no response either.
+        is_certain = self._is_certain or (self.copies >= ENOUGH_COPIES and not self._has_single)
+        if not self.echoes and not (is_certain and is_enough):
             return False
         self.echoes = True
-        self._singles, self.last = 0, b""
+        self._singles, self.last, self.copied = 0, b"", self.last
         return True
+
+    def may_copy(self, raw: bytes, following: bytes) -> bool:
+        """True if a frame and its copy may be an unrecognised echo: earlier requests came twice.
+
+        The frame is `raw`, with `following` behind it.
+        """
+        if self.echoes or self._has_single or not self.copies:
+            return False
+        return raw == self.last or following.startswith(raw)
 
     def said(self) -> str:
         """The reason for skipping a copy; only the first one says that the adapter echoes."""
@@ -74,20 +89,24 @@ class AdapterEcho:
         return reason
 
     def hear_request(self, raw: bytes, *, is_certain: bool) -> None:
-        """Take a request; `is_certain` is True if by its form it cannot be a response."""
+        """Take a request.
+
+        `is_certain` is True if it cannot be a response, and no response can equal it.
+        """
+        self.copied = b""
         if self.last == raw and is_certain and not self.echoes:
             self._is_copied, self.last = True, b""
             return
-        if self._is_copied:
-            self._is_copied, self._copies = False, 0
+        self._is_copied = False
         if self.last:
             self._end_single()
         self.last, self._is_certain = raw, is_certain
 
     def hear_response(self) -> None:
         """Take a response."""
+        self.copied = b""
         if self._is_copied:
-            self._is_copied, self._copies = False, self._copies + 1
+            self._is_copied, self.copies = False, self.copies + 1
         if self.last:
             self._end_single()
             self.last = b""
@@ -97,7 +116,7 @@ class AdapterEcho:
         if not (self._is_certain or self.echoes):
             return
         self._has_single = True
-        self._copies = 0
+        self.copies = 0
         self._singles += 1
         if self.echoes and self._singles >= ENOUGH_SINGLE:
             self.echoes, self.reason = False, ECHOES

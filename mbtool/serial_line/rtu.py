@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from mbtool.core import Direction, EventKind
 from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.functions import ECHOING
+from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
@@ -210,11 +210,35 @@ class RtuSplitter:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
+            if self._echo.copied and (is_retry := self._is_copied_retry(burst_over)) is not False:
+                if is_retry is None:
+                    return
+                retry = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
+                self._emit_frame(len(self._echo.copied), retry, events)
+                continue
             start_ns = self._times[0] - self._character_ns
             frame = self._fast_path.frame(self._data, start_ns, burst_over)
             if frame is None:
                 return
             self._emit_frame(*frame, events)
+
+    def _is_copied_retry(self, burst_over: bool) -> bool | None:
+        """True if the adapter copies the frame at the front, so that the master has sent it.
+
+        The frame equals the request before it. The result is None while more bytes may show it.
+        """
+        copied = self._echo.copied
+        size, data, last = len(copied), self._data, self._last_end
+        is_trusted = self._timed and self._model.history.trusts_silences
+        if not is_trusted or last is None or self._times[0] - last[0] < self._silent_ns:
+            return False
+        if len(data) > size and self._is_silent(size):
+            return False
+        if not (copied + copied).startswith(data[: 2 * size]):
+            return False
+        if len(data) >= 2 * size:
+            return True
+        return False if burst_over else None
 
     def _take_copy(self, events: list[Adu | Skipped]) -> bool:
         """Give out the copy of the last request, if an adapter that echoes added one."""
@@ -336,13 +360,15 @@ class RtuSplitter:
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
                 classification = replace(classification, confidence=confidence)
+        if self._echo.copies and self._echo.may_copy(raw, self._data[size:]):
+            confidence = min(confidence, UNSURE)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
         self._learn(before_ns, longest_ns)
         self._follows_silence = before_ns is None or before_ns >= self._t3_5_ns
         if self._speaker is None:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
             if classification.direction is Direction.REQUEST:
-                is_certain = classification.by is DirectionBy.FORM
+                is_certain = classification.by is DirectionBy.FORM or pdu[0] in NEVER_ECHOED
                 self._echo.hear_request(raw, is_certain=is_certain)
             else:
                 self._echo.hear_response()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
@@ -9,6 +11,7 @@ from mbtool.modbus.adu import Adu, Skipped
 from mbtool.modbus.adu_bytes import rtu_adu
 from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.adapter_echo import ECHO, ECHOES, ENOUGH_COPIES, ENOUGH_SINGLE
+from mbtool.serial_line.bus_model import SURE
 from tests.feeding import Line, feed_all
 from tests.modbus.reading import adus
 
@@ -18,6 +21,9 @@ REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 READ = rtu_adu(0x11, bytes.fromhex("03 006B 0003"))
 ANSWER = rtu_adu(0x11, bytes.fromhex("03 06 022B 0000 0064"))
 WRITE = rtu_adu(0x11, bytes.fromhex("06 0001 0003"))
+OTHER_READ = rtu_adu(0x12, bytes.fromhex("03 03 50 0007"))
+"""Its third byte is 03, so it is as long as a response with three bytes of data."""
+OTHER_ANSWER = rtu_adu(0x12, bytes.fromhex("03 0E 06C6 0000 0B97 0001 003A 0001 0002"))
 
 
 def echoing(rounds: int, *, read_first: bool = True) -> tuple[Line, list[bytes]]:
@@ -106,3 +112,56 @@ def test_retry_has_its_own_copy() -> None:
     events = heard(sent)
     assert [one.raw for one in adus(events)][-3:] == [READ, READ, ANSWER]
     assert len(echoes(events)) == 12
+
+
+def test_copied_read_that_has_the_length_of_a_response_shows_the_echo_as_well() -> None:
+    """A poll list of a single read. No slave answers it with the same bytes."""
+    sent = Line(FORMAT)
+    for _ in range(10):
+        sent.frame(OTHER_READ, 30 * MS).frame(OTHER_READ, MS // 2).frame(OTHER_ANSWER, 4 * MS)
+    assert len(echoes(heard(sent, timed=False))) == 10 - ENOUGH_COPIES
+
+
+def test_copied_requests_without_response_do_not_put_the_recognition_off() -> None:
+    """Between two polls, a unit without power is asked each time."""
+    sent, absent = Line(FORMAT), rtu_adu(0x22, bytes.fromhex("03 006B 0003"))
+    for _ in range(5):
+        sent.frame(READ, 30 * MS).frame(READ, MS // 2).frame(ANSWER, 4 * MS)
+        sent.frame(absent, 30 * MS).frame(absent, MS // 2)
+    assert len(echoes(heard(sent, timed=False))) == 10 - (2 * ENOUGH_COPIES - 1)
+
+
+def test_copied_write_is_a_retry_however_soon_it_comes() -> None:
+    """Only what the master sends is copied: no slave has responded after 90 ms."""
+    sent, _ = echoing(2)
+    for silence_ms in (30, 90, 90):
+        sent.frame(WRITE, silence_ms * MS).frame(WRITE, MS // 2)
+    sent.frame(READ, 120 * MS).frame(READ, MS // 2).frame(ANSWER, 4 * MS)
+    events = heard(sent)
+    directions = [one.direction for one in adus(events)]
+    assert directions == [REQUEST, RESPONSE] * 4 + [REQUEST] * 4 + [RESPONSE]
+
+
+def test_copied_write_is_answered_by_a_frame_without_copy() -> None:
+    sent, _ = echoing(10)
+    sent.frame(WRITE, 90 * MS).frame(WRITE, MS // 2).frame(WRITE, 90 * MS)
+    sent.frame(READ, 30 * MS).frame(READ, MS // 2).frame(ANSWER, 4 * MS)
+    events = heard(sent)
+    assert [one.direction for one in adus(events)] == [REQUEST, RESPONSE] * 22
+
+
+def test_copied_write_after_copied_reads_is_no_response() -> None:
+    sent = Line(FORMAT)
+    for _ in range(ENOUGH_COPIES):
+        sent.frame(READ, 30 * MS).frame(READ, MS // 2).frame(ANSWER, 4 * MS)
+    for _ in range(2):
+        sent.frame(WRITE, 30 * MS).frame(WRITE, MS // 2).frame(WRITE, 4 * MS)
+    events = heard(sent, timed=False)
+    assert [one.direction for one in adus(events)][-4:] == [REQUEST, RESPONSE] * 2
+
+
+def test_requests_that_come_twice_are_ambiguous_until_the_echo_is_recognised() -> None:
+    events = heard(echoing(20)[0], timed=False)
+    copies = [before for before, after in pairwise(adus(events)) if before.raw == after.raw == READ]
+    assert len(copies) == ENOUGH_COPIES
+    assert all(one.confidence < SURE for one in copies[1:])
