@@ -74,6 +74,14 @@ class AdapterEcho:
         self._singles, self.last, self.copied = 0, b"", self.last
         return True
 
+    def copied_size(self, data: bytes) -> int:
+        """How many bytes of the last request and a further copy of it `data` begins with.
+
+        The result is 0 if `data` begins with anything else.
+        """
+        both = self.copied + self.copied
+        return min(len(data), len(both)) if both.startswith(data[: len(both)]) else 0
+
     def may_copy(self, raw: bytes, following: bytes) -> bool:
         """True if a frame and its copy may be an unrecognised echo: earlier requests came twice.
 

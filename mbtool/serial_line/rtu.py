@@ -19,7 +19,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -29,12 +28,14 @@ from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
+from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
 from mbtool.serial_line.line_statistics import LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
+from mbtool.serial_line.silences import last_silence, longest_silence_ns, silences
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
@@ -55,8 +56,7 @@ LONG_NOISE = 2 * WINDOW
 """After so many bytes without a frame, a full window is searched only if a frame with a correct CRC
 begins in it: among so much noise, a damaged frame would mean nothing."""
 
-_MAX_GLUED = 2**-0.8
-"""If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
+_COPIED_RETRY = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
 
 
 class RtuSplitter:
@@ -86,6 +86,7 @@ class RtuSplitter:
         self._model = bus_model or BusModel(timed=timed)
         self._fast_path = FastPath(self._model, speaker, WINDOW)
         self._statistics = LineStatistics(timed=timed)
+        self._bursts = BurstStatistics()
         self._echo = AdapterEcho()
         self._data = b""
         self._times: list[int] = []
@@ -210,35 +211,27 @@ class RtuSplitter:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
-            if self._echo.copied and (is_retry := self._is_copied_retry(burst_over)) is not False:
-                if is_retry is None:
+            copied = self._echo.copied
+            if copied and self._may_be_copied(len(copied)):
+                have = self._echo.copied_size(self._data)
+                if have >= 2 * len(copied):  # Only what the master sends is copied: it is a retry.
+                    self._emit_frame(len(copied), _COPIED_RETRY, events)
+                    continue
+                if have == len(self._data) and not burst_over:
                     return
-                retry = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
-                self._emit_frame(len(self._echo.copied), retry, events)
-                continue
             start_ns = self._times[0] - self._character_ns
             frame = self._fast_path.frame(self._data, start_ns, burst_over)
             if frame is None:
                 return
             self._emit_frame(*frame, events)
 
-    def _is_copied_retry(self, burst_over: bool) -> bool | None:
-        """True if the adapter copies the frame at the front, so that the master has sent it.
-
-        The frame equals the request before it. The result is None while more bytes may show it.
-        """
-        copied = self._echo.copied
-        size, data, last = len(copied), self._data, self._last_end
-        is_trusted = self._timed and self._model.history.trusts_silences
-        if not is_trusted or last is None or self._times[0] - last[0] < self._silent_ns:
+    def _may_be_copied(self, size: int) -> bool:
+        """True if a silence precedes the frame at the front, and none of t3.5 follows it so far."""
+        last = self._last_end
+        if last is None or self._times[0] - last[0] < self._silent_ns:
             return False
-        if len(data) > size and self._is_silent(size):
-            return False
-        if not (copied + copied).startswith(data[: 2 * size]):
-            return False
-        if len(data) >= 2 * size:
-            return True
-        return False if burst_over else None
+        is_copy = len(self._data) <= size or not self._is_silent(size)
+        return is_copy and self._model.history.trusts_silences
 
     def _take_copy(self, events: list[Adu | Skipped]) -> bool:
         """Give out the copy of the last request, if an adapter that echoes added one."""
@@ -248,16 +241,15 @@ class RtuSplitter:
         size, first_ns = len(last), self._times[0]
         # An adapter that merges frames may glue a retry to its request too. But then it also glues
         # the frame before the request to it, so the request follows no silence.
-        is_heard = self._timed and self._model.history.trusts_silences and self._follows_silence
+        is_heard = self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
         # A longer frame may begin with the same bytes.
         is_glued &= len(self._data) == size or self._is_silent(size)
         is_exact = first_ns - self._last_end[0] > self._character_ns
         if not self._echo.takes_copy(glued=is_glued, exact=is_exact):
             return False
-        raw = self._data[:size]
         self._remove(size, Verdict.GLUED)
-        events.append(Skipped(first_ns, EventKind.ECHO, self._echo.said(), raw))
+        events.append(Skipped(first_ns, EventKind.ECHO, self._echo.said(), last))
         return True
 
     def _search(
@@ -276,11 +268,12 @@ class RtuSplitter:
         if keep and self._noise_size >= LONG_NOISE and not has_frame(self._data, self._roles):
             self._emit_skipped(end - keep, events)
             return
+        last = self._last_end
         window = ByteWindow(
             self._data,
             self._times[:],
             self._character_ns,
-            self._silences(keep),
+            silences(self._times, last and last[0], self._silent_ns, at_end=not keep),
             is_behind_noise=self._is_behind_noise,
             may_continue=may_continue,
             must_decide=must_decide,
@@ -317,17 +310,6 @@ class RtuSplitter:
         else:
             self._model.hear_damage()
 
-    def _silences(self, keep: int) -> list[bool]:
-        """For each byte held, True if a silence of t3.5 precedes it.
-
-        One more value at the end is True if a silence follows the last byte, as one does unless
-        `keep` is set.
-        """
-        least_ns, times, last = self._silent_ns, self._times, self._last_end
-        first = last is None or times[0] - last[0] >= least_ns
-        between = [after - before >= least_ns for before, after in pairwise(times)]
-        return [first, *between, not keep]
-
     def _classified(self, segment: Segment) -> Classification:
         """The direction of a frame that the search has found."""
         if self._speaker is not None:
@@ -350,7 +332,7 @@ class RtuSplitter:
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
         before_ns = None if self._last_end is None else max(start_ns - self._last_end[0], 0)
         is_even = end_ns - start_ns == size * self._character_ns
-        longest_ns = 0 if is_even else self._longest_silence_ns(size)
+        longest_ns = 0 if is_even else longest_silence_ns(times, size, self._character_ns)
         unit, pdu = raw[0], raw[1:-2]
         confidence = classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
@@ -363,7 +345,7 @@ class RtuSplitter:
         if self._echo.copies and self._echo.may_copy(raw, self._data[size:]):
             confidence = min(confidence, UNSURE)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
-        self._learn(before_ns, longest_ns)
+        self._learn(size, before_ns, longest_ns)
         self._follows_silence = before_ns is None or before_ns >= self._t3_5_ns
         if self._speaker is None:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
@@ -392,33 +374,34 @@ class RtuSplitter:
             )
         )
 
-    def _longest_silence_ns(self, size: int) -> int:
-        """The longest silence inside the frame at the front, in ns."""
-        times = self._times
-        steps = map(int.__sub__, times[1:size], times[: size - 1])
-        return max(max(steps) - self._character_ns, 0)
-
-    def _learn(self, before_ns: int | None, longest_ns: int) -> None:
+    def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
         """Update the line statistics by the frame at the front."""
-        was_skipped = self._is_behind_noise
-        statistics = self._statistics
+        last, statistics = self._last_end, self._statistics
+        was_skipped = last is not None and last[1] is Verdict.NOISE_BEFORE
         statistics.skip.learn(was_skipped)
         statistics.noise.learn(was_skipped and self._was_noise)
         if self._timed:
+            is_split = longest_ns >= self._t3_5_ns
             if before_ns is not None and not was_skipped:
-                statistics.glue.learn(before_ns < self._t3_5_ns)
-                self._model.history.trusts_silences = statistics.glue.frequency <= _MAX_GLUED
-            statistics.split.learn(longest_ns >= self._t3_5_ns)
+                is_glued, glue = before_ns < self._t3_5_ns, statistics.glue
+                glue.learn(is_glued)
+                bursts = self._bursts
+                if before_ns == 0 or bursts.has_merged:
+                    cut = last_silence(self._times, size, self._silent_ns) if is_split else size
+                    bursts.hear_frame(before_ns, size, cut, is_glued=is_glued)
+                is_trusted = glue.frequency <= MAX_GLUED and not bursts.may_merge_retry
+                self._model.history.trusts_silences = is_trusted
+            statistics.split.learn(is_split)
 
     def _verdicts(
         self, size: int, before_ns: int | None, longest_ns: int, confidence: float
     ) -> tuple[Verdict, ...]:
         """The verdicts on the frame at the front."""
-        verdicts = []
+        verdicts, times = [], self._times
         if self._timed:
             if self._last_end is not None and before_ns is not None and before_ns < self._t3_5_ns:
                 verdicts.append(self._last_end[1])
-            if size < len(self._times) and not self._is_silent(size):
+            if size < len(times) and times[size] - times[size - 1] < self._silent_ns:
                 verdicts.append(Verdict.GLUED)
             if longest_ns >= self._t3_5_ns:
                 verdicts.append(Verdict.SPLIT)
@@ -452,8 +435,7 @@ class RtuSplitter:
 
     def _is_silent(self, offset: int) -> bool:
         """True if a silence of t3.5 precedes the byte at an offset."""
-        step_ns = self._times[offset] - self._times[offset - 1]
-        return step_ns - self._character_ns >= self._t3_5_ns
+        return self._times[offset] - self._times[offset - 1] >= self._silent_ns
 
     def _remove(self, size: int, leaves: Verdict) -> None:
         """Remove the first bytes, now given out; `leaves` is the verdict on the frame behind."""

@@ -137,3 +137,41 @@ def test_frame_just_before_the_timeout_of_a_slow_line_is_no_sure_retry() -> None
     polls(line, 20, latency_ns=90 * MS).frame(WRITE, 30 * MS).frame(WRITE, 100 * MS)
     decoded = heard(polls(line, 5, latency_ns=90 * MS).reads())
     assert all(one.confidence < 0.8 for one in transactions(decoded, 0x06))
+
+
+def merged_scan(units: range) -> list[tuple[bytes, int]]:
+    """A scan of absent units with 08. An adapter delivers each request with its retry."""
+    reads, now_ns = [(READ + ANSWER, 0)], 0
+    for unit in units:
+        now_ns += 520 * MS
+        reads.append((rtu_adu(unit, bytes.fromhex("08 0000 A537")) * 2, now_ns))
+    return reads
+
+
+def test_requests_and_retries_that_an_adapter_merges_are_no_sure_pairs() -> None:
+    """All silences are longer than the master's timeout, so it may lie between two equal frames."""
+    scanned = transactions(heard(merged_scan(range(2, 60))), 0x08)
+    assert all(one.confidence < 0.8 for one in scanned[4:])
+
+
+def test_full_buffer_between_merged_retries_does_not_make_them_sure_pairs() -> None:
+    reads = merged_scan(range(2, 30))
+    now_ns = reads[-1][1]
+    for _ in range(2):  # 30 bytes each, and the first two of the next frame: a full buffer.
+        now_ns += 50 * MS
+        reads.append(((READ + ANSWER) * 2 + READ[:2], now_ns))
+        now_ns += 50 * MS
+        reads.append((READ[2:] + ANSWER, now_ns))
+    reads += [(raw, now_ns + ts_ns + 520 * MS) for raw, ts_ns in merged_scan(range(30, 60))]
+    scanned = transactions(heard(reads), 0x08)
+    assert all(one.confidence < 0.8 for one in scanned[4:])
+
+
+def test_response_that_an_adapter_merges_with_its_request_is_sure_beside_short_silences() -> None:
+    """An adapter that holds bytes back for 16 ms merges no retry."""
+    reads, now_ns = [(READ + ANSWER, 0)], 0
+    for unit in range(2, 30):
+        now_ns += 36 * MS
+        reads.append((rtu_adu(unit, bytes.fromhex("08 0000 A537")) * 2, now_ns))
+    scanned = transactions(heard(reads), 0x08)
+    assert [(one.outcome, one.confidence >= 0.8) for one in scanned] == [(Outcome.OK, True)] * 28

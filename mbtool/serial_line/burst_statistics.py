@@ -1,0 +1,72 @@
+"""Learns from bursts, and the silences before them, if an adapter may merge a retry."""
+
+# An adapter or a program that holds bytes back for up to 255 ms delivers a request and its retry as
+# one burst, like a request and its response. The silence between the two then tells nothing. Such
+# an adapter shows no short silence: the next burst comes when the time is over. Only a full buffer
+# is delivered sooner, so the silences before and behind it tell nothing.
+
+from __future__ import annotations
+
+from math import inf
+
+MAX_GLUED = 2**-0.8
+"""If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
+ENOUGH_BURSTS = 3
+"""After this many bursts that were no full buffer, the shortest silence counts as known."""
+MERGING_NS = 100_000_000
+"""If no silence between bursts is shorter than this, in ns, the adapter may hold bytes back for so
+long that it merges a request and its retry."""
+BUFFER_SIZES = 32, 62
+"""A full buffer holds a multiple of so many bytes."""
+SILENCE_GROWTH = 1.01
+"""Each burst makes the shortest silence on record 1 % longer."""
+
+
+class BurstStatistics:
+    """The shortest silence lately between two bursts, once the adapter has merged two frames."""
+
+    __slots__ = (
+        "_bursts", "_shortest_ns", "_silence_ns", "_size", "_was_full", "has_merged",
+        "may_merge_retry",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.has_merged = False
+        """True if two frames have come with no time between them; before, nothing is learned."""
+        self.may_merge_retry = False
+        """True if a request and its retry may come as one burst."""
+        self._size = 0
+        """The number of bytes of the current burst so far."""
+        self._silence_ns = inf
+        """The silence before the current burst, in ns."""
+        self._was_full = False
+        """True if the burst before the current one was a full buffer."""
+        self._shortest_ns = inf
+        """The shortest silence lately, in ns."""
+        self._bursts = 0
+        """The number of bursts whose silence was counted."""
+
+    def hear_frame(self, silence_ns: int, size: int, cut: int, *, is_glued: bool) -> None:
+        """Take a frame of `size` bytes; `is_glued` if the silence before it is shorter than t3.5.
+
+        `cut` is the offset of the last silence inside the frame; `size` if there is none.
+        """
+        self.has_merged = True
+        if is_glued:
+            self._size += cut
+        else:
+            self._begin_burst(silence_ns, cut)
+        if cut < size:
+            self._begin_burst(inf, size - cut)
+
+    def _begin_burst(self, silence_ns: float, size: int) -> None:
+        """Count the burst that a silence has ended; the next one begins with `size` bytes."""
+        first, second = BUFFER_SIZES
+        is_full = self._size % first == 0 or self._size % second == 0
+        self._shortest_ns *= SILENCE_GROWTH
+        if not (is_full or self._was_full or self._silence_ns == inf):
+            self._bursts += 1
+            if self._silence_ns < self._shortest_ns:
+                self._shortest_ns = self._silence_ns
+        self.may_merge_retry = self._bursts >= ENOUGH_BURSTS and self._shortest_ns >= MERGING_NS
+        self._was_full, self._size, self._silence_ns = is_full, size, silence_ns

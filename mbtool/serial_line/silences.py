@@ -1,0 +1,37 @@
+"""Finds the silences between bytes, by the times (ns) at which the bytes ended."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def silences(
+    times: Sequence[int], last_ns: int | None, least_ns: int, *, at_end: bool
+) -> list[bool]:
+    """For each byte, True if at least `least_ns` lie between its end and that of the byte before.
+
+    `last_ns` is when the byte before the first one ended; without it, a silence precedes the first.
+    One more value at the end, `at_end`, is True if a silence follows the last byte.
+    """
+    first = last_ns is None or times[0] - last_ns >= least_ns
+    between = [after - before >= least_ns for before, after in pairwise(times)]
+    return [first, *between, at_end]
+
+
+def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:
+    """The longest silence among the first `size` bytes; a byte takes `character_ns`."""
+    steps = map(int.__sub__, times[1:size], times[: size - 1])
+    return max(max(steps) - character_ns, 0)
+
+
+def last_silence(times: Sequence[int], size: int, least_ns: int) -> int:
+    """The offset of the byte, among the first `size`, before which the last silence is.
+
+    There must be one.
+    """
+    offsets = range(size - 1, 0, -1)
+    return next(offset for offset in offsets if times[offset] - times[offset - 1] >= least_ns)
