@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -65,7 +66,7 @@ def sniff(
         typer.Option(
             "--rotate",
             metavar="100MB|1h",
-            help="Go on in a next file when the log has this size or age.",
+            help="Write FILE-0001.mcap, and go on in the next file at this size or age.",
         ),
     ] = None,
     ports: PortOptions,
@@ -90,6 +91,7 @@ def sniff(
     from mbtool.decode.line_timing import LineTiming
     from mbtool.logs import Rotation
     from mbtool.logs.opening import check_log_path, create_log
+    from mbtool.logs.rotation import part_path
     from mbtool.workflows.sniff import serial_lines, with_settings
 
     if rotate is not None and write is None:
@@ -136,7 +138,8 @@ def sniff(
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
         _show(sniffer, out, devices, serial_lines(specs), _end(interrupt, out, duration))
     if write is not None:
-        say(f"log: {write}")
+        first = write if rotation is None else f"{part_path(Path(write), 1)} and those behind it"
+        say(f"log: {first}")
     if interrupt.asked:
         raise KeyboardInterrupt
 

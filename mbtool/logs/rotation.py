@@ -1,10 +1,11 @@
 """Writes a log over several files, each limited in size or time."""
 
-# The files are FILE.mcap, FILE-0002.mcap, FILE-0003.mcap, ... Each is a complete log, with the
-# metadata, the links and the profiles. A file ends at the first tick or item after it has reached
-# its limit, so it is longer by up to one flush, and it has at least one item. A number whose file
-# exists already is skipped. A transaction may be in the file after the one with its evidence.
-# FILE.mcap stays locked to the end, so that no other recorder starts a series with the same names.
+# The files are FILE-0001.mcap, FILE-0002.mcap, ...: a shell lists them in their order. Each is
+# a complete log, with the metadata, the links and the profiles. A file ends at the first tick or
+# item after it has reached its limit, so it is longer by up to one flush, and it has at least one
+# item. A number whose file exists already is skipped. A transaction may be in the file after the
+# one with its evidence. The first file stays locked to the end, so that no other recorder starts a
+# series with the same names.
 
 from __future__ import annotations
 
@@ -152,6 +153,9 @@ class RotatingLog(ClosesOnExit):
         return writer
 
     def _part(self) -> Path:
-        if self._number == 1:
-            return self._path
-        return self._path.with_name(f"{self._path.stem}-{self._number:04}{self._path.suffix}")
+        return part_path(self._path, self._number)
+
+
+def part_path(path: Path, number: int) -> Path:
+    """The file of a part, counted from 1, of a log that the user has named `path`."""
+    return path.with_name(f"{path.stem}-{number:04}{path.suffix}")

@@ -113,8 +113,8 @@ def test_a_log_that_is_being_recorded_is_not_replaced(tmp_path: Path) -> None:
 def test_the_first_part_of_a_log_is_not_replaced_while_later_ones_are_recorded(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "x.mcap"
-    with RotatingLog(path, Rotation(size=1), capture={}) as log:
+    with RotatingLog(tmp_path / "x.mcap", Rotation(size=1), capture={}) as log:
+        path = log.path
         log.write(chunk(1))
         log.write(chunk(2))
         assert log.path != path

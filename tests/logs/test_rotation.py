@@ -47,8 +47,8 @@ def test_the_log_goes_on_in_the_next_file_by_size(tmp_path: Path) -> None:
         for second in range(3):  # A file longer than its limit from the start goes on.
             log.tick((10 * number + second) * SECOND_NS)
     log.close({"dropped": "0"})
-    names = ["x.mcap", "x-0002.mcap", "x-0003.mcap", "x-0004.mcap"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+    names = ["x-0001.mcap", "x-0002.mcap", "x-0003.mcap", "x-0004.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names  # As a shell lists them.
     items = [list(read_log(tmp_path / name)) for name in names]
     assert items == [[chunk(0)], [chunk(1)], [chunk(2)], []]
     for number, name in enumerate(names, 1):
@@ -68,7 +68,7 @@ def test_the_log_goes_on_in_the_next_file_by_time(tmp_path: Path) -> None:
             log.write(chunk(number))
         log.tick(100 * SECOND_NS)
         log.tick(200 * SECOND_NS)  # Nothing was written since, so no empty file follows.
-    parts = [list(read_log(path)) for path in (tmp_path / "x.mcap", tmp_path / "x-0002.mcap")]
+    parts = [list(read_log(path)) for path in (tmp_path / "x-0001.mcap", tmp_path / "x-0002.mcap")]
     assert parts == [[chunk(0), chunk(1)], [chunk(2), chunk(3)]]
     assert len(list(tmp_path.iterdir())) == 4
 
@@ -85,6 +85,6 @@ def test_a_number_whose_file_exists_is_skipped(tmp_path: Path) -> None:
 
 
 def test_the_first_file_must_not_exist(tmp_path: Path) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"evidence")
+    (tmp_path / "x-0001.mcap").write_bytes(b"evidence")
     with pytest.raises(UsageError, match="the file exists"):
         RotatingLog(tmp_path / "x.mcap", Rotation(size=1_000), capture={})

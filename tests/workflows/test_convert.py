@@ -17,7 +17,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
-from mbtool.logs import LogReader, LogWriter
+from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation
 from mbtool.logs.links import SPEC
 from mbtool.modbus import rtu_adu
 from mbtool.query.where import parse_where
@@ -214,3 +214,22 @@ def test_two_frames_in_one_read_stay_in_one_read(tmp_path: Path) -> None:
     assert _convert([path], tmp_path / "x.pcapng") == Converted(packets=2)
     _convert([tmp_path / "x.pcapng"], tmp_path / "back.mcap")
     assert _evidence(tmp_path / "back.mcap") == [chunk]
+
+
+def test_the_parts_of_a_rotated_log_join_in_any_order(tmp_path: Path) -> None:
+    chunks = [chunk for number in range(3) for chunk in exchange(200 * number)]
+    whole = _log(tmp_path / "whole.mcap", chunks)
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    with RotatingLog(folder / "log.mcap", Rotation(time_ns=1), capture={}) as log:
+        log.add_link(LINE.name, {SPEC: str(LINE)})
+        for number, chunk in enumerate(chunks):
+            log.tick(number)
+            log.write(chunk)
+    parts = sorted(folder.iterdir())
+    assert len(parts) == len(chunks)
+    _convert(reversed(parts), tmp_path / "x.pcapng")
+    _convert(parts[1:] + parts[:1], tmp_path / "x.mcap")
+    expected = _transactions(whole)
+    assert [one.outcome for one in expected] == ["ok"] * 3  # type: ignore[union-attr]
+    assert _transactions(tmp_path / "x.pcapng") == _transactions(tmp_path / "x.mcap") == expected
