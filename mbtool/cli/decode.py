@@ -156,7 +156,7 @@ def decode(
                 out.add(record)
             if is_live:
                 out.wait()
-            if out.is_full:
+            if limit is not None and out.is_full:
                 break
         else:
             for doubt in lines.untold():

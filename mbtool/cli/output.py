@@ -128,9 +128,13 @@ class RecordOutput:
 
     def add(self, record: Record) -> None:
         """Print a record if it passes the filter."""
-        self._read += not isinstance(record, WireEvent)
-        if not self._wants(record):
-            return
+        if isinstance(record, WireEvent):
+            if not self._wants(record):
+                return
+        else:
+            self._read += 1
+            if not self._wanted(record):
+                return
         if self._order is not None:
             self._held.append((record, self._read))
         else:
@@ -164,18 +168,19 @@ class RecordOutput:
 
     def _print(self, record: Record, number: int) -> None:
         self._tally.add(record)
-        with told_as_lost(self._name):
+        try:
             self._printer.print(record, number)
+        except OSError:
+            with told_as_lost(self._name):
+                raise
 
     def sentence(self) -> str:
         """One sentence that counts the printed records."""
         return self._tally.sentence()
 
-    def _wants(self, record: Record) -> bool:
-        if not isinstance(record, WireEvent):
-            return self._wanted(record)
+    def _wants(self, event: WireEvent) -> bool:
         if self._events is EventChoice.TROUBLE:
-            return record.kind not in CONNECTION_EVENTS
+            return event.kind not in CONNECTION_EVENTS
         return self._events is EventChoice.ALL
 
 

@@ -24,9 +24,10 @@ _SHOW_EVERY = 500
 
 def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     """Pass records on, and show on a terminal how much of the files has been read."""
-    if not sys.stderr.isatty():
-        yield from records
-        return
+    return _shown(reading, records) if sys.stderr.isatty() else records
+
+
+def _shown(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
     from rich.console import Console
     from rich.progress import Progress
 

@@ -209,9 +209,9 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Pair the events of one direction's splitter, by their positions if these are known."""
         other, progress = OTHER[direction], self._progress[direction]
-        end, received = progress.first_unread, progress.received
-        if end is None:
+        if progress.captured is None:
             return self._paired(events, direction)
+        end, received = progress.captured - progress.unread, progress.received
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
             # A part of a request waits for its rest; requests lost before it are reported first.
@@ -222,9 +222,11 @@ class ConnectionDecoder:
                 losses.append(_LostBytes(other, lost, received))
         decoded: list[Decoded] = []
         for event in events:
-            start, end = end, end + (event.size if isinstance(event, Adu) else len(event.raw))
-            progress.unread -= len(event.raw)
+            size = len(event.raw)
+            progress.unread -= size
+            start, end = end, end + size
             if isinstance(event, Adu):
+                end += event.missing
                 lost = progress.read(start, end)
                 if lost:
                     losses.append(_LostBytes(direction, lost, start))

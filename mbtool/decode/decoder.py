@@ -138,7 +138,12 @@ class Decoder:
     def feed(self, item: Evidence) -> list[Record]:
         """Take the next item of evidence."""
         self._last_ns = max(self._last_ns, item.ts_ns)
-        return _HANDLERS[type(item)](self, item)
+        if not isinstance(item, Packet):
+            return _HANDLERS[type(item)](self, item)
+        if item.link_type in self._serial_types:
+            return self._dispatch(serial_pieces(item))
+        self._interfaces.add(item.link)
+        return self._dispatch(self._reassembler.feed(item))
 
     def format_of(self, link: str) -> SerialFormat | None:
         """A serial link's settings, with its silences; None if the times of its bytes are unknown.
@@ -215,12 +220,6 @@ class Decoder:
             records += _HANDLERS[type(item)](self, item)
         return records
 
-    def _packet(self, packet: Packet) -> list[Record]:
-        if packet.link_type in self._serial_types:
-            return self._dispatch(serial_pieces(packet))
-        self._interfaces.add(packet.link)
-        return self._dispatch(self._reassembler.feed(packet))
-
     def _chunk(self, chunk: Chunk) -> list[Record]:
         if chunk.connection is None:
             bus = self._bus(chunk)
@@ -228,9 +227,14 @@ class Decoder:
                 return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
             return self._to_records(bus.feed(chunk.data, chunk.ts_ns, chunk.place))
         # Without a StreamOpened before it, the connection may go on from a log's previous file.
-        detector = self._detector(chunk.connection, joined=True)
+        detector = self._detectors.get(chunk.connection)
+        if detector is None:
+            detector = self._detector(chunk.connection, joined=True)
+        self._detectors.move_to_end(chunk.connection)
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
-        records = self._reported(detector, decoded)
+        if detector.state is ProtocolState.FOREIGN:
+            decoded = self._foreign_once(detector, decoded)
+        records = self._to_records(decoded)
         if len(self._detectors) > MAX_CONNECTIONS:
             _, oldest = self._detectors.popitem(last=False)
             records += self._end(oldest)
@@ -267,7 +271,7 @@ class Decoder:
         known = self._detectors.get(item.connection)
         detector = known or self._new_detector(item.connection, joined=True)
         gap = detector.gap(item.direction, item.missing, item.ts_ns, item.kind)
-        return self._reported(detector, gap)
+        return self._to_records(self._foreign_once(detector, gap))
 
     def _stream_closed(self, item: StreamClosed) -> list[Record]:
         detector = self._detectors.pop(item.connection, None)
@@ -331,8 +335,7 @@ class Decoder:
         if detector is None:
             detector = self._new_detector(connection, joined=joined)
             self._detectors[connection] = detector
-        else:
-            self._detectors.move_to_end(connection)
+        self._detectors.move_to_end(connection)
         return detector
 
     def _new_detector(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
@@ -357,14 +360,14 @@ class Decoder:
         return named or not self._any_port
 
     def _end(self, detector: ProtocolDetector) -> list[Record]:
-        return self._reported(detector, detector.close())
+        return self._to_records(self._foreign_once(detector, detector.close()))
 
-    def _reported(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Record]:
-        """Return the records; report FOREIGN once per endpoint, unless the user named its port."""
+    def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
+        """Leave out what an endpoint that is not Modbus has had already; not at a named port."""
         if not decoded or not self._any_port or detector.state is not ProtocolState.FOREIGN:
-            return self._to_records(decoded)
+            return decoded
         if self._is_expected(detector.connection):
-            return self._to_records(decoded)
+            return decoded
         ends = detector.connection
         # Without the connection's beginning nobody knows which of its ends is the slave.
         slaves = {str(ends.slave), str(ends.master)} if detector.joined else {str(ends.slave)}
@@ -372,7 +375,7 @@ class Decoder:
         if slaves & known or len(known) >= MAX_FOREIGN_REPORTED:
             return []
         known |= slaves
-        return self._to_records(decoded)
+        return decoded
 
     def _to_records(self, decoded: list[Decoded]) -> list[Record]:
         """Name the transactions, keep the events, leave out the ADUs."""
@@ -387,7 +390,6 @@ class Decoder:
 
 _HANDLERS: dict[type[Evidence], Callable[[Decoder, Any], list[Record]]] = {
     Chunk: Decoder._chunk,
-    Packet: Decoder._packet,
     Quiet: Decoder._quiet,
     StreamClosed: Decoder._stream_closed,
     StreamEvent: Decoder._stream_event,

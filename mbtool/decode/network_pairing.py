@@ -267,13 +267,13 @@ class NetworkPairing:
         since_ns = self._habits.last_response_ns
         if is_only_one and first.is_only_answered_by(response, place):
             # Most responses; without this, pairing takes 13 instead of 8 us for each ADU.
-            step = PairStep(response.end_ns, response, (first.waiting.pop(),), since_ns)
+            one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
             if self._is_shifted:
                 before, latest = self._last_two
                 is_other = before is None or not before.fits(response)
                 self._is_shifted = not (is_other and latest is not None and latest.fits(response))
-            done.append(self._with_response(response, step))
+            done.append(self._with_response(response, one, since_ns))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
         readings: list[PairReading] = []
@@ -373,7 +373,7 @@ class NetworkPairing:
         (reading,) = self._readings
         for step in steps:
             if step.response is not None:
-                done.append(self._with_response(step.response, step))
+                done.append(self._responded(step.response, step))
                 continue
             for one in step.requests:
                 if one.adu is not None:
@@ -381,37 +381,51 @@ class NetworkPairing:
         while len(reading.passed) > MAX_PASSED:
             self._close(reading.passed.pop(0), done)
 
-    def _with_response(self, response: Adu, step: PairStep) -> Transaction:
-        one = step.requests[0] if step.requests else None
-        if one is None or one.adu is None:
-            return self._without_request(response, is_lost=one is not None)
+    def _responded(self, response: Adu, step: PairStep) -> Transaction:
+        if not step.requests:
+            return unsolicited(self._ends, response)
+        (one, *_) = step.requests
+        return self._with_response(
+            response, one, step.since_ns, is_sure=step.is_sure, is_late=step.is_late
+        )
+
+    def _with_response(
+        self,
+        response: Adu,
+        one: OpenRequest,
+        since_ns: int,
+        *,
+        is_sure: bool = True,
+        is_late: bool = False,
+    ) -> Transaction:
+        """The transaction of a request and its response; the arguments are those of a PairStep."""
+        if one.adu is None:
+            return unsolicited(self._ends, response, Outcome.NOT_CAPTURED)
         verdicts: tuple[Verdict, ...] = ()
         if one.adu.transaction_id == response.transaction_id:
             self._habits.has_matching_ids |= self._habits.ids_vary
         else:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
-        is_sure = step.is_sure and not self._is_shifted
+        is_sure = is_sure and not self._is_shifted
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)
-        elif response.start_ns >= one.adu.end_ns and not step.is_late:
-            since_ns = max(one.adu.end_ns, step.since_ns)
+        elif response.start_ns >= one.adu.end_ns and not is_late:
+            since_ns = max(one.adu.end_ns, since_ns)
             self._habits.note_latency(one.adu.pdu[0], response.start_ns - since_ns)
-        if is_sure and not step.is_late:
+        if is_sure and not is_late:
             self._habits.note_answered(one.number)
         confidence = 1.0 if is_sure else DOUBTFUL
         retries = self._take_retries(one)
         return with_response(self._ends, one.adu, response, retries, verdicts, confidence)
 
-    def _without_request(self, response: Adu, *, is_lost: bool) -> Transaction:
-        outcome = Outcome.NOT_CAPTURED if is_lost else Outcome.UNSOLICITED
-        return unsolicited(self._ends, response, outcome)
-
     def _take_retries(self, answered: OpenRequest) -> int:
         """Count the equal requests before an answered one; each counts only once."""
+        (reading,) = self._readings
+        if not (self._unanswered or reading.passed or reading.waiting):
+            return 0
         assert answered.adu is not None
         key = request_key(answered.adu)
-        retries = self._unanswered.pop(key, 0) if self._unanswered else 0
-        (reading,) = self._readings
+        retries = self._unanswered.pop(key, 0)
         for requests in (reading.passed, reading.waiting):
             for earlier in requests:
                 if earlier.number > answered.number:

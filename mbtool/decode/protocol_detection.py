@@ -46,6 +46,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.connections import ConnectionDecoder, Decoded
 from mbtool.decode.foreign_protocols import TLS, begins_tls_record, foreign_protocol
+from mbtool.decode.stream_progress import OTHER
 from mbtool.framing.mbap import LONG_HEADER
 from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Verdict
@@ -138,7 +139,8 @@ class ProtocolDetector:
     ) -> list[Decoded]:
         """Take the payload of one segment."""
         if self.state is ProtocolState.MODBUS:
-            return self._candidates[0].feed(direction, data, ts_ns, place)
+            (accepted,) = self._candidates
+            return accepted.decoder.feed(accepted.roles[direction], data, ts_ns, place)
         if self.state is ProtocolState.FOREIGN:
             return []
         # The limit counts the connection's bytes, so that the result does not depend on where
@@ -321,6 +323,8 @@ class _ProtocolCandidate:
         self._connection = connection
         self._is_rtu = rtu
         self._is_swapped = swapped
+        self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
+        """The directions of this candidate, by those of the connection."""
         self.is_expected = expected
         """True if this is the protocol expected at the port."""
         self.well_formed = 0
@@ -336,31 +340,28 @@ class _ProtocolCandidate:
         """The candidate's decoder if it reads Modbus/TCP in the connection's roles; else None."""
         return None if self._is_rtu or self._is_swapped else self.decoder
 
-    def feed(
-        self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
-    ) -> list[Decoded]:
-        return self.decoder.feed(self._role(direction), data, ts_ns, place)
-
     def feed_undecided(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
     ) -> None:
         """Feed bytes and hold the results; rule out RTU after MAX_NOISE bytes without a frame."""
         noise = self._noise.get(direction)
         room = len(data) if noise is None else MAX_NOISE - noise
-        decoded = self.feed(direction, data[:room], ts_ns, place)
+        role = self.roles[direction]
+        decoded = self.decoder.feed(role, data[:room], ts_ns, place)
         self.add(decoded)
         if noise is None:
             return
         if any(isinstance(one, Adu) for one in decoded):
             del self._noise[direction]
-            self.add(self.feed(direction, data[room:], ts_ns, place and place.after(room)))
+            after = place and place.after(room)
+            self.add(self.decoder.feed(role, data[room:], ts_ns, after))
             return
         self._noise[direction] += len(data[:room])
         if self._noise[direction] >= MAX_NOISE:
             self.is_ruled_out = not self.is_confirmed
 
     def gap(self, direction: Direction, missing: int, ts_ns: int, kind: EventKind) -> list[Decoded]:
-        return self.decoder.gap(self._role(direction), missing, ts_ns, kind)
+        return self.decoder.gap(self.roles[direction], missing, ts_ns, kind)
 
     def check_beginning(self, head: bytes, direction: Direction) -> None:
         """Rule out the candidate if a direction's first bytes cannot begin an ADU.
@@ -382,7 +383,7 @@ class _ProtocolCandidate:
 
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
         if self._is_rtu:
-            return begins_with_frame(head, self._role(direction)) is not False
+            return begins_with_frame(head, self.roles[direction]) is not False
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:
@@ -425,11 +426,6 @@ class _ProtocolCandidate:
         if not (self.is_confirmed or self.is_ruled_out):
             self.is_ruled_out = speaks_against
             self.is_confirmed = is_enough and not speaks_against
-
-    def _role(self, direction: Direction) -> Direction:
-        if not self._is_swapped:
-            return direction
-        return Direction.RESPONSE if direction is Direction.REQUEST else Direction.REQUEST
 
 
 def _head(head: bytes, data: bytes) -> bytes:

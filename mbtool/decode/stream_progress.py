@@ -7,7 +7,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from mbtool.core import Direction
 from mbtool.packets.stream import LEAD
@@ -22,7 +24,7 @@ code."""
 OTHER = {Direction.REQUEST: Direction.RESPONSE, Direction.RESPONSE: Direction.REQUEST}
 
 
-class AduPlace(NamedTuple):
+class AduPlace(msgspec.Struct, frozen=True, gc=False):
     """Where an ADU stands in its TCP connection. Positions count bytes."""
 
     end: int
@@ -35,6 +37,9 @@ class StreamProgress:
     """The positions up to which the bytes of one direction were captured, and are known."""
 
     def __init__(self) -> None:
+        self.captured: int | None = None
+        """The position behind the last byte captured; None before the first one, and if positions
+        are unknown."""
         self.unread = 0
         """Bytes behind the last ADU or skipped bytes, which the splitter holds."""
         self.received: int | None = None
@@ -44,36 +49,29 @@ class StreamProgress:
         """True while the capture has the start of a response but lacks its end."""
         self._missing = 0
         """Bytes of the gaps behind the last ADU, as they were reported."""
-        self._captured: int | None = None
-        """The position behind the last byte captured; None before the first one."""
         self._known = 0
         """The position behind the last ADU, or behind the lost bytes already reported."""
         self._acknowledged = 0
         """The highest position acknowledged while the splitter held the known start of a
         response."""
 
-    @property
-    def first_unread(self) -> int | None:
-        """The position of the first byte that the splitter holds; None if positions are unknown."""
-        return None if self._captured is None else self._captured - self.unread
-
     def is_at_rest(self, position: int) -> bool:
         """True if all bytes before a position were captured and read, and no later byte came."""
         is_open = self.unread or self._missing or self.has_part
-        return not is_open and self._captured == position
+        return not is_open and self.captured == position
 
     def pass_plain(self, size: int, received: int) -> None:
         """Note whole ADUs that were read elsewhere; their last segment acknowledged `received`."""
-        assert self._captured is not None
-        self._captured += size
-        self._known = max(self._captured, self._known)
+        assert self.captured is not None
+        self.captured += size
+        self._known = max(self.captured, self._known)
         self.received = received
 
     def take(self, place: StreamPlace, size: int) -> None:
         """Note a segment."""
-        if self._captured is None:
+        if self.captured is None:
             self._begin(place.position)
-        self._captured = place.position + size
+        self.captured = place.position + size
         self.unread += size
         self.received = place.acknowledged
 
@@ -87,11 +85,11 @@ class StreamProgress:
             return 0
         if of_responses and self.unread >= _KNOWN_START:
             self._acknowledged = max(received, self._acknowledged)
-            self.has_part = received > (self._captured or 0)
+            self.has_part = received > (self.captured or 0)
             return 0
-        captured = self._begin(received) if self._captured is None else self._captured
+        captured = self._begin(received) if self.captured is None else self.captured
         if received > captured:
-            self._captured = received
+            self.captured = received
         elif not self._missing:
             return 0
         return self._tell(received, received)
@@ -108,15 +106,15 @@ class StreamProgress:
         """Note a gap. `known` of the missing bytes belong to an ADU that was read."""
         self.unread = 0
         self._missing += missing - known
-        if self._captured is not None:
-            self._captured += missing
+        if self.captured is not None:
+            self.captured += missing
 
     def end(self) -> int:
         """End the stream; return the number of bytes lost at its end."""
-        if self._captured is None:
+        if self.captured is None:
             return 0
-        end = max(self._captured, self._acknowledged)
-        return self._tell(end, end) if self._missing or end > self._captured else 0
+        end = max(self.captured, self._acknowledged)
+        return self._tell(end, end) if self._missing or end > self.captured else 0
 
     def without_places(self) -> int:
         """Return the number of bytes that gaps have reported, for a source without positions."""
@@ -125,8 +123,8 @@ class StreamProgress:
 
     def _begin(self, position: int) -> int:
         # Positions count from 0 if the capture has the beginning of the connection.
-        self._captured = self._known = 0 if position < LEAD // 2 else position
-        return self._captured
+        self.captured = self._known = 0 if position < LEAD // 2 else position
+        return self.captured
 
     def _tell(self, position: int, known: int) -> int:
         lost = position - self._known

@@ -56,7 +56,8 @@ def with_response(
     )
     if malformed:
         noticed.append(Verdict.MALFORMED_RESPONSE)
-    exception = response_pdu.exception_code
+    fields = response_pdu.fields
+    exception = response_pdu.exception_code if "exception_code" in fields else None
     if exception is not None:
         outcome = Outcome.EXCEPTION
     else:
@@ -68,7 +69,7 @@ def with_response(
         facts,
         exception,
         outcome=outcome,
-        request_values=_listed(facts.values),
+        request_values=None if facts.values is None else list(facts.values),
         response_values=_response_values(facts.pdu, response_pdu),
         request_ns=request.end_ns,
         response_ns=response.end_ns,
@@ -317,7 +318,7 @@ def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
     values = _values(response)
     if values is not None and request.code in READ_BITS:
         values = values[: request.number("quantity")]  # The rest of the last byte is padding.
-    return _listed(values)
+    return None if values is None else list(values)
 
 
 def _listed(values: tuple[int, ...] | None) -> list[int] | None:

@@ -62,8 +62,9 @@ class Namer:
 
     def __init__(self, assignments: Assignments | None = None) -> None:
         self._assignments = assignments or Assignments()
-        self._neutral = _Vocabulary(None)
-        self._vocabularies: dict[int, _Vocabulary] = {}
+        self._vocabularies = {id(None): _Vocabulary(None)}
+        """By the id() of the profile, because that is fast. An id() stays valid as the assignments
+        keep every profile alive."""
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         """Add device, reference, points and findings to a transaction, or replace those that it
@@ -72,7 +73,8 @@ class Namer:
         Never raises, not even for numbers that are impossible on a wire.
         """
         profile = self._assignments.profile_for(transaction)
-        return self._vocabulary(profile).name(transaction)
+        vocabulary = self._vocabularies.get(id(profile)) or self._vocabulary(profile)
+        return vocabulary.name(transaction)
 
     def rename(self, named: NamedTransaction) -> NamedTransaction:
         """Name a transaction again if its slave has a profile; otherwise return it unchanged."""
@@ -80,10 +82,6 @@ class Namer:
         return named if profile is None else self._vocabulary(profile).name(named)
 
     def _vocabulary(self, profile: Profile | None) -> _Vocabulary:
-        if profile is None:
-            return self._neutral
-        # The key is the id() of the profile, because that is fast. An id() stays valid as the
-        # assignments keep every profile alive.
         vocabulary = self._vocabularies.get(id(profile))
         if vocabulary is None:
             vocabulary = self._vocabularies[id(profile)] = _Vocabulary(profile)
@@ -192,7 +190,7 @@ class _Vocabulary:
             transaction.quantity,
             transaction.write_address,
             0 if transaction.write_address is None else len(transaction.request_values or ()),
-            written_by_17h(transaction),
+            None if transaction.write_address is None else written_by_17h(transaction),
         )
         meaning = self._cache.get(key)
         if meaning is None:

@@ -87,6 +87,10 @@ class MbapSplitter:
 
     def feed(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> list[Adu | Skipped]:
         """Take the bytes of one segment; return the ADUs and skipped bytes that they complete."""
+        is_idle = self._in_step and not self._buffer.data
+        if is_idle and _HEADER.match(data) and data[5] == len(data) - _LENGTH_END:
+            # Most segments: one whole ADU, which needs no buffer.
+            return [self._adu(data, ts_ns, ts_ns, origin)]
         self._buffer.append(data, ts_ns, origin)
         events: list[Adu | Skipped] = []
         while (size := self._first_size()) is not None and size <= len(self._buffer):
@@ -214,24 +218,34 @@ class MbapSplitter:
             reason = f"protocol id {raw[2:4].hex().upper()}H, where Modbus has 0000H"
             events.append(Skipped(start_ns, EventKind.FOREIGN, reason, raw))
             return
-        events.append(
-            Adu(
-                start_ns=start_ns,
-                end_ns=end_ns,
-                transport=Transport.TCP,
-                direction=self._direction,
-                direction_by=DirectionBy.PORT,
-                confidence=1.0,
-                unit=raw[6],
-                pdu=raw[MBAP_BYTES:],
-                raw=raw,
-                missing=missing,
-                transaction_id=raw[0] << 8 | raw[1],
-                origin=origin,
-                verdicts=self._verdicts(size, missing),
-            )
-        )
+        verdicts = self._verdicts(size, missing)
+        events.append(self._adu(raw, start_ns, end_ns, origin, missing, verdicts))
         self._in_step = True
+
+    def _adu(
+        self,
+        raw: bytes,
+        start_ns: int,
+        end_ns: int,
+        origin: Origin | None,
+        missing: int = 0,
+        verdicts: tuple[Verdict, ...] = (),
+    ) -> Adu:
+        return Adu(
+            start_ns=start_ns,
+            end_ns=end_ns,
+            transport=Transport.TCP,
+            direction=self._direction,
+            direction_by=DirectionBy.PORT,
+            confidence=1.0,
+            unit=raw[6],
+            pdu=raw[MBAP_BYTES:],
+            raw=raw,
+            missing=missing,
+            transaction_id=raw[0] << 8 | raw[1],
+            origin=origin,
+            verdicts=verdicts,
+        )
 
     def _verdicts(self, size: int, missing: int) -> tuple[Verdict, ...]:
         verdicts = (

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 class TimedBuffer:
     """Bytes of one link, taken from the front. The bytes of one `append` share time and origin."""
 
-    __slots__ = ("_data", "_last_end", "_marks", "_taken")
+    __slots__ = ("_last_end", "_marks", "_taken", "data")
 
     def __init__(self) -> None:
-        self._data = bytearray()
+        self.data = bytearray()
+        """The bytes; only this class changes them."""
         self._taken = 0
         """The number of bytes taken so far."""
         self._marks: deque[tuple[int, int, Origin | None]] = deque()
@@ -28,12 +29,12 @@ class TimedBuffer:
         """The number of bytes ever appended up to the end of the last `append` taken wholly."""
 
     def __len__(self) -> int:
-        return len(self._data)
+        return len(self.data)
 
     def append(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> None:
         if data:
-            self._data += data
-            self._marks.append((self._taken + len(self._data), ts_ns, origin))
+            self.data += data
+            self._marks.append((self._taken + len(self.data), ts_ns, origin))
 
     @property
     def first_ns(self) -> int:
@@ -58,17 +59,17 @@ class TimedBuffer:
 
     def peek(self, size: int, at: int = 0) -> bytes:
         """Up to `size` bytes from an index on, which stay in the buffer."""
-        return bytes(self._data[at : at + size])
+        return bytes(self.data[at : at + size])
 
     def find(self, pattern: re.Pattern[bytes], at: int) -> int | None:
         """The index of the first match of a pattern from an index on; None if there is none."""
-        match = pattern.search(self._data, at)
+        match = pattern.search(self.data, at)
         return None if match is None else match.start()
 
     def take(self, size: int) -> bytes:
         """Remove the first `size` bytes, or all if there are fewer, and return them."""
-        taken = bytes(self._data[:size])
-        del self._data[:size]
+        taken = bytes(self.data[:size])
+        del self.data[:size]
         self._taken += len(taken)
         while self._marks and self._marks[0][0] <= self._taken:
             self._last_end = self._marks.popleft()[0]
@@ -76,7 +77,7 @@ class TimedBuffer:
 
     def drain(self, size: int) -> Iterator[tuple[bytes, int]]:
         """Remove the first `size` bytes; yield them in pieces of one time each, with that time."""
-        left = min(size, len(self._data))
+        left = min(size, len(self.data))
         while left:
             end, ts_ns, _ = self._marks[0]
             piece = self.take(min(left, end - self._taken))

@@ -19,7 +19,8 @@ import csv
 import json
 from datetime import datetime, timedelta
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TextIO
+from operator import attrgetter
+from typing import TYPE_CHECKING, TextIO
 
 import msgspec
 
@@ -27,9 +28,11 @@ from mbtool.logs.messages import EventMessage
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices import NamedTransaction, PointValue
 
 _encode = msgspec.json.Encoder().encode
+_replace = msgspec.structs.replace
+"""Checks no types, so that it can put hex strings into fields of type bytes."""
 
 _EPOCH = datetime(1970, 1, 1)
 _FORMULA = ("=", "+", "-", "@")
@@ -84,12 +87,25 @@ CSV_COLUMNS = (
 
 def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
     """Return a transaction as one line of jsonl, with its line end."""
-    return _line(transaction, transaction.start_ns, "request_raw", "response_raw")
+    request, response = transaction.request_raw, transaction.response_raw
+    return _line(
+        _replace(
+            transaction,
+            request_raw=request and request.hex(),
+            response_raw=response and response.hex(),
+        ),
+        transaction.start_ns,
+    )
 
 
 def event_to_jsonl(event: WireEvent) -> bytes:
     """Return an event as one line of jsonl, with its line end."""
-    return _line(EventMessage.of(event), event.ts_ns, "raw")
+    message = EventMessage.of(event)
+    return _line(_replace(message, raw=message.raw and message.raw.hex()), event.ts_ns)
+
+
+_TIME_AT = CSV_COLUMNS.index("time")
+_fields = attrgetter(*(column for column in CSV_COLUMNS if column != "time"))
 
 
 class CsvWriter:
@@ -104,15 +120,28 @@ class CsvWriter:
         self._writer.writerow(csv_row(transaction))
 
 
-def csv_row(transaction: NamedTransaction) -> list[str]:
-    """Return the cells of CSV_COLUMNS; a cell is empty if its field does not apply."""
-    fields = _with_hex(transaction)
-    points = "; ".join(
-        f"{point.name}{':=' if point.written else '='}{point.text}" for point in transaction.points
+def csv_row(transaction: NamedTransaction) -> list[str | int | float | None]:
+    """Return the cells of CSV_COLUMNS; a cell is None or empty if its field does not apply."""
+    texts = _replace(
+        transaction,
+        request_raw=(transaction.request_raw or b"").hex(),
+        response_raw=(transaction.response_raw or b"").hex(),
+        request_values=" ".join(map(str, transaction.request_values or ())),
+        response_values=" ".join(map(str, transaction.response_values or ())),
+        verdicts=" ".join(transaction.verdicts),
+        findings=" ".join(transaction.findings),
+        points="; ".join(map(_point_text, transaction.points)),
     )
-    fields["points"] = points
-    fields["time"] = iso_time(transaction.start_ns)
-    return [_cell(fields.get(column)) for column in CSV_COLUMNS]
+    cells = [*_fields(texts)]
+    cells.insert(_TIME_AT, iso_time(transaction.start_ns))
+    for place, cell in enumerate(cells):
+        if isinstance(cell, str) and (not cell.isprintable() or cell.startswith(_FORMULA)):
+            cells[place] = _harmless(cell)
+    return cells
+
+
+def _point_text(point: PointValue) -> str:
+    return f"{point.name}{':=' if point.written else '='}{point.text}"
 
 
 def iso_time(ts_ns: int) -> str | None:
@@ -134,10 +163,8 @@ def _second(seconds: int) -> str | None:
         return None
 
 
-def _line(message: msgspec.Struct, ts_ns: int, *bytes_fields: str) -> bytes:
-    # msgspec.structs.replace checks no types, so it can put hex strings into fields of type bytes.
-    hexes = {name: raw.hex() for name in bytes_fields if (raw := getattr(message, name))}
-    line = _encode(msgspec.structs.replace(message, **hexes))
+def _line(message: msgspec.Struct, ts_ns: int) -> bytes:
+    line = _encode(message)
     if not line.isascii():
         line = _escaped(line)
     time = iso_time(ts_ns)
@@ -152,24 +179,8 @@ def _escaped(line: bytes) -> bytes:
     return "".join(one if one.isprintable() else json.dumps(one)[1:-1] for one in text).encode()
 
 
-def _with_hex(message: msgspec.Struct) -> dict[str, Any]:
-    fields: dict[str, Any] = msgspec.to_builtins(message, builtin_types=(bytes,))
-    for name, value in fields.items():
-        if isinstance(value, bytes):
-            fields[name] = value.hex()
-    return fields
-
-
-def _cell(value: object) -> str:
-    match value:
-        case None:
-            return ""
-        case list():
-            return _cell(" ".join(map(str, value)))
-        case str():
-            text = value.translate(_ONE_LINE)
-            if not text.isprintable():
-                text = "".join(one if one.isprintable() else "?" for one in text)
-            return f"'{text}" if text.startswith(_FORMULA) else text
-        case _:
-            return str(value)
+def _harmless(text: str) -> str:
+    """A text without line ends and signs that control a terminal, and that is no formula."""
+    text = text.translate(_ONE_LINE)
+    text = "".join(one if one.isprintable() else "?" for one in text)
+    return f"'{text}" if text.startswith(_FORMULA) else text

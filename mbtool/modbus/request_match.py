@@ -32,8 +32,8 @@ def is_response_to(request: Pdu, pdu: bytes) -> bool:
 
 def mismatch(request: Pdu, response: Pdu) -> str | None:
     """Return the reason why a response does not belong to a request, as text; None if it does."""
-    quantity, values = request.number("quantity"), response.numbers("values")
-    if quantity is not None and values is not None:
+    quantity, values = request.fields.get("quantity"), response.fields.get("values")
+    if isinstance(quantity, int) and isinstance(values, tuple):
         bits = request.code in READ_BITS
         if len(values) != (8 * bit_bytes(quantity) if bits else quantity):
             held = f"{len(values) // 8} bytes of bits" if bits else f"{len(values)} registers"

@@ -108,7 +108,9 @@ class TcpReassembler:
         self._packet, self._ip_at = packet, at
         if not self._feed_ip(data, at, packet.original_length, packet.ts_ns, packet.link):
             self._feed_other(packet, at)
-        return self._take_out()
+        items = self._out.copy()
+        self._out.clear()
+        return items
 
     def advance(self, now_ns: int) -> list[StreamItem]:
         """Let capture time pass: give up holes that waited too long, and close idle connections."""
@@ -163,8 +165,6 @@ class TcpReassembler:
         return self._take_out()
 
     def _take_out(self) -> list[StreamItem]:
-        if not self._out:
-            return []
         items = self._out.copy()
         self._out.clear()
         return items
@@ -175,7 +175,8 @@ class TcpReassembler:
         for _ in range(MAX_TUNNELS):
             fragment = find_fragment(data, at, length)
             if fragment is not None:
-                self._finish(self._fragments.feed(fragment, ts_ns, link, self._scope(link)), ts_ns)
+                scope = "" if self._across else link
+                self._finish(self._fragments.feed(fragment, ts_ns, link, scope), ts_ns)
                 return
             at = find_inner(data, at, length)
             self._ip_at = 0  # The addresses before a tunnel are not those of master and slave.
@@ -205,13 +206,6 @@ class TcpReassembler:
                 self._follow(segment, ts_ns, link)
         return True
 
-    def _scope(self, link: str) -> str:
-        """The interface's name for keys of connections and fragments.
-
-        It is "" if packets from different interfaces may belong to one connection.
-        """
-        return "" if self._across else link
-
     def _finish(self, datagrams: list[Datagram], ts_ns: int) -> None:
         """Follow the packets that reassembly made whole, and report what was wrong with others."""
         for datagram in datagrams:
@@ -234,9 +228,7 @@ class TcpReassembler:
         if not events:
             return
         source, destination, *_ = datagram.key
-        key, _ = _key(
-            self._scope(datagram.link), source, source_port, destination, destination_port
-        )
+        key, _ = self._key(datagram.link, source, source_port, destination, destination_port)
         known = self._connections.get(key)
         ends = endpoint(source, source_port), endpoint(destination, destination_port)
         identity = Connection(*ends) if known is None else known.identity
@@ -245,11 +237,18 @@ class TcpReassembler:
     def _follow(self, segment: TcpSegment, ts_ns: int, link: str) -> None:
         if not -PATIENCE_NS < ts_ns - self._checked_ns < PATIENCE_NS:
             self._advance(ts_ns)
-        source, source_port, destination, destination_port = segment[:4]
-        scope = self._scope(link)
-        key, from_lower = _key(scope, source, source_port, destination, destination_port)
+        key, from_lower = self._key(
+            link,
+            segment.source,
+            segment.source_port,
+            segment.destination,
+            segment.destination_port,
+        )
         connection = self._connections.get(key)
-        if connection is None or connection.is_replaced_by(segment, from_lower=from_lower):
+        if connection is None or (
+            (connection.closed or segment.flags & SYN)
+            and connection.is_replaced_by(segment, from_lower=from_lower)
+        ):
             opens = segment.flags & SYN or segment.payload or segment.missing
             if segment.flags & RST or not opens:
                 return
@@ -258,20 +257,30 @@ class TcpReassembler:
             connection = self._open(segment, ts_ns, from_lower)
             self._connections[key] = connection
         self._connections.move_to_end(key)
-        origin = self._origin() if segment.payload else None
-        connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
-        if connection.holds_bytes:  # Connections that no longer hold bytes are removed by _advance.
+        origin: Origin | None = None
+        packet = self._packet
+        if segment.payload and packet is not None:
+            addresses = link_addresses(packet.link_type, packet.data[: self._ip_at])
+            origin = Origin(packet.file, packet.number, addresses)
+        if connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin):
+            # Connections that no longer hold bytes are removed by _advance.
             self._holding[key] = connection
             if len(self._holding) > MAX_HOLDING:
                 self._holding.pop(next(iter(self._holding))).flush()
 
-    def _origin(self) -> Origin | None:
-        """The packet that is being read, as the origin of its bytes."""
-        packet = self._packet
-        if packet is None:
-            return None
-        addresses = link_addresses(packet.link_type, packet.data[: self._ip_at])
-        return Origin(packet.file, packet.number, addresses)
+    def _key(
+        self,
+        link: str,
+        source: bytes,
+        source_port: int,
+        destination: bytes,
+        destination_port: int,
+    ) -> tuple[_Key, bool]:
+        """The key of a connection, the same from both ends; True if the source is the lower end."""
+        scope = "" if self._across else link
+        if (source_port, source) < (destination_port, destination):
+            return (scope, source, source_port, destination, destination_port), True
+        return (scope, destination, destination_port, source, source_port), False
 
     def _open(self, segment: TcpSegment, ts_ns: int, from_lower: bool) -> TcpConnection:
         if len(self._connections) >= MAX_CONNECTIONS:
@@ -310,15 +319,6 @@ class TcpReassembler:
         if report not in self._reported and len(self._reported) < _MAX_REPORTED:
             self._reported.add(report)
             self._out.append(WireEvent(ts_ns=ts_ns, link=link, kind=kind, message=message))
-
-
-def _key(
-    scope: str, source: bytes, source_port: int, destination: bytes, destination_port: int
-) -> tuple[_Key, bool]:
-    """The key of a connection, the same from both ends; True if the source is the lower end."""
-    if (source_port, source) < (destination_port, destination):
-        return (scope, source, source_port, destination, destination_port), True
-    return (scope, destination, destination_port, source, source_port), False
 
 
 def _is_from_master(segment: TcpSegment, ports: frozenset[int]) -> bool:

@@ -8,13 +8,15 @@
 # Limit: MAX_PAYLOAD bytes, more than any card hands over at once. A longer segment is malformed.
 #
 # The caller calls find_tcp, compares the ports, and only then calls read_segment, so that no time
-# is spent on segments of other ports.
+# is spent on segments of other ports. The results are msgspec.Structs, which are made without a
+# Python call, as each packet makes them.
 
 from __future__ import annotations
 
 import struct
 from ipaddress import ip_address
-from typing import NamedTuple
+
+import msgspec
 
 from mbtool.core import Endpoint
 
@@ -38,7 +40,7 @@ BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_FRAGMENT, IPV6_AUTHENTICATION}
 """The protocol numbers of all headers that may stand between an IPv6 header and TCP."""
 
 
-class TcpPlace(NamedTuple):
+class TcpPlace(msgspec.Struct, frozen=True, gc=False):
     """The offsets at which the TCP header begins and the TCP payload ends in a packet."""
 
     start: int
@@ -47,8 +49,8 @@ class TcpPlace(NamedTuple):
     packet."""
 
 
-class TcpSegment(NamedTuple):
-    """A TCP segment. A NamedTuple, as it is quick to make and each packet makes one."""
+class TcpSegment(msgspec.Struct, frozen=True, gc=False):
+    """A TCP segment."""
 
     source: bytes
     source_port: int

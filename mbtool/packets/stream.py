@@ -21,8 +21,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core import Chunk, Stamp, StreamPlace
+
 if TYPE_CHECKING:
-    from mbtool.core import Direction, Endpoint, Origin
+    from mbtool.core import Connection, Direction, Origin
     from mbtool.packets.plain_bytes import PlainBytes
 
 MAX_HELD_BYTES = 64 * 1024
@@ -69,11 +71,12 @@ class Stream:
 
     __slots__ = (
         "_acknowledgements",
+        "_connection",
         "_gaps",
+        "_link",
         "_recent",
         "acknowledged",
         "beginning",
-        "destination",
         "direction",
         "finish",
         "held",
@@ -82,14 +85,13 @@ class Stream:
         "latest",
         "origin",
         "position",
-        "source",
         "syn_end",
     )
 
-    def __init__(self, direction: Direction, source: Endpoint, destination: Endpoint) -> None:
+    def __init__(self, direction: Direction, connection: Connection) -> None:
         self.direction = direction
-        self.source = source
-        self.destination = destination
+        self._connection = connection
+        self._link = connection.link
         self.origin: int | None = None
         """The sequence number of position 0; None until it is known."""
         self.beginning: int | None = None
@@ -167,6 +169,13 @@ class Stream:
             return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
 
+    def is_new(self, sequence: int, size: int, window: int) -> bool:
+        """True if `size` bytes from a sequence number on are no second copy of earlier bytes."""
+        if self.origin is None:
+            return True
+        start = self.position_of(sequence)
+        return start + size > self.position or start < self.position - window
+
     def is_before_next(self, sequence: int) -> bool:
         """True if a sequence number is one less than that of the next expected byte."""
         origin = self.origin
@@ -177,6 +186,17 @@ class Stream:
         """True if nothing is held or undecided, and no FIN has come."""
         undecided = self.origin is None or self.joining or self.syn_end is not None
         return not (undecided or self.held or self.finish is not None)
+
+    def awaits(self, sequence: int) -> bool:
+        """True if the stream is at rest, and its next byte has this sequence number."""
+        origin = self.origin
+        return (
+            origin is not None
+            and sequence == origin + self.position & _MASK
+            and not (self.held or self.joining)
+            and self.finish is None
+            and self.syn_end is None
+        )
 
     @property
     def next_sequence(self) -> int:
@@ -259,6 +279,23 @@ class Stream:
             self._recent = data[-RECENT_BYTES:]
         else:
             self._recent = (self._recent + data)[-RECENT_BYTES:]
+
+    def deliver(self, data: bytes, receipt: int | None, origin: Origin | None) -> Chunk:
+        """Take the next bytes, and give them as a chunk with the time of `latest`.
+
+        `receipt` and `origin` are as in HeldBytes.
+        """
+        place = StreamPlace(self.position, receipt, origin)
+        self.advance(data, len(data))
+        return Chunk(
+            ts_ns=self.latest[1],
+            link=self._link,
+            data=data,
+            direction=self.direction,
+            stamp=Stamp.AT_ONCE,
+            connection=self._connection,
+            place=place,
+        )
 
     def pass_over(self, hole: int) -> None:
         """Give up the hole at the current position; `hole` is its length in bytes.

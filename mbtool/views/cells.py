@@ -169,7 +169,7 @@ def values_text(values: Sequence[int], *, bits: bool = False, in_hex: bool = Fal
     if bits:
         text = "".join(map(str, values))
         return " ".join(_folded(text[at : at + GROUP] for at in range(0, len(text), GROUP)))
-    return ", ".join(_folded(f"{one:04X}H" if in_hex else str(one) for one in values))
+    return ", ".join(_folded([f"{one:04X}H" for one in values] if in_hex else map(str, values)))
 
 
 def _folded(texts: Iterable[str]) -> list[str]:

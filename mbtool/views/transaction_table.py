@@ -67,6 +67,11 @@ _WIDTHS = {
 }
 _RIGHT = frozenset((TableColumn.NUMBER, TableColumn.LATENCY, TableColumn.UNIT, TableColumn.ID))
 """Columns whose cells are aligned to the right."""
+_ALIGNED = {
+    column: f"{{:{'>' if column in _RIGHT else '<'}{width}}}".format
+    for column, width in _WIDTHS.items()
+}
+"""Makes a cell of a text."""
 _TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
 _TEXT_TITLE = "request -> response"
 _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
@@ -171,7 +176,7 @@ class TransactionTable:
             self._print_line(printable(heading), "bold")
         if self._columns != self._titled:
             self._titled = self._columns
-            titles = [_cell(one, _TITLES.get(one, one.value)) for one in self._columns]
+            titles = [_ALIGNED[one](_TITLES.get(one, one.value)) for one in self._columns]
             self._print_line(f"{' '.join(titles)}  {_TEXT_TITLE}", "dim")
 
     def _note_place(self, record: Record) -> None:
@@ -195,8 +200,8 @@ class TransactionTable:
                     text = row.places[_PLACES.index(column)]
                 case _:
                     text = _MORE[column](row.record)
-            cells.append(_cell(column, printable(text)))
-        return f"{' '.join(cells)}  "
+            cells.append(_ALIGNED[column](text))
+        return printable(f"{' '.join(cells)}  ")
 
     def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
         """Print a row whose text takes several lines."""
@@ -302,11 +307,6 @@ def _style(record: Record) -> str:
     if isinstance(record, WireEvent):
         return "" if record.kind in (EventKind.OPENED, EventKind.CLOSED) else "yellow"
     return "" if record.outcome in (Outcome.OK, Outcome.BROADCAST) else "red"
-
-
-def _cell(column: TableColumn, text: str) -> str:
-    width = _WIDTHS[column]
-    return text.rjust(width) if column in _RIGHT else text.ljust(width)
 
 
 _MORE: dict[TableColumn, Callable[[Record], str]] = {

@@ -69,6 +69,15 @@ def test_a_csv_row_has_a_cell_for_each_column() -> None:
     assert row["request_raw"] == "010300000002c40b"
 
 
+def test_empty_lists_and_bytes_are_empty_cells() -> None:
+    stream = io.StringIO(newline="")
+    CsvWriter(stream).write(transaction(response_values=[], request_values=[], response_raw=b""))
+    stream.seek(0)
+    (row,) = csv.DictReader(stream)
+    assert {row[name] for name in ("request_values", "response_values", "response_raw")} == {""}
+    assert {row[name] for name in ("verdicts", "findings", "points")} == {""}
+
+
 def test_every_field_of_a_transaction_has_a_column() -> None:
     assert set(CSV_COLUMNS) == {*NamedTransaction.__struct_fields__, "time"}
     assert len(CSV_COLUMNS) == len(set(CSV_COLUMNS))

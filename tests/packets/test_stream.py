@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core import Direction, Endpoint
+from mbtool.core import Connection, Direction, Endpoint
 from mbtool.packets.stream import (
     LEAD,
     MAX_ACKNOWLEDGEMENTS,
@@ -15,9 +15,11 @@ from mbtool.packets.stream import (
     Stream,
 )
 
+CONNECTION = Connection(Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
+
 
 def _stream(first: int = 0) -> Stream:
-    stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
+    stream = Stream(Direction.REQUEST, CONNECTION)
     stream.origin = first
     return stream
 
@@ -100,7 +102,7 @@ def test_a_gap_leaves_nothing_to_compare_with() -> None:
 
 
 def test_a_joined_stream_begins_where_its_first_hole_ends() -> None:
-    stream = Stream(Direction.REQUEST, Endpoint("10.0.0.1", 49152), Endpoint("10.0.0.2", 502))
+    stream = Stream(Direction.REQUEST, CONNECTION)
     stream.join(3, arrival=1, ts_ns=0)
 
     assert (stream.position_of(3), stream.position_of(2)) == (LEAD, LEAD - 1)

@@ -56,8 +56,10 @@ class TimeWindow:
         decoded counts as the first request.
         """
         if not any(one is not None and not one.is_absolute for one in (self.start, self.end)):
-            yield from records
-            return
+            return iter(records)
+        return self._held_back(records, at_once)
+
+    def _held_back(self, records: Iterable[Record], at_once: bool) -> Iterator[Record]:
         held: list[Record] | None = []
         for record in records:
             if held is None:
