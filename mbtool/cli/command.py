@@ -2,9 +2,14 @@
 
 # typer shows the Python type behind each argument (FILE <list[str]>) and puts braces around it in
 # the usage line. A metavar changes neither, so this class writes both.
+#
+# typer converts values with pydantic, even texts and options that are not given. Loading pydantic
+# takes longer than all else that a command with a small file does. So _PlainValues converts texts
+# and choices, and leaves only the other values, and what is wrong, to typer.
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Any
 
 from typer.core import TyperArgument, TyperCommand
@@ -12,6 +17,9 @@ from typer.core import TyperArgument, TyperCommand
 
 class Command(TyperCommand):
     """The class of every command: `app.command(cls=Command)`."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return with_plain_values(super().get_params(ctx))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         options = [self.options_metavar] if self.options_metavar else []
@@ -37,6 +45,33 @@ class Command(TyperCommand):
 
     def _arguments(self) -> list[TyperArgument]:
         return [param for param in self.params if isinstance(param, TyperArgument)]
+
+
+def with_plain_values(params: list[Any]) -> list[Any]:
+    """Let typer convert the values of parameters without pydantic, where that is possible."""
+    for param in params:
+        if param._runtime_param is None:
+            param._runtime_param = _PlainValues()
+    return params
+
+
+class _PlainValues:
+    """Converts the values of one parameter; typer asks it in place of pydantic."""
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The value for a command, of a value of the command line: None, a text or several."""
+        is_several = param.multiple or param.nargs == -1
+        if value is None:
+            return () if is_several else None
+        type_ = param.type_descriptor.annotation
+        if type_ is str and not is_several:
+            return value
+        if type_ == list[str]:
+            return list(value)
+        if isinstance(type_, type) and issubclass(type_, Enum) and value in list(type_):
+            return type_(value)
+        param._runtime_param = None  # typer makes its own.
+        return param.get_runtime_param().coerce(value, param=param, ctx=ctx)
 
 
 def _written(argument: TyperArgument) -> str:

@@ -21,7 +21,7 @@ from typer.main import get_command
 
 from mbtool.cli import exit_codes
 from mbtool.cli.check import check
-from mbtool.cli.command import Command
+from mbtool.cli.command import Command, with_plain_values
 from mbtool.cli.convert import convert
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
@@ -46,6 +46,9 @@ _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG
 
 class _InOrder(TyperGroup):
     """Lists `devices` before `links`; typer puts a command with subcommands last."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return with_plain_values(super().get_params(ctx))
 
     def list_commands(self, ctx: Any) -> list[str]:
         names = [name for name in self.commands if name != "devices"]
