@@ -384,9 +384,8 @@ class NetworkPairing:
     def _responded(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
             return unsolicited(self._ends, response)
-        (one, *_) = step.requests
         return self._with_response(
-            response, one, step.since_ns, is_sure=step.is_sure, is_late=step.is_late
+            response, step.requests[0], step.since_ns, is_sure=step.is_sure, is_late=step.is_late
         )
 
     def _with_response(
@@ -410,12 +409,11 @@ class NetworkPairing:
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)
         elif response.start_ns >= one.adu.end_ns and not is_late:
-            since_ns = max(one.adu.end_ns, since_ns)
-            self._habits.note_latency(one.adu.pdu[0], response.start_ns - since_ns)
+            latency_ns = response.start_ns - max(one.adu.end_ns, since_ns)
+            self._habits.note_latency(one.adu.pdu[0], latency_ns)
         if is_sure and not is_late:
             self._habits.note_answered(one.number)
-        confidence = 1.0 if is_sure else DOUBTFUL
-        retries = self._take_retries(one)
+        retries, confidence = self._take_retries(one), 1.0 if is_sure else DOUBTFUL
         return with_response(self._ends, one.adu, response, retries, verdicts, confidence)
 
     def _take_retries(self, answered: OpenRequest) -> int:

@@ -443,7 +443,14 @@ def test_a_terminal_without_unicode_is_shown_what_it_can_show(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["decode", "--help"], ["sniff", "--help"], ["decode", "a.mcap"]]
+    "arguments",
+    [
+        ["--help"],
+        ["decode", "--help"],
+        ["sniff", "--help"],
+        ["decode", "a.mcap"],
+        ["decode", "a.mcap", "--format", "jsonl", "--where", "unit == 1"],
+    ],
 )
 def test_loads_only_what_it_uses(tmp_path: Path, arguments: list[str]) -> None:
     log = tmp_path / "a.mcap"
@@ -462,7 +469,9 @@ def test_loads_only_what_it_uses(tmp_path: Path, arguments: list[str]) -> None:
         check=True,
     )
     loaded = set(ast.literal_eval(ran.stdout.splitlines()[-1]))
-    heavy = {"scapy", "numpy", "textual", "serial", "asyncio"}
+    heavy = {"scapy", "numpy", "pyarrow", "textual", "serial", "asyncio", "pydantic", "email"}
     assert not loaded & heavy
+    if "--format" in arguments:
+        assert "rich" not in loaded
     if "--help" in arguments:
         assert not loaded & {"mcap", "rich", "msgspec", "zstandard"}
