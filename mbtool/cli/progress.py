@@ -27,7 +27,7 @@ def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     return _shown(reading, records) if sys.stderr.isatty() else records
 
 
-def _shown(reading: Reading, records: Iterator[Record]) -> Iterator[Record]:
+def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     from rich.console import Console
     from rich.progress import Progress
 

@@ -24,13 +24,6 @@ class FileResult:
     error: InputError | None = None
     """The error if the file could not be read, or not to its end; None if there was none."""
 
-    def note(self, record: Record) -> None:
-        """Count a record of this file."""
-        if isinstance(record, WireEvent):
-            self.events += 1
-        else:
-            self.transactions += 1
-
     @property
     def remark(self) -> str:
         """A line that says what is wrong or unusual about the file; empty if nothing is."""
@@ -68,8 +61,12 @@ class FileResults:
     def note(self, name: str, record: Record) -> None:
         """Count a record of a file."""
         result = self._opened.get(name)
-        if result is not None:
-            result.note(record)
+        if result is None:
+            return
+        if isinstance(record, WireEvent):
+            result.events += 1
+        else:
+            result.transactions += 1
 
     def break_off(self, path: str, error: InputError) -> None:
         """Note why a file could not be read to its end."""

@@ -259,10 +259,9 @@ class Reading:
         head = capture.head
         if head is None:
             packets = self._heard_packets(capture, packets)
-            yield from self._decoded(packets, Part(), self._own_decoder)
-        else:
-            self.assignments = all_assignments(head, self._options.assignments)
-            yield from self._decoded_again(head, reads_of(packets), Part(0))
+            return self._decoded(packets, Part(), self._own_decoder)
+        self.assignments = all_assignments(head, self._options.assignments)
+        return self._decoded_again(head, reads_of(packets), Part(0))
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
         """Yield a GAP event: this file ends early, and the next part may continue after the gap."""
