@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialFormat
     from mbtool.overview.statistics import Statistics
+    from mbtool.overview.statistics_report import LinkReport
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.stats import LiveStatistics
 
@@ -126,20 +127,19 @@ class _Shown:
                 sys.stdout.write(text)
             elif statistics.transactions or any(link.connections for link in links):
                 console = PipeConsole(file=sys.stdout)
-                for line in self.lines(statistics, console):
+                for line in self.lines(links, console):
                     console.print(line, soft_wrap=True)
             sys.stdout.flush()
 
-    def lines(self, statistics: Statistics, console: Console) -> list[Text]:
+    def lines(self, links: Sequence[LinkReport], console: Console) -> list[Text]:
         """The lines for a console."""
         from rich.text import Text
 
-        from mbtool.overview.statistics_report import report
         from mbtool.views.statistics_table import statistics_lines
 
         is_terminal = console.is_terminal
         lines = statistics_lines(
-            report(statistics),
+            links,
             width=console.width if is_terminal else None,
             height=console.height if is_terminal else None,
             top=self.top,
@@ -255,10 +255,12 @@ def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]
     from rich.live import Live
     from rich.text import Text
 
+    from mbtool.overview.statistics_report import report
+
     with Live(console=console, auto_refresh=False, transient=True) as view:
 
         def refresh() -> None:
-            lines = shown.lines(statistics, console)[: console.height - 1]
+            lines = shown.lines(report(statistics), console)[: console.height - 1]
             view.update(Text("\n").join(lines), refresh=True)
 
         yield refresh

@@ -8,7 +8,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Sequence
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
@@ -36,8 +36,12 @@ class Hours:
     def add(self, at_ns: int, *, is_missing: bool) -> None:
         self._add(at_ns // HOUR_NS, 1, int(is_missing))
 
-    def add_answered(self, times_ns: Iterable[int]) -> None:
+    def add_answered(self, times_ns: Sequence[int]) -> None:
         """Count requests that were answered."""
+        first, last = min(times_ns) // HOUR_NS, max(times_ns) // HOUR_NS
+        if first == last:
+            self._add(first, len(times_ns), 0)
+            return
         for hour, requests in sorted(Counter(time // HOUR_NS for time in times_ns).items()):
             self._add(hour, requests, 0)
 

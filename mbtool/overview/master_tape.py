@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.overview.poll_cycle import Asked, PollLists, find_lists, response_timeout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.overview.poll_statistics import PollStatistics
 
 MAX_ASKED = 2048
@@ -40,17 +38,32 @@ class MasterTape:
     def __init__(self) -> None:
         self._asked: deque[TapedRequest] = deque(maxlen=MAX_ASKED)
         self._last: TapedRequest | None = None
+        self._later: deque[tuple[list[int], list[PollStatistics], list[int]]] = deque()
+        """Requests after those in `_asked`, all answered: their times, polls and ends."""
 
     def add(self, asked: TapedRequest) -> bool:
         """Take the next request; True if it repeats the last request, which had no answer."""
+        self._join()
         last, self._last = self._last, asked
         self._asked.append(asked)
         return last is not None and last.is_missing and last.poll is asked.poll
 
-    def add_answered(self, asked: Iterable[TapedRequest]) -> None:
-        """Take the next requests, which were answered, as was the last one."""
-        self._asked.extend(asked)
-        self._last = self._asked[-1]
+    def add_answered(
+        self, at_ns: list[int], polls: list[PollStatistics], ends_ns: list[int]
+    ) -> None:
+        """Take the next requests of a network, which were answered, as was the last one."""
+        self._later.append((at_ns, polls, ends_ns))
+        self._last = TapedRequest(at_ns[-1], 0, polls[-1], ends_ns[-1], False, 0)
+        while sum(len(one[0]) for one in self._later) - len(self._later[0][0]) >= MAX_ASKED:
+            self._later.popleft()
+
+    def _join(self) -> None:
+        for at_ns, polls, ends_ns in self._later:
+            self._asked.extend(
+                TapedRequest(at, 0, poll, end, is_missing=False, wire_ns=0)
+                for at, poll, end in zip(at_ns, polls, ends_ns, strict=True)
+            )
+        self._later.clear()
 
     @property
     def is_waiting(self) -> bool:
@@ -60,9 +73,11 @@ class MasterTape:
     def cut(self) -> None:
         """Forget what was asked: another capture begins."""
         self._asked.clear()
+        self._later.clear()
         self._last = None
 
     def __len__(self) -> int:
+        self._join()
         return len(self._asked)
 
     def lists(self) -> PollLists[PollStatistics]:
@@ -73,6 +88,7 @@ class MasterTape:
         return response_timeout(self._in_order())
 
     def _in_order(self) -> list[Asked[PollStatistics]]:
+        self._join()
         asked = [
             Asked(one.poll, one.at_ns - one.wire_ns, one.end_ns, one.is_missing)
             for one in self._asked

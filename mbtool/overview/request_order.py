@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from heapq import heappop, heappush
-from itertools import count, repeat
-from operator import itemgetter, sub
-from typing import TYPE_CHECKING
+from itertools import count
+from operator import sub
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.overview.master_tape import MasterTape, TapedRequest
 
@@ -25,7 +25,13 @@ if TYPE_CHECKING:
 MAX_TAPES = 256
 WINDOW = 2048
 
-_NUMBER, _IS_MISSING = itemgetter(1), itemgetter(4)
+
+class _AskedColumns(NamedTuple):
+    """Answered requests on a network, in the order in which they were completed."""
+
+    at_ns: list[int]
+    polls: list[PollStatistics]
+    ends_ns: list[int]
 
 
 class RequestOrder:
@@ -68,53 +74,69 @@ class RequestOrder:
 
     def add_run(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
         """Take the requests of a run on a network; `polls` are those of its kinds."""
-        arrived = zip(
-            run.request_ns,
-            count(self._taken + 1),
-            map(polls.__getitem__, run.kind),
-            run.response_ns,
-            repeat(False),
-            repeat(0),
+        held = sorted(self._heap)
+        asked = _AskedColumns(
+            [one.at_ns for one in held] + run.request_ns,
+            [one.poll for one in held] + [polls[kind] for kind in run.kind],
+            [one.end_ns for one in held] + run.response_ns,
         )
-        taken = [*self._heap, *map(TapedRequest._make, arrived)]
-        waiting = sorted(taken)
-        held, first = len(self._heap), self._taken + 1
-        # Where each request is among all that are sorted, against when it came.
-        behind = max(map(sub, map(_NUMBER, waiting), count())) + held - first
-        if waiting[0].at_ns < self._ordered_ns or behind > WINDOW or len(waiting) <= WINDOW:
-            for one in taken[held:]:
-                self.add(one.at_ns, one.poll, one.end_ns, 0, is_missing=False)
+        order = sorted(range(len(asked.at_ns)), key=asked.at_ns.__getitem__)
+        # How far each request is in front of its place in the order of arrival.
+        behind = max(map(sub, order, count()))
+        is_simple = (
+            len(order) > WINDOW >= behind
+            and asked.at_ns[order[0]] >= self._ordered_ns
+            and not any(one.is_missing or one.wire_ns for one in held)
+            and self._can_tape_all({(poll.key.link, poll.key.master) for poll in {*asked.polls}})
+        )
+        if not is_simple:
+            for at_ns, kind, end_ns in zip(run.request_ns, run.kind, run.response_ns, strict=True):
+                self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
             return
-        self._taken += len(run)
-        self._heap = waiting[-WINDOW:]
-        self._order_all(waiting[:-WINDOW])
+        self._heap = [
+            TapedRequest(
+                asked.at_ns[one],
+                self._taken + one,
+                asked.polls[one],
+                asked.ends_ns[one],
+                is_missing=False,
+                wire_ns=0,
+            )
+            for one in order[-WINDOW:]
+        ]
+        self._taken += len(order)
+        self._order_all(asked, order[:-WINDOW])
 
-    def _order_all(self, asked: list[TapedRequest]) -> None:
-        """Take requests in order of time, with the same result as one by one."""
-        by_poll: dict[PollStatistics, tuple[list[int], list[TapedRequest]]] = {}
-        by_tape: dict[tuple[str, str], list[TapedRequest]] = {}
-        for one in asked:
-            lists = by_poll.get(one.poll)
-            if lists is None:
-                key = one.poll.key
-                lists = [], by_tape.setdefault((key.link, key.master), [])
-                by_poll[one.poll] = lists
-            lists[0].append(one.at_ns)
-            lists[1].append(one)
-        if any(map(_IS_MISSING, asked)) or not self._can_tape_all(by_tape.keys()):
-            for one in asked:
-                self._order(one)
-            return
-        self._ordered_ns = asked[-1].at_ns
+    def _order_all(self, asked: _AskedColumns, order: list[int]) -> None:
+        """Take answered requests in order of time, with the same result as one by one."""
+        by_poll: dict[PollStatistics, list[int]] = {poll: [] for poll in asked.polls}
+        by_tape: dict[tuple[str, str], list[int]] = {}
+        lists = {
+            poll: (times, by_tape.setdefault((poll.key.link, poll.key.master), []))
+            for poll, times in by_poll.items()
+        }
+        at_ns, polls = asked.at_ns, asked.polls
+        for one in order:
+            times, places = lists[polls[one]]
+            times.append(at_ns[one])
+            places.append(one)
+        self._ordered_ns = at_ns[order[-1]]
         by_link: dict[str, list[int]] = {}
-        for poll, (times, _) in by_poll.items():
-            poll.begin_all(times)
-            by_link.setdefault(poll.key.link, []).extend(times)
+        for poll, times in by_poll.items():
+            if times:
+                poll.begin_all(times)
+                by_link.setdefault(poll.key.link, []).extend(times)
         for link, times in by_link.items():
             self._links[link].hours.add_answered(times)
         # The tape that was used last comes last.
-        for (link, master), some in sorted(by_tape.items(), key=lambda item: item[1][-1]):
-            self._tape(link, master).add_answered(some)
+        used = [(at_ns[last[-1]], last[-1], key) for key, last in by_tape.items() if last]
+        for _, _, key in sorted(used):
+            places = by_tape[key]
+            self._tape(*key).add_answered(
+                [at_ns[one] for one in places],
+                [polls[one] for one in places],
+                [asked.ends_ns[one] for one in places],
+            )
 
     def _can_tape_all(self, keys: Set[tuple[str, str]]) -> bool:
         """True if no tape is given up for these, and none of them waits for an answer."""

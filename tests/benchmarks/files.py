@@ -103,6 +103,14 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
     }
     tshark, suricata = shutil.which("tshark"), shutil.which("suricata")
     if made.path.suffix == ".pcap":
+        for command in ("stats", "inventory"):
+            programs[f"mbtool {command}"] = [
+                sys.executable,
+                "-m",
+                "mbtool",
+                command,
+                str(made.path),
+            ]
         if tshark is not None:
             fields = [word for field in FIELDS for word in ("-e", field)]
             programs[TSHARK] = [tshark, "-r", str(made.path), "-T", "fields", *fields]
