@@ -226,7 +226,10 @@ class BusModel:
             and latency_ns < LatencyStatistics.MIN_RETRY_NS
             and not history.timeout.is_over_at(latency_ns)
         ):
-            history.learn_answer(pending.unit)
+            if latency_ns > 0:
+                history.learn_answer(pending.unit)
+            else:  # Merged with the request: it may turn out to be a retry.
+                history.unanswered.pop(pending.unit, None)
             if self.state.retries and pending.silence_before_ns:
                 history.timeout.learn(pending.silence_before_ns)  # This request was a retry.
         if history.trusts_silences:

@@ -175,3 +175,13 @@ def test_response_that_an_adapter_merges_with_its_request_is_sure_beside_short_s
         reads.append((rtu_adu(unit, bytes.fromhex("08 0000 A537")) * 2, now_ns))
     scanned = transactions(heard(reads), 0x08)
     assert [(one.outcome, one.confidence >= 0.8) for one in scanned] == [(Outcome.OK, True)] * 28
+
+
+def test_write_merged_with_its_response_on_a_slow_line_is_no_sure_retry() -> None:
+    """Each poll comes 500 ms after the one before, so nothing shows how long bytes are held."""
+    reads = [
+        (READ + ANSWER if number % 2 else ABSENT_WRITE * 2, number * 500 * MS)
+        for number in range(30)
+    ]
+    writes = transactions(heard(reads), 0x06)
+    assert all(one.confidence < 0.8 for one in writes[3:])
