@@ -71,7 +71,11 @@ _RUN_TESTS = (
     f"resource.setrlimit(resource.RLIMIT_AS, ({MEMORY_BYTES}, {MEMORY_BYTES}));"
     "sys.exit(pytest.main(sys.argv[1:]))"
 )
-_OPTIONS = ("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0")
+_OPTIONS = (
+    *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0"),
+    # pytest would load mbtool's own plugin, and with it modules that a copy lacks or has changed.
+    *("-p", "no:mbtool.pytest_plugin"),
+)
 
 
 class Fate(StrEnum):

@@ -1,4 +1,4 @@
-"""Compares what was decoded from different files."""
+"""Compares what was decoded from different files, or live and from a file."""
 
 from __future__ import annotations
 

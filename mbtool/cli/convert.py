@@ -27,16 +27,15 @@ def convert(
     files: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE... OUT",
-            help="Captures, logs (.mcap), bytes of a serial line, or .jsonl; last the file to "
-            "write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, .jsonl, .csv or "
-            ".parquet. "
-            "Several become one, in the order of time.",
+            metavar="FILE",
+            help="Captures, logs (.mcap), bytes of a serial line, or .jsonl. The last FILE is "
+            "the one to write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, .jsonl, "
+            ".csv or .parquet. Several become one, in the order of time.",
         ),
     ],
     *,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace OUT if it exists.")
+        bool, typer.Option("--overwrite", help="Replace the file to write if it exists.")
     ] = False,
     start: StartOption = None,
     end: EndOption = None,

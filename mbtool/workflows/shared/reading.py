@@ -18,6 +18,8 @@ from contextlib import suppress
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mbtool.core import (
     CutError,
     DamageError,
@@ -209,13 +211,18 @@ class Reading:
         known.add(place)
 
     def records(self) -> Iterator[Record]:
-        """Yield all transactions and events, file by file."""
+        """Yield all transactions and events, file by file. Each transaction has its `file`."""
         for record in self._records():
             self._has_found = True
             self._missing.note_record(record)
-            self._last_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
             self._results.note(self.file, record)
-            if isinstance(record, WireEvent) and record.kind in UNDECODABLE_EVENTS:
+            if not isinstance(record, WireEvent):
+                self._last_ns = record.start_ns
+                self._has_decoded = True
+                yield replace(record, file=self.file) if record.file is None else record
+                continue
+            self._last_ns = record.ts_ns
+            if record.kind in UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message
             else:
                 self._has_decoded = True
@@ -422,11 +429,9 @@ class Reading:
     ) -> Iterator[Record]:
         """Decode the packets and bytes of a log, or of a capture that was made from one."""
         options = self._options
-        self._ports = (
-            options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,),
-            options.rtu_ports or ports_of(log, RTU_PORTS),
-        )
-        ports, rtu_ports = self._ports
+        ports = options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,)
+        rtu_ports = options.rtu_ports or ports_of(log, RTU_PORTS)
+        self._ports = (ports, rtu_ports)
         # The user's ports replace those of the log.
         self._any_port = options.any_port or (not options.ports and names_any_port(log))
         lines = serial_lines(log)
