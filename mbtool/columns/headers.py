@@ -59,10 +59,13 @@ _PAIR = np.dtype(">u2")
 
 @dataclass(slots=True)
 class Segments:
-    """The segments of followed connections in a block. Each array has one element per segment."""
+    """The TCP segments of followed connections, of 64 k packets or fewer (a block).
+
+    Each array has one element per segment.
+    """
 
     index: Int64s
-    """The indices of the segments' packets in the block."""
+    """For each segment, the index of its packet in the block."""
     is_plain: Bools
     lower: Uint64s
     """The lower end of the connection: its port, then its address (port << 32 | address)."""

@@ -127,7 +127,7 @@ class PairReading:
         self.steps = steps
         self.cost = cost
         self.newest = newest
-        """The highest number of an answered request; 0 if none was answered while others waited."""
+        """The highest number of a request that was answered while other requests waited; else 0."""
         self.given_up = given_up
         """The numbers of the requests for which the master waits no longer, or that are overdue."""
         self.gave_up_ns = gave_up_ns

@@ -40,7 +40,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
+from mbtool.core import Direction, EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
 from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
@@ -48,13 +48,17 @@ from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_size
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
-    from mbtool.core import Direction, Origin
+    from mbtool.core import Origin
 
 MIN_LENGTH = 2
 MAX_LENGTH = 1 + MAX_PDU
 LONGEST_LENGTH = 1454
 """The length of an ADU that fills the TCP segment of an Ethernet packet, 1460 bytes. UMAS agrees on
 messages of up to about 1 KB."""
+
+MAX_REQUEST_NS = 30_000_000_000
+"""The longest time from the first byte of a request to its last (ns) that is without a remark. FA3
+modules disconnect a master that takes longer, by default (their manual, 10.3, register 00F5H)."""
 
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"
@@ -218,7 +222,7 @@ class MbapSplitter:
             reason = f"protocol id {raw[2:4].hex().upper()}H, where Modbus has 0000H"
             events.append(Skipped(start_ns, EventKind.FOREIGN, reason, raw))
             return
-        verdicts = self._verdicts(size, missing)
+        verdicts = self._verdicts(size, missing, end_ns - start_ns)
         events.append(self._adu(raw, start_ns, end_ns, origin, missing, verdicts))
         self._in_step = True
 
@@ -247,11 +251,13 @@ class MbapSplitter:
             verdicts=verdicts,
         )
 
-    def _verdicts(self, size: int, missing: int) -> tuple[Verdict, ...]:
+    def _verdicts(self, size: int, missing: int, duration_ns: int) -> tuple[Verdict, ...]:
+        is_late = self._direction is Direction.REQUEST and duration_ns > MAX_REQUEST_NS
         verdicts = (
             (not self._in_step, Verdict.RESYNCHRONISED),
             (missing > 0, Verdict.CUT),
             (size + missing > _LENGTH_END + MAX_LENGTH, Verdict.OVER_LENGTH),
+            (is_late, Verdict.LATE_PARTS),
         )
         return tuple(verdict for is_true, verdict in verdicts if is_true)
 

@@ -83,6 +83,8 @@ class Verdict(StrEnum):
     """The capture has only the first bytes of the ADU, with the unit and the function."""
     OVER_LENGTH = "over-length"
     """The ADU is longer than the standard allows, 260 bytes on Modbus/TCP."""
+    LATE_PARTS = "late-parts"
+    """More than 30 s passed between the first and the last byte of a Modbus/TCP request."""
     OVER_LIMIT = "over-limit"
     """The decoder dropped this request because of its limit of open requests; or this is the
     response to such a request. The two are not joined."""

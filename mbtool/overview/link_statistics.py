@@ -59,7 +59,10 @@ class Hours:
 
 
 class LinkStatistics:
-    """The times and settings of one link: a bus, or a slave's address on a network."""
+    """The hours in which one link was active, and the settings of its line.
+
+    A link is a serial bus, or a slave's address on a network.
+    """
 
     def __init__(self, format_of: Callable[[str], SerialFormat | None]) -> None:
         self._format_of = format_of

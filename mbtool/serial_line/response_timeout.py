@@ -1,8 +1,8 @@
 """The master's response timeout on a serial line: told by the user, or learned from its retries."""
 
 # A write of one value equals its response, so by its form a second one may be a retry or the
-# response. A retry of a read can be nothing else. The master waits as long before the one retry as
-# before the other, so the retries of reads tell what the silences before writes mean.
+# response. A retry of a read can be nothing else. A master waits as long before it retries a write
+# as before it retries a read, so the retries of reads tell how long a silence before a retry is.
 #
 # A ResponseTimeout holds at most SAMPLES waits: times from a request to its retry.
 

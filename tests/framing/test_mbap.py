@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -14,6 +15,9 @@ from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.adu_bytes import mbap_adu
 from tests.feeding import every_way, feed_all
 from tests.modbus.reading import adus, pdus, raw, skipped
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 READ_HOLDING_REQUEST = bytes.fromhex(
     "0001"          # transaction id
@@ -61,6 +65,20 @@ def test_adu_has_the_times_of_the_segments_that_began_and_completed_it() -> None
     (second,) = adus(splitter.feed(WRITE_COIL_REQUEST[1:], 400))
     assert (first.start_ns, first.end_ns) == (100, 300)
     assert (second.start_ns, second.end_ns) == (300, 400)
+
+
+@pytest.mark.parametrize(
+    ("splitter", "seconds", "verdicts"),
+    [(requests, 30, ()), (requests, 31, (Verdict.LATE_PARTS,)), (responses, 31, ())],
+)
+def test_a_request_in_parts_more_than_30_s_apart_is_told(
+    splitter: Callable[[], MbapSplitter], seconds: int, verdicts: tuple[Verdict, ...]
+) -> None:
+    splits, whole = splitter(), bytes.fromhex("0001 0000 0006 01 05 0001 FF00")
+    assert splits.feed(whole[:7], 0) == []
+    (adu,) = splits.feed(whole[7:], seconds * 1_000_000_000)
+    assert isinstance(adu, Adu)
+    assert adu.verdicts == verdicts
 
 
 @pytest.mark.parametrize("length", [2, 254])

@@ -374,6 +374,15 @@ def checked_alive(*, unanswered: int) -> bytes:
     return net.wait(10_000).add(talk.send(talk.slave, flags=RST | ACK)).file()
 
 
+def in_parts(*, seconds: int) -> bytes:
+    """A request whose second half comes so long after its first."""
+    net = Net()
+    talk = net.open()
+    whole = _adu(1, READ)
+    net.add(talk.request(whole[:7])).wait(seconds * 1000).add(talk.request(whole[7:]))
+    return net.answer(talk, VALUE, number=1).file()
+
+
 def tripped(*, recovers: bool) -> bytes:
     net = Net()
     talk = net.open()
@@ -530,6 +539,7 @@ CASES = (
     Case("FA3-X5", lambda: initial_setting(0), lambda: initial_setting(1), FA3),
     Case("FA3-X6", lambda: applied(is_applied=False), lambda: applied(is_applied=True), FA3),
     Case("FA3-X7", lambda: checked_alive(unanswered=3), lambda: checked_alive(unanswered=2), FA3),
+    Case("FA3-X8", lambda: in_parts(seconds=40), lambda: in_parts(seconds=29), FA3),
     Case("WAGO-X1", lambda: tripped(recovers=False), lambda: tripped(recovers=True), WAGO),
 )
 

@@ -9,6 +9,7 @@
 #     10.5  to apply settings: set Y9, wait until X9 is 1, clear Y9              FA3-X5
 #           conversion starts with the settings when Y9 is set                   FA3-X6
 #     10.3  a master that answers no alive check is disconnected, alarm 0E30H    FA3-X7
+#           so is one whose request arrives in parts too far apart, alarm 0E40H  FA3-X8
 #
 # The names of the two flags are those in the profiles. On the digital modules, Y9 is an output, and
 # there is no such handshake.
@@ -31,6 +32,7 @@ from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.model import BehaviourName
 from mbtool.devices.profile_checks import has_other_data
+from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -83,7 +85,7 @@ class _Module:
 
 
 class Fa3Rules:
-    """Finds FA3-X1 to FA3-X7 in the records of FA3 modules."""
+    """Finds FA3-X1 to FA3-X8 in the records of FA3 modules."""
 
     def __init__(self) -> None:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
@@ -102,6 +104,9 @@ class Fa3Rules:
             yield from self._attempt(
                 module, at_ns, transaction_finding("FA3-X4", transaction, text)
             )
+        if Verdict.LATE_PARTS in transaction.verdicts:
+            text = f"{request_text(transaction)}, its last part more than 30 s after its first"
+            yield transaction_finding("FA3-X8", transaction, text)
         yield from _handshake(module, transaction)
         yield from _unapplied(module, transaction, profile)
 

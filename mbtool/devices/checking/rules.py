@@ -155,6 +155,8 @@ _ROWS = (
      f"{_FA3}, 10.5"),
     ("FA3-X7", _W, "A reset after alive checks that got no answer: the master or network fails.",
      f"{_FA3}, 10.3"),
+    ("FA3-X8", _W, "A request in parts more than 30 s apart, the default of 00F5H: alarm 0E40H.",
+     f"{_FA3}, 10.3"),
     ("WAGO-X1", _W, "One exception 04 after another: the coupler's watchdog has run out.",
      "manual of the WAGO 750, watchdog"),
 )  # fmt: skip

@@ -1,7 +1,7 @@
 """The limits of the rules about attacks and scans: a number of cases within a time."""
 
-# The defaults are chosen so that ordinary operation stays below them; docs/findings.md gives the
-# reason of each. The module that checks a rule says how the rule uses the time.
+# The default limits are chosen so that ordinary operation stays below them; docs/findings.md gives
+# the reason of each. The module that checks a rule says which cases count within a limit's time.
 
 from __future__ import annotations
 

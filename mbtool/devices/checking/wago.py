@@ -33,7 +33,7 @@ class _Coupler:
 
 
 class WagoRules:
-    """Finds WAGO-X1 in the transactions of couplers."""
+    """Finds finding WAGO-X1 in the transactions of couplers: an expired watchdog."""
 
     def __init__(self) -> None:
         self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)

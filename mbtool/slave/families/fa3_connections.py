@@ -128,7 +128,10 @@ class Fa3Connections(ConnectionPolicy):
             self._linked(False)
 
     def set_timers(self) -> None:
-        """Apply the keep-alive and split times in the registers; a master may have changed them."""
+        """Apply 00F2H-00F5H, which a master may have changed.
+
+        These are the keep-alive times and the time in which all parts of a request must arrive.
+        """
         self.changed = True
 
     def reset(self, now_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Decides which RTU requests a slave answers that insists on the standard's silences."""
+"""Decides which RTU requests get an answer from a slave that demands the standard's silences."""
 
 # Serial Line V1.02, 2.5.1.1, and the manual of FT1A Touch, 4.1: at least 3.5 characters of silence
 # come before each message and after it, and no such silence is inside. A real slave takes all bytes
