@@ -31,6 +31,19 @@ if TYPE_CHECKING:
     from mbtool.query.where import Where
     from mbtool.workflows.shared.reading import Reading
 
+    MakeOutput = Callable[
+        [
+            TextIO,
+            str,
+            Callable[[TextIO], Printer],
+            EventChoice,
+            Where,
+            int | None,
+            SortKey | None,
+        ],
+        "RecordOutput",
+    ]
+
 _STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
 
@@ -93,7 +106,7 @@ class RecordOutput:
         self,
         file: TextIO,
         name: str,
-        printer: Printer,
+        make_printer: Callable[[TextIO], Printer],
         events: EventChoice,
         wanted: Where,
         limit: int | None,
@@ -101,7 +114,7 @@ class RecordOutput:
     ) -> None:
         self._file = file
         self._name = name
-        self._printer = printer
+        self._printer = make_printer(file)
         self._events = events
         self._wanted = wanted
         self._limit = limit
@@ -198,15 +211,17 @@ def open_output(
     table: TableOptions | None = None,
     order: SortKey | None = None,
     overwrite: bool = False,
+    make_output: MakeOutput | None = None,
 ) -> Iterator[RecordOutput]:
     """Open an output. When its context ends, it is flushed and a summary is printed.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
     records are held, and printed in that order when the context ends. A file that exists is
-    replaced only with `overwrite`. Raises UsageError if the file cannot be written or options
-    contradict each other, and OutputError if standard output is closed and no log keeps the
-    records.
+    replaced only with `overwrite`. `make_output` makes another output than RecordOutput does, such
+    as one that waits for no reader (live_output.py). Raises UsageError if the file cannot be
+    written or options contradict each other, and OutputError if standard output is closed and no
+    log keeps the records.
     """
     path = named_file(path)
     chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
@@ -220,9 +235,13 @@ def open_output(
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
     with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite) as (file, name):
+
+        def make_printer(to: TextIO) -> Printer:
+            return printer_for(chosen, to, profile_for, table)
+
         with told_as_lost(name):
-            printer = printer_for(chosen, file, profile_for, table)
-        output = RecordOutput(file, name, printer, shown, wanted, limit, order)
+            make_output = make_output or RecordOutput
+            output = make_output(file, name, make_printer, shown, wanted, limit, order)
         try:
             yield output
         except OutputError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -83,9 +84,10 @@ def sniff(
     shown; the log gets everything.
     """
     from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.live_output import LiveOutput
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
-    from mbtool.cli.talk import interruptible, say
+    from mbtool.cli.talk import interruptible, never_waiting, say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
@@ -121,25 +123,30 @@ def sniff(
             **tcp_ports._asdict(),
         )
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin)
-    with (
-        interruptible() as interrupt,
-        sniffer,
-        open_output(
-            None,
-            format_,
-            events,
-            devices.profile_for,
-            wanted,
-            count,
-            is_kept=write is not None,
-            table=table.read(),
-        ) as out,
-    ):
-        say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
-        _show(sniffer, out, devices, serial_lines(specs), _end(interrupt, out, duration))
-    if write is not None:
-        first = write if rotation is None else f"{part_path(Path(write), 1)} and those behind it"
-        say(f"log: {first}")
+    with interruptible() as interrupt, never_waiting(), ExitStack() as opened:
+        live = partial(LiveOutput, is_kept=write is not None, is_hurried=lambda: interrupt.asked)
+        opened.enter_context(sniffer)
+        # The sniffer is opened first and closed first: the log is complete before the output waits
+        # for its reader.
+        with (
+            open_output(
+                None,
+                format_,
+                events,
+                devices.profile_for,
+                wanted,
+                count,
+                is_kept=write is not None,
+                table=table.read(),
+                make_output=live,
+            ) as out,
+            opened.pop_all(),
+        ):
+            say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
+            _show(sniffer, out, devices, serial_lines(specs), _end(interrupt, out, duration))
+        if write is not None:
+            first = part_path(Path(write), 1)
+            say(f"log: {write if rotation is None else f'{first} and those behind it'}")
     if interrupt.asked:
         raise KeyboardInterrupt
 

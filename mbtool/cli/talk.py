@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import signal
 import sys
 import threading
@@ -15,15 +16,45 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+PATIENCE_S = 0.5
+"""A recording waits so many seconds for standard error to take a message, and only once."""
 
 _wipes: list[Callable[[], None]] = []
 """Functions that erase lines that are redrawn in place, such as the progress line."""
+
+
+class _Waiting:
+    """How `say` treats a standard error that takes no text, such as a stopped terminal."""
+
+    patience_s: float | None = None
+    """Drop the message after so many seconds; None to wait for ever."""
+
+
+@contextmanager
+def never_waiting() -> Iterator[None]:
+    """While the context is open, drop messages that standard error does not take."""
+    _Waiting.patience_s = PATIENCE_S
+    try:
+        yield
+    finally:
+        _Waiting.patience_s = None
+
+
+def _has_room(timeout_s: float) -> bool:
+    """True if standard error takes text within the time, or if the system cannot tell."""
+    try:
+        return bool(select.select([], [sys.stderr.fileno()], [], timeout_s)[1])
+    except (OSError, ValueError):  # Windows asks only sockets; a file in memory has no descriptor.
+        return True
 
 
 def say(text: str) -> None:
     """Print a message to standard error, if it is still open."""
     for wipe in _wipes:
         wipe()
+    if _Waiting.patience_s is not None and not _has_room(_Waiting.patience_s):
+        _Waiting.patience_s = 0.0
+        return
     with suppress(OSError):
         print(text, file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
 

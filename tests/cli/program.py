@@ -6,15 +6,17 @@ import os
 import re
 import subprocess
 import sys
+import time
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from threading import Timer
+from threading import Event, Timer
 from typing import TYPE_CHECKING, Self
 
 from mbtool.cli.main import run
 from mbtool.core import Endpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     import pytest
 
@@ -56,13 +58,15 @@ class Program:
         self,
         *arguments: object,
         stdin: int = subprocess.DEVNULL,
+        stdout: int = subprocess.PIPE,
+        stderr: int = subprocess.PIPE,
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self.process = subprocess.Popen(
             [*_COMMAND, *map(str, arguments)],
             stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stdout=stdout,
+            stderr=stderr,
             text=True,
             env={**os.environ, "COLUMNS": "100", **(environment or {})},
         )
@@ -108,3 +112,48 @@ def endpoint_in(text: str) -> Endpoint:
     match = re.search(r"127\.0\.0\.1:(\d+)", text)
     assert match is not None, text
     return Endpoint("127.0.0.1", int(match[1]))
+
+
+@contextmanager
+def full_pipe() -> Iterator[tuple[int, int]]:
+    """Yield both ends of a pipe that is full: the end to read, and the end to write."""
+    reading, writing = os.pipe()
+    try:
+        _fill(writing)
+        yield reading, writing
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+@contextmanager
+def full_terminal() -> Iterator[int]:
+    """Yield a terminal that takes no more text, as one that is stopped with Ctrl-S."""
+    reading, writing = os.openpty()
+    try:
+        _fill(writing)
+        yield writing
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+def _fill(descriptor: int) -> None:
+    os.set_blocking(descriptor, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(descriptor, bytes(4096))
+    os.set_blocking(descriptor, True)
+
+
+def patient() -> Callable[[], bool]:
+    """What tells the reader of a growing log to look again; fails when it would take too long."""
+    deadline = time.monotonic() + PATIENCE_S
+    pause = Event()
+
+    def wait() -> bool:
+        assert time.monotonic() < deadline, "the log does not get what it should have"
+        pause.wait(0.05)
+        return True
+
+    return wait

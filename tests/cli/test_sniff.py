@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING
@@ -16,10 +18,18 @@ import pytest
 from mbtool.cli import exit_codes
 from mbtool.core import TcpLink
 from mbtool.devices import NamedTransaction
-from mbtool.logs import LogReader
+from mbtool.logs import LogReader, follow
 from mbtool.master.links import open_master
 from mbtool.modbus import ascii_adu
-from tests.cli.program import PATIENCE_S, CommandLine, Program, endpoint_in
+from tests.cli.program import (
+    PATIENCE_S,
+    CommandLine,
+    Program,
+    endpoint_in,
+    full_pipe,
+    full_terminal,
+    patient,
+)
 from tests.workflows.bench import Bench, be_turned_away, speak
 from tests.workflows.evidence import WRITE
 
@@ -156,15 +166,71 @@ def test_a_row_is_shown_as_soon_as_it_is_known(bench: Bench) -> None:
         assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
 
 
-def test_a_reader_that_goes_away_leaves_a_complete_log(bench: Bench, tmp_path: Path) -> None:
+def test_a_reader_that_goes_away_does_not_end_a_recording(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with Program("sniff", bench.tap(), "-w", path) as program:
         tap = _tap_of(program)
         assert program.process.stdout is not None
         program.process.stdout.close()
         program.process.stdout = None
+        _ask(tap, 1)
+        said = program.await_said("nobody reads")
+        _ask(tap, 2)
+        told = program.end(signal.SIGINT)
+    assert said == "mbtool: nobody reads standard output any more; the recording goes on\n"
+    assert told.code == exit_codes.INTERRUPTED
+    assert told.err == f"3 transactions: 3 ok\nlog: {path}\n"
+    assert len(_logged(path)) == 3
+
+
+def test_a_reader_that_goes_away_ends_a_run_without_a_log(bench: Bench) -> None:
+    with Program("sniff", bench.tap()) as program:
+        tap = _tap_of(program)
+        assert program.process.stdout is not None
+        program.process.stdout.close()
+        program.process.stdout = None
         _ask(tap, 1)  # Behind its answer the relay may end at any time.
         assert program.end().code == exit_codes.DONE
+
+
+@pytest.mark.parametrize("format_", ["table", "jsonl"])
+def test_a_reader_that_takes_nothing_holds_up_neither_the_log_nor_the_end(
+    bench: Bench, tmp_path: Path, format_: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    with ExitStack() as stack:
+        _, full = stack.enter_context(full_pipe())
+        command = ("sniff", bench.tap(), "-w", path, "--format", format_)
+        program = stack.enter_context(Program(*command, stdout=full))
+        _ask(_tap_of(program), 50)
+        found = (one for one in follow(path, patient()) if isinstance(one, NamedTransaction))
+        assert len(list(islice(found, 50))) == 50
+        told = program.end(signal.SIGINT)
+    assert told.code == exit_codes.INTERRUPTED
+    assert told.err == (
+        "mbtool: standard output takes no text, so the last rows are not shown\n"
+        f"50 transactions: 50 ok\nlog: {path}\n"
+    )
+    assert len(_logged(path)) == 50
+
+
+def test_a_stopped_terminal_holds_up_neither_the_log_nor_the_end(
+    bench: Bench, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    link, descriptor = bench.line(tmp_path)
+    wait = patient()
+    with (
+        full_terminal() as full,
+        Program("sniff", link, "-w", path, stdout=full, stderr=full) as program,
+    ):
+        while not path.exists():  # The log is begun when the line is open.
+            wait()
+        for _ in range(2):
+            speak(descriptor, WRITE)
+        found = (one for one in follow(path, wait) if isinstance(one, NamedTransaction))
+        next(found)
+        assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
     assert len(_logged(path)) == 1
 
 

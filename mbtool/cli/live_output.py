@@ -1,0 +1,95 @@
+"""Prints records of a recording that must not wait for the reader of its output."""
+
+# Text goes through a queue (view_queue.py). While the queue is full, whole rows are left out and
+# counted; the count is said before the next row. If the reader leaves, as `head` does, and a log
+# keeps the records, the recording goes on; without a log it ends with BrokenPipeError.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TextIO
+
+from mbtool.cli.output import RecordOutput, told_as_lost
+from mbtool.cli.talk import say
+from mbtool.cli.view_queue import ViewQueue, unwaited
+from mbtool.core.wording import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.cli.options import EventChoice, SortKey
+    from mbtool.cli.printers import Printer
+    from mbtool.decode.decoder import Record
+    from mbtool.query.where import Where
+
+
+class LiveOutput(RecordOutput):
+    """Prints the records that pass the filter, as long as the reader takes them in time."""
+
+    def __init__(
+        self,
+        file: TextIO,
+        name: str,
+        make_printer: Callable[[TextIO], Printer],
+        events: EventChoice,
+        wanted: Where,
+        limit: int | None,
+        order: SortKey | None = None,
+        *,
+        is_kept: bool,
+        is_hurried: Callable[[], bool],
+    ) -> None:
+        """`is_kept` is True if a log keeps the records.
+
+        `is_hurried` is True once the user has asked for the end of the command.
+        """
+        queue = unwaited(file)
+        super().__init__(queue, name, make_printer, events, wanted, limit, order)
+        self._queue = queue if isinstance(queue, ViewQueue) else None
+        self._is_kept = is_kept
+        self._is_hurried = is_hurried
+        self._has_reader = True
+        self._not_shown = 0
+        """Number of records left out since the last one that was shown."""
+
+    def wait(self) -> None:
+        if self._has_reader:
+            self._write(self._printer.pause, self._file.flush)
+
+    def finish(self) -> None:
+        self._tell_not_shown()
+        self._write(self._printer.flush, self._file.flush, self._drain)
+
+    def _print(self, record: Record, number: int) -> None:
+        self._tally.add(record)
+        if not self._has_reader:
+            return
+        if self._queue is not None and self._queue.is_full:
+            self._not_shown += 1
+            return
+        self._tell_not_shown()
+        self._write(lambda: self._printer.print(record, number))
+
+    def _tell_not_shown(self) -> None:
+        count, self._not_shown = self._not_shown, 0
+        if count:
+            say(
+                f"mbtool: {counted(count, 'row')} not shown: {self._name} did not take them in time"
+            )
+
+    def _drain(self) -> None:
+        if self._queue is not None and not self._queue.drain(self._is_hurried):
+            say(f"mbtool: {self._name} takes no text, so the last rows are not shown")
+
+    def _write(self, *writes: Callable[[], None]) -> None:
+        """Write, unless the reader has left. Raises BrokenPipeError if it leaves without a log."""
+        if not self._has_reader:
+            return
+        try:
+            with told_as_lost(self._name):
+                for write in writes:
+                    write()
+        except BrokenPipeError:
+            if not self._is_kept:
+                raise
+            self._has_reader = False
+            say(f"mbtool: nobody reads {self._name} any more; the recording goes on")
