@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from mbtool.devices.named_transaction import NamedTransaction
-from mbtool.modbus import Outcome
+from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.adu import Transport, Verdict
 
 _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
@@ -174,7 +174,23 @@ def _list(
     return Term(text=name, value=value, kind=ValueKind.LIST, items=(item,))
 
 
+def _written(one: NamedTransaction, *, bits: bool) -> list[int] | None:
+    """The addresses of registers or bits that the request writes, accepted or not."""
+    function = FUNCTIONS.get(one.function)
+    if function is None or function.table is None or function.table.is_bits is not bits:
+        return None
+    first, quantity = one.address, one.quantity
+    if one.write_address is not None:
+        first, quantity = one.write_address, one.write_quantity
+    elif not function.writes:
+        return None
+    if first is None:
+        return None
+    return list(range(first, first + (1 if quantity is None else quantity)))
+
+
 _BYTE, _WORD = range(0x100), range(0x10000)
+_ADDRESS = ValueKind.NUMBER
 
 _TERMS = (
     _text("link", lambda one: one.link),
@@ -196,6 +212,8 @@ _TERMS = (
         ValueKind.NUMBER,
         allowed=_WORD,
     ),
+    _list("written_registers", lambda one: _written(one, bits=False), _ADDRESS, allowed=_WORD),
+    _list("written_bits", lambda one: _written(one, bits=True), _ADDRESS, allowed=_WORD),
     _text("outcome", lambda one: one.outcome, Outcome),
     _number("exception", lambda one: one.exception, _BYTE),
     _number("latency_ms", lambda one: None if one.latency_ns is None else one.latency_ns / 1e6),

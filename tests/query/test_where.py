@@ -70,6 +70,40 @@ def test_an_expression_selects_transactions(expression: str, read: bool, refused
     assert (wanted(READ), wanted(REFUSED)) == (read, refused)
 
 
+@pytest.mark.parametrize(
+    ("fields", "registers", "bits"),
+    [
+        ({"function": 0x10, "address": 40, "quantity": 2}, [40, 41], None),
+        ({"function": 0x06, "address": 40, "quantity": None}, [40], None),
+        ({"function": 0x16, "address": 40, "quantity": None}, [40], None),
+        (
+            {
+                "function": 0x17,
+                "address": 1,
+                "quantity": 9,
+                "write_address": 40,
+                "write_quantity": 3,
+            },
+            [40, 41, 42],
+            None,
+        ),
+        ({"function": 0x05, "address": 40, "quantity": None}, None, [40]),
+        ({"function": 0x0F, "address": 40, "quantity": 3}, None, [40, 41, 42]),
+        ({"function": 0x03, "address": 40, "quantity": 2}, None, None),
+        ({"function": 0x2B, "address": None, "quantity": None}, None, None),
+        ({"function": 0x10, "address": None, "quantity": None}, None, None),
+    ],
+)
+def test_what_a_request_writes_is_told_by_address(
+    fields: dict[str, Any], registers: list[int] | None, bits: list[int] | None
+) -> None:
+    one = transaction(**fields)
+    assert NAMES["written_registers"].value(one) == registers
+    assert NAMES["written_bits"].value(one) == bits
+    assert parse_where("40 in written_registers")(one) is (registers is not None)
+    assert parse_where("40 in written_bits")(one) is (bits is not None)
+
+
 @pytest.mark.parametrize("operator", ["==", "!=", "<", ">", "in", "not in"])
 def test_a_name_that_does_not_apply_compares_as_false(operator: str) -> None:
     group = "(40, 41)" if "in" in operator else "40"
