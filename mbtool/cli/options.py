@@ -272,7 +272,7 @@ class TableOptionGroup(OptionGroup):
         bool, typer.Option("--wide", help="One line a row, however long, as in a pipe.")
     ] = False
     full: Annotated[
-        bool, typer.Option("--full", help="Show long texts whole, on as many lines as they need.")
+        bool, typer.Option("--full", help="Show all values, on as many lines as they need.")
     ] = False
 
     def read(self) -> TableOptions:

@@ -10,14 +10,17 @@ from datetime import date
 from itertools import groupby
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted
 from mbtool.devices import describe_points, describe_written, finding_text
-from mbtool.modbus import FUNCTIONS, Outcome, Verdict, short_name, whole_pdu
+from mbtool.modbus import FUNCTIONS, Outcome, Verdict, exception_name, short_name, whole_pdu
+from mbtool.views.changed_points import is_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction, PointValue, Profile
+    from mbtool.views.changed_points import PointsRead
 
 MANY_BITS = 8
 """More bits than this are shown in groups of GROUP."""
@@ -27,6 +30,19 @@ FOLDED = 4
 
 MAX_RAW = 16
 """The most bytes of an event that a cell shows."""
+
+ARROW = " -> "
+"""Stands between a request and its result."""
+_SHORT_EXCEPTIONS = {
+    0x02: "illegal address",
+    0x03: "illegal value",
+    0x04: "device failure",
+    0x06: "device busy",
+    0x0A: "gateway: no path",
+    0x0B: "gateway: no answer",
+}
+"""Names for a narrow terminal. The standard's are illegal data address, illegal data value, server
+device failure, server device busy, gateway path unavailable, gateway target failed to respond."""
 
 _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_S = 86_400
@@ -50,16 +66,55 @@ def transaction_text(
     `points` are the points read, in the order to show them. With `in_hex`, values are shown as
     manuals write them (1234H), and points are not named.
     """
+    result = result_text(transaction, points, in_hex=in_hex)
+    return _joined(transaction, result, in_hex=in_hex)
+
+
+def short_transaction_text(
+    transaction: NamedTransaction, points: PointsRead, *, in_hex: bool = False
+) -> str:
+    """The request and its result in fewer words.
+
+    Points that are as they were in the last reading are only counted. The standard's exceptions
+    have shorter names.
+    """
+    code, name = transaction.exception, transaction.exception_name
+    if code is not None and name == exception_name(code):
+        result = result_text(transaction, in_hex=in_hex).removesuffix(name)
+        result += _SHORT_EXCEPTIONS.get(code, name)
+    elif in_hex or len(points.fresh) == len(points.every) or transaction.outcome is not Outcome.OK:
+        result = result_text(transaction, points.every, in_hex=in_hex)
+    else:
+        result = _fresh_text(points)
+    return _joined(transaction, result, in_hex=in_hex)
+
+
+def _fresh_text(points: PointsRead) -> str:
+    """The points that changed: `CH1 12000, CH3 5; 6 others as before`."""
+    if not points.fresh:
+        return "as before"
+    names = [point.name.partition(" ") for point in points.every]
+    is_one_series = len({subject for _, _, subject in names}) == 1
+    if is_one_series and not points.has_unseen and all(map(is_number, points.fresh)):
+        labels = (point.name.partition(" ")[0] for point in points.fresh)
+        pairs = zip(labels, points.fresh, strict=True)
+        text = ", ".join(f"{label} {point.text}" for label, point in pairs)
+    else:
+        text = "; ".join(describe_points(points.fresh))
+    kept = len(points.every) - len(points.fresh)
+    return f"{text}; {counted(kept, 'other')} as before"
+
+
+def _joined(transaction: NamedTransaction, result: str, *, in_hex: bool) -> str:
     code = transaction.function
     what = what_text(transaction, in_hex=in_hex)
     if transaction.reference and code in _VERBS:
         text = f"{code:02X} {_VERBS[code]} {what}"
     else:
         text = f"{function_text(transaction)} {what}".rstrip()
-    result = result_text(transaction, points, in_hex=in_hex)
     if result == _DONE and code in _VERBS:
         return text
-    return f"{text} -> {result.removeprefix(_EXCEPTION)}"
+    return f"{text}{ARROW}{result.removeprefix(_EXCEPTION)}"
 
 
 def event_text(event: WireEvent) -> str:

@@ -22,8 +22,8 @@ from mbtool.core.wording import counted
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.views.cells import clock_time, day
+from mbtool.views.place_columns import host_of
 from mbtool.views.tables import printable
-from mbtool.views.transaction_table import host_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -2,8 +2,8 @@
 
 # On a terminal, columns with the highest rank are left out until the first column has room for its
 # longest text or for ENOUGH characters. A text that is still too long is cut and ends in "..". In a
-# pipe (width None) no column is left out, widths are the same in each run, and a long text makes
-# its line longer.
+# pipe (width None) no column is left out, no text is cut, and the first column has at least
+# PIPE_FIRST characters.
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ def table_lines(
         if rank == 0:
             break
         kept = [at for at in kept if columns[at].rank != rank]
-    room = PIPE_FIRST if width is None else min(longest, max(_room(columns, kept, width), 8))
+    if width is None:
+        room = max(PIPE_FIRST, longest)
+    else:
+        room = min(longest, max(_room(columns, kept, width), 8))
     titles = StatisticsRow(title, [one.title for one in columns], "bold")
     return [
         StyledLine(_line(one, columns, kept, room, is_cut=width is not None), one.style)

@@ -30,6 +30,9 @@ class TableColumn(StrEnum):
     DEVICE = "device"
     ID = "id"
     OUTCOME = "outcome"
+    PACKET = "packet"
+    """The numbers of request and response in the capture file, as Wireshark counts them."""
+    FILE = "file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,4 +47,4 @@ class TableOptions:
     wide: bool = False
     """True for one line a row, whatever the width of the terminal."""
     full: bool = False
-    """True for as many lines below a row as its text needs."""
+    """True for all values, on as many lines as they need."""

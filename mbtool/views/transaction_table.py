@@ -7,18 +7,23 @@
 #
 # A heading has the link, master, unit and day of the rows below it; when one of them changes, there
 # is a new heading. If link, master or unit change often, they become columns and leave the heading:
-# see _PlaceColumns. The first SAMPLE rows are examined before any is printed, so that a table
+# see PlaceColumns. The first SAMPLE rows are examined before any is printed, so that a table
 # rarely changes its columns; a live table cannot wait for them and calls `pause`.
 #
-# On a terminal, a long text continues on the lines below, at most MAX_LINES lines; then a line says
-# how many more there are. Findings are below their row. In a pipe, in a file and with --wide a row
-# is one line, with the whole text at the end, and always has its link and unit.
+# On a terminal, a text that is too long for its line is first said in fewer words: points with the
+# same values as in the last reading are counted. If it is still too long, it continues on the lines
+# below, at most MAX_LINES lines; then a line says how many more there are. --full shows all values.
+# If the terminal has less than FEW_COLUMNS columns, addresses of one network are shown by their
+# last number, and the heading has the others. Findings are below their row.
+#
+# In a pipe, in a file and with --wide a row is one line, with the whole text at the end, and always
+# has its link and unit.
 #
 # Text from a wire is never markup, and control characters in it are replaced.
 
 from __future__ import annotations
 
-from collections import deque
+import re
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,8 +31,15 @@ from rich.text import Text
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
-from mbtool.views.cells import event_text, finding_texts, transaction_text
+from mbtool.views.cells import (
+    ARROW,
+    event_text,
+    finding_texts,
+    short_transaction_text,
+    transaction_text,
+)
 from mbtool.views.changed_points import ChangedPoints
+from mbtool.views.place_columns import PlaceColumns, places_of
 from mbtool.views.table_options import TableColumn, TableOptions
 from mbtool.views.tables import printable
 from mbtool.views.times import Times
@@ -48,10 +60,8 @@ _MIN_TEXT = 24
 """Lines of text are not made narrower than this, in characters; a narrow terminal breaks them."""
 _INDENT = 12
 """The indent, in characters, of a line that continues the text of a row."""
-MANY_CHANGES, FEW_ROWS = 3, 16
-"""A link, master or unit that changes MANY_CHANGES times within FEW_ROWS rows gets a column, and
-leaves the heading."""
-
+FEW_COLUMNS = 100
+"""A terminal with fewer columns than this is narrow."""
 
 _WIDTHS = {
     TableColumn.NUMBER: 5,
@@ -64,19 +74,29 @@ _WIDTHS = {
     TableColumn.DEVICE: 20,
     TableColumn.ID: 5,
     TableColumn.OUTCOME: 12,
+    TableColumn.PACKET: 13,
+    TableColumn.FILE: 20,
 }
 _RIGHT = frozenset((TableColumn.NUMBER, TableColumn.LATENCY, TableColumn.UNIT, TableColumn.ID))
 """Columns whose cells are aligned to the right."""
-_ALIGNED = {
-    column: f"{{:{'>' if column in _RIGHT else '<'}{width}}}".format
-    for column, width in _WIDTHS.items()
-}
-"""Makes a cell of a text."""
+_FITTED = frozenset(
+    (
+        TableColumn.LINK,
+        TableColumn.MASTER,
+        TableColumn.SLAVE,
+        TableColumn.DEVICE,
+        TableColumn.FILE,
+    )
+)
+"""Columns whose width depends on what the first rows have in them."""
+_MAX_WIDTH = 45
+"""The greatest width of such a column: that of an IPv6 address with its port."""
+_NO_BREAK = "\N{NO-BREAK SPACE}"
+_COUNTED = re.compile(r" (x\d+)(?![^, ])")
+"""A count of equal values."""
 _TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
 _TEXT_TITLE = "request -> response"
 _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
-_PLACES = (TableColumn.LINK, TableColumn.MASTER, TableColumn.UNIT)
-"""Link, master and unit are columns only if they change often; otherwise the heading has them."""
 
 
 class _TableRow(NamedTuple):
@@ -104,7 +124,8 @@ class TransactionTable:
         self._times = Times(self._options.time)
         self._points = ChangedPoints()
         self._styles: dict[str, tuple[str, str]] = {}
-        self._places = _PlaceColumns()
+        self._places = PlaceColumns(is_narrow=self._wraps and console.width < FEW_COLUMNS)
+        self._widths = dict(_WIDTHS)
         self._columns = self._options.columns
         if not self._columns and not self._wraps:
             self._columns = (*_USUAL, TableColumn.LINK, TableColumn.UNIT)
@@ -121,7 +142,7 @@ class TransactionTable:
         With a profile, the texts of findings contain the profile's figures.
         """
         row = _TableRow(
-            None if isinstance(record, WireEvent) else number, record, profile, _places(record)
+            None if isinstance(record, WireEvent) else number, record, profile, places_of(record)
         )
         if self._pending is None:
             self._print(row)
@@ -141,10 +162,8 @@ class TransactionTable:
             self._pending = pending
             return
         if not self._is_chosen:
-            trial = _PlaceColumns()
-            for row in pending:
-                trial.note(row.places)
-            self._places.in_row = trial.in_row
+            self._places.decide(row.places for row in pending)
+        self._fit_widths(pending)
         for row in pending:
             self._print(row)
 
@@ -158,13 +177,20 @@ class TransactionTable:
         if isinstance(row.record, WireEvent):
             text, findings = event_text(row.record), []
         else:
-            points = self._points.changed_first(row.record)
-            text = transaction_text(row.record, points, in_hex=self._options.in_hex)
+            text = self._text(row.record, self._console.width - len(prefix))
             findings = finding_texts(row.record, row.profile)
         if self._wraps:
             self._print_wrapped(prefix, text, findings, style)
         else:
             self._print_line("  ! ".join((f"{prefix}{printable(text)}", *findings)), style)
+
+    def _text(self, transaction: NamedTransaction, room: int) -> str:
+        """The request and its result, in fewer words if they need more than `room` characters."""
+        points, in_hex = self._points.of(transaction), self._options.in_hex
+        text = transaction_text(transaction, points.every, in_hex=in_hex)
+        if not self._wraps or self._options.full or len(text) <= room:
+            return text
+        return short_transaction_text(transaction, points, in_hex=in_hex)
 
     def _print_heading(self, row: _TableRow) -> None:
         """Print a heading if link, master, unit or day changed, and titles if columns changed."""
@@ -173,11 +199,17 @@ class TransactionTable:
         heading = ", ".join(part for part in (self._place, self._times.day_of(row.record)) if part)
         if heading != self._heading and heading:
             self._heading = heading
-            self._print_line(printable(heading), "bold")
+            for line in self._heading_lines(printable(heading)):
+                self._print_line(line, "bold")
         if self._columns != self._titled:
             self._titled = self._columns
-            titles = [_ALIGNED[one](_TITLES.get(one, one.value)) for one in self._columns]
+            titles = [self._aligned(one, _TITLES.get(one, one.value)) for one in self._columns]
             self._print_line(f"{' '.join(titles)}  {_TEXT_TITLE}", "dim")
+
+    def _heading_lines(self, heading: str) -> list[str]:
+        if not self._wraps:
+            return [heading]
+        return wrap(heading, self._console.width, subsequent_indent="    ", break_on_hyphens=False)
 
     def _note_place(self, record: Record) -> None:
         if not isinstance(record, WireEvent):
@@ -185,23 +217,38 @@ class TransactionTable:
         elif record.link != self._link and TableColumn.LINK not in self._columns:
             self._link = self._place = record.link
 
+    def _fit_widths(self, rows: Sequence[_TableRow]) -> None:
+        """Make the columns of links, hosts, devices and files as wide as these rows need.
+
+        In a pipe they are never narrower than usual, as wider cells may follow.
+        """
+        for column in self._columns if self._is_chosen else self._places.in_row:
+            if column in _FITTED:
+                longest = max(len(printable(self._cell(column, row))) for row in rows)
+                title = len(_TITLES.get(column, column.value))
+                least = title if self._wraps else _WIDTHS[column]
+                self._widths[column] = min(max(longest, least), _MAX_WIDTH)
+
     def _prefix(self, row: _TableRow) -> str:
         """The text of all cells of a row that come before its text."""
-        cells = []
-        for column in self._columns:
-            match column:
-                case TableColumn.NUMBER:
-                    text = "" if row.number is None else str(row.number)
-                case TableColumn.TIME:
-                    text = self._times.text(row.record)
-                case TableColumn.LATENCY:
-                    text = _latency(row.record)
-                case TableColumn.LINK | TableColumn.MASTER | TableColumn.UNIT:
-                    text = row.places[_PLACES.index(column)]
-                case _:
-                    text = _MORE[column](row.record)
-            cells.append(_ALIGNED[column](text))
+        cells = [self._aligned(column, self._cell(column, row)) for column in self._columns]
         return printable(f"{' '.join(cells)}  ")
+
+    def _aligned(self, column: TableColumn, text: str) -> str:
+        width = self._widths[column]
+        return text.rjust(width) if column in _RIGHT else text.ljust(width)
+
+    def _cell(self, column: TableColumn, row: _TableRow) -> str:
+        match column:
+            case TableColumn.NUMBER:
+                return "" if row.number is None else str(row.number)
+            case TableColumn.TIME:
+                return self._times.text(row.record)
+            case TableColumn.LATENCY:
+                return _latency(row.record)
+            case TableColumn.LINK | TableColumn.MASTER | TableColumn.UNIT:
+                return self._places.cell(column, row.places)
+        return _MORE[column](row.record)
 
     def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
         """Print a row whose text takes several lines."""
@@ -218,11 +265,17 @@ class TransactionTable:
         if len(text) <= width - used:
             return [text]
         room = max(width - _INDENT, _MIN_TEXT)
-        # The first line has less room. So a filler of that length is put before the text, and is
-        # removed again after wrapping.
-        filler = "\0" * max(min(used - _INDENT, room - _MIN_TEXT), 0)
-        lines = wrap(filler + text, room, break_on_hyphens=False)
-        lines[0] = lines[0].removeprefix(filler)
+        request, arrow, result = text.partition(ARROW)
+        if len(request) <= width - used and len(f"{arrow}{result}".lstrip()) <= room:
+            return [request, f"{arrow}{result}".lstrip()]
+        if width - used < _MIN_TEXT:
+            lines = ["", *_lines(text, room)]
+        else:
+            # The first line has less room. So a filler of that length is put before the text, and
+            # is removed again after wrapping.
+            filler = "\0" * max(used - _INDENT, 0)
+            lines = _lines(filler + text, room)
+            lines[0] = lines[0].removeprefix(filler)
         left = len(lines) - MAX_LINES
         if left <= 1 or self._options.full:
             return lines
@@ -246,55 +299,20 @@ class TransactionTable:
         return codes
 
 
-class _PlaceColumns:
-    """Decides which of link, master and unit are columns: those that change often."""
-
-    def __init__(self) -> None:
-        self.in_row: tuple[TableColumn, ...] = ()
-        self._last = ["", "", ""]
-        self._count = 0
-        self._changes: list[deque[int]] = [deque(maxlen=MANY_CHANGES) for _ in _PLACES]
-        """For each of link, master and unit: the numbers of the last rows in which it changed."""
-
-    def note(self, places: tuple[str, str, str]) -> None:
-        """Note the link, master and unit of the next row."""
-        self._count += 1
-        for index, text in enumerate(places):
-            if not text or text == self._last[index]:
-                continue
-            self._last[index] = text
-            changes = self._changes[index]
-            changes.append(self._count)
-            is_often = len(changes) == MANY_CHANGES and self._count - changes[0] < FEW_ROWS
-            if is_often and _PLACES[index] not in self.in_row:
-                self.in_row = tuple(
-                    one for one in _PLACES if one in self.in_row or one is _PLACES[index]
-                )
-
-    def heading(self, record: NamedTransaction) -> str:
-        """The heading's text: link, master and unit, except those with a column of their own."""
-        link, master, unit = self._last
-        parts = []
-        if TableColumn.LINK not in self.in_row:
-            parts.append(f"{record.transport} {link}")
-        if master and TableColumn.MASTER not in self.in_row:
-            parts.append(f"master {master}")
-        if unit and TableColumn.UNIT not in self.in_row:
-            parts.append(f"unit {unit} {record.device or ''}".rstrip())
-        return ", ".join(parts)
+def _lines(text: str, width: int) -> list[str]:
+    """Break a text into lines, but not inside `0 x24`."""
+    together = _COUNTED.sub(f"{_NO_BREAK}\\1", text)
+    return [line.replace(_NO_BREAK, " ") for line in wrap(together, width, break_on_hyphens=False)]
 
 
-def _places(record: Record) -> tuple[str, str, str]:
+def _packets(record: Record) -> str:
+    """The numbers of the packets of request and response, from 1: `12/13`; 12 if it is one."""
     if isinstance(record, WireEvent):
-        return record.link, "", ""
-    return record.link, host_of(record.source), str(record.unit)
-
-
-def host_of(address: str | None) -> str:
-    """The host of an address with a port: fe80::1 of `[fe80::1]:502`; "" for None."""
-    if address is None:
         return ""
-    return address.rpartition(":")[0].strip("[]")
+    first, last = record.request_packet, record.response_packet
+    if first == last:
+        return "" if first is None else str(first)
+    return "/".join("-" if one is None else str(one) for one in (first, last))
 
 
 def _latency(record: Record) -> str:
@@ -318,5 +336,7 @@ _MORE: dict[TableColumn, Callable[[Record], str]] = {
     TableColumn.OUTCOME: lambda one: (
         one.kind.value if isinstance(one, WireEvent) else one.outcome.value
     ),
+    TableColumn.PACKET: _packets,
+    TableColumn.FILE: lambda one: "" if isinstance(one, WireEvent) else one.file or "",
 }
 """Makes the cells of columns that are shown only if the user chooses them."""

@@ -13,8 +13,9 @@ from rich.console import Console
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport
+from mbtool.views.place_columns import FEW_ROWS, host_of
 from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
-from mbtool.views.transaction_table import FEW_ROWS, SAMPLE, TransactionTable, host_of
+from mbtool.views.transaction_table import SAMPLE, TransactionTable
 from tests.logs.samples import transaction, transactions
 
 START_NS = 1_700_000_000_000_000_000
@@ -168,7 +169,7 @@ def test_units_that_are_polled_in_turn_stand_in_their_rows() -> None:
 
 
 def test_of_several_slaves_and_masters_each_row_has_its_own() -> None:
-    screen = Screen()
+    screen = Screen(width=120)
     for number in range(8):
         screen.add(
             transport=Transport.TCP,
@@ -180,6 +181,39 @@ def test_of_several_slaves_and_masters_each_row_has_its_own() -> None:
     assert heading == "unit 1, 2023-11-14 UTC"
     assert titles.split() == ["#", "time", "ms", "link", "master", "request", "->", "response"]
     assert row.split()[3:5] == ["10.0.0.1", "10.0.0.7"]
+
+
+def test_a_narrow_terminal_shows_the_addresses_of_one_network_by_their_last_numbers() -> None:
+    screen = Screen()
+    for number in range(6):
+        host = f"192.168.100.{100 + number % 3}"
+        screen.add(transport=Transport.TCP, link=host, source="10.0.0.7:49152", **REFUSED)
+    screen.table.pause()
+    screen.add(transport=Transport.TCP, link="192.168.3.100", source="10.0.0.7:49152")
+    heading, titles, *_ = screen.lines
+    assert heading == "link 192.168.100.*, master 10.0.0.7, unit 1, 2023-11-14 UTC"
+    assert titles == "    # time             ms link  request -> response"
+    first = "    1 22:13:20.000    2.7 .100  03 read HR400001 -> 02 illegal data address"
+    assert screen.rows[0] == first
+    assert screen.rows[-1].split()[3] == "192.168.3.100"
+
+
+def test_a_live_table_shortens_addresses_once_they_change_often() -> None:
+    screen = Screen()
+    for number in range(5):
+        link = f"10.0.0.{number % 2 + 5}"
+        screen.add(transport=Transport.TCP, link=link, source="10.0.0.7:49152")
+        screen.table.pause()
+    assert screen.rows[-1].split()[3] == ".5"
+
+
+def test_columns_are_as_wide_as_the_addresses_in_the_first_rows() -> None:
+    screen = Screen(terminal=False)
+    for number in range(3):
+        screen.add(link=f"[fd00::1234:5678:9abc:def{number}]:1502")
+    titles, *rows = screen.lines[1:]
+    at = titles.index("request")
+    assert all(row[at - 2 : at + 2] == "  03" for row in rows)
 
 
 def test_a_live_table_moves_a_place_into_the_rows_once_it_changes_often() -> None:
@@ -221,6 +255,119 @@ def test_what_changed_comes_before_what_did_not() -> None:
         "level: CH1 3, CH0 1",
         "level: CH0 1, CH1 3",
     ]
+
+
+def measured(*values: int, text: str = "{}") -> list[PointValue]:
+    return [
+        PointValue(
+            name=f"CH{at} digital operation value",
+            reference=f"RWr{at}",
+            value=value,
+            text=text.format(value),
+        )
+        for at, value in enumerate(values, 1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("again", "shown"),
+    [
+        ((9, 9, 9, 9, 9, 9), "as before"),
+        ((9, 9, 8, 9, 9, 9), "-> CH3 8; 5 others as before"),
+        ((9, 9, 8, 9, 7, 9), "-> CH3 8, CH5 7; 4 others as before"),
+    ],
+)
+def test_a_text_that_is_too_long_only_counts_what_is_as_before(
+    again: tuple[int, ...], shown: str
+) -> None:
+    first = "digital operation value: CH1 9, CH2 9, CH3 9, CH4 9, CH5 9, CH6 9"
+    for full in (False, True):
+        screen = Screen(full=full)
+        for values in ((9, 9, 9, 9, 9, 9), again):
+            screen.add(points=measured(*values))
+        text = " ".join(line.strip() for line in screen.lines[2:])
+        told = text.partition("    2 ")[0].partition(" -> ")[2]
+        assert told.startswith(first)
+        assert text.endswith(shown) is not full
+
+
+def test_points_of_several_kinds_keep_their_names() -> None:
+    screen = Screen()
+    for sent in (1, 2):
+        screen.add(
+            points=[
+                PointValue(name="Energy received", reference="D1", value=1, text="1.00 kWh"),
+                PointValue(name="Energy sent", reference="D2", value=sent, text=f"{sent}.00 kWh"),
+            ]
+        )
+    assert screen.lines[-1].endswith("-> Energy sent: 2.00 kWh; 1 other as before")
+
+
+def test_a_text_that_fits_its_line_tells_every_point() -> None:
+    screen = Screen(width=100)
+    for _ in range(2):
+        screen.add(points=measured(1, 2))
+    assert screen.rows[1].endswith("digital operation value: CH1 1, CH2 2")
+
+
+def test_bits_that_are_as_before_are_told_beside_one_that_changed() -> None:
+    screen = Screen(width=60)
+    for values in ((0, 0, 1), (0, 0, 1), (1, 0, 1)):
+        points = [
+            PointValue(
+                name=f"CH{at} conversion completion flag",
+                reference=f"X{at}",
+                value=value,
+                text="on" if value else "off",
+            )
+            for at, value in enumerate(values, 1)
+        ]
+        screen.add(points=points)
+    text = " ".join(line.strip() for line in screen.lines[2:])
+    assert text.count("flag: CH3 on") == 1
+    assert "as before" in text
+    assert text.endswith("flag: CH1 CH3 on")
+
+
+def test_an_exception_has_fewer_words_where_they_do_not_fit() -> None:
+    gateway = {**REFUSED, "exception": 11, "exception_name": "gateway target failed to respond"}
+    for width, name in ((100, "gateway target failed to respond"), (78, "gateway: no answer")):
+        screen = Screen(width=width)
+        screen.add(reference="HR400001..400010", **gateway)
+        assert screen.rows[0].endswith(f"-> 0B {name}")
+    screen = Screen(width=70)
+    screen.add(reference="HR400001..400010", **{**gateway, "exception_name": "no such card here"})
+    assert screen.lines[-1].strip() == "-> 0B no such card here"
+
+
+def test_a_result_that_does_not_fit_stands_below_its_request() -> None:
+    screen = Screen(width=60)
+    screen.add(reference="HR400001..400010", response_values=list(range(10)))
+    assert [line.strip() for line in screen.lines[3:]] == ["-> 0, 1, 2, 3, 4, 5, 6, 7, 8, 9"]
+
+
+def test_a_count_of_equal_values_is_not_torn() -> None:
+    screen = Screen(width=61)
+    screen.add(response_values=[10, 11, 12, 13, 14, *[65535] * 65, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10])
+    assert any("65535 x65," in line for line in screen.lines)
+
+
+def test_a_text_without_room_beside_its_columns_stands_below_them() -> None:
+    screen = Screen(width=60, columns=(TableColumn.TIME, TableColumn.MASTER, TableColumn.SLAVE))
+    screen.add(source="192.168.100.100:49152", destination="192.168.100.102:50200")
+    assert screen.lines[2] == "22:13:20.000 192.168.100.100 192.168.100.102:50200"
+    assert screen.lines[3] == " " * 12 + "03 read HR400001 -> 4660, 22136"
+
+
+def test_a_row_names_its_packets_and_its_file() -> None:
+    screen = Screen(terminal=False, columns=(TableColumn.PACKET, TableColumn.FILE))
+    screen.add(request_packet=7, response_packet=12, file="plant.pcap")
+    screen.add(request_packet=7, response_packet=7)
+    screen.add(request_packet=13)
+    screen.add(request_offset=13)
+    screen.event()
+    cells = [line.partition("  03 ")[0].split() for line in screen.lines[1:]]
+    assert cells[1:5] == [["7/12", "plant.pcap"], ["7"], ["13/-"], []]
 
 
 def test_values_are_shown_in_hexadecimal_where_asked() -> None:
